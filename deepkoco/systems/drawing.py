@@ -1,0 +1,72 @@
+"""How one-joint systems look: shared OpenCV primitives."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+BACKGROUND = (250, 250, 248)
+INK = (52, 58, 64)
+ROD = (196, 84, 70)
+MASS = (38, 84, 124)
+COMMAND = (232, 158, 48)
+
+
+def canvas(size: int) -> np.ndarray:
+    """Empty picture, uint8 (size, size, 3)."""
+    return np.full((size, size, 3), BACKGROUND, np.uint8)
+
+
+def draw_rod(image: np.ndarray, angle_from_up: float, width: float = 0.06, reach: float = 0.38) -> None:
+    """Draw a rod that turns about the centre; a positive angle turns counter-clockwise, as in Gymnasium."""
+    size = image.shape[0]
+    centre = size / 2
+    tip = (centre - reach * size * math.sin(angle_from_up), centre - reach * size * math.cos(angle_from_up))
+    _line(image, (centre, centre), tip, ROD, max(2, round(width * size)))
+    _disk(image, (centre, centre), width * 0.45 * size, INK)
+
+
+def draw_disk(image: np.ndarray, angle_from_up: float, radius: float = 0.36, reach: float = 0.26) -> None:
+    """Draw a disk with an eccentric mass, as the disk pendulum of the thesis."""
+    size = image.shape[0]
+    centre = size / 2
+    _disk(image, (centre, centre), radius * size, (222, 224, 228))
+    mass = (centre - reach * size * math.sin(angle_from_up), centre - reach * size * math.cos(angle_from_up))
+    _disk(image, mass, 0.07 * size, MASS)
+    _disk(image, (centre, centre), 0.02 * size, INK)
+
+
+def draw_point_mass(image: np.ndarray, angle_from_up: float, reach: float = 0.38) -> None:
+    """Draw a thin rod with a point mass at its tip."""
+    size = image.shape[0]
+    centre = size / 2
+    tip = (centre - reach * size * math.sin(angle_from_up), centre - reach * size * math.cos(angle_from_up))
+    _line(image, (centre, centre), tip, INK, max(1, round(0.02 * size)))
+    _disk(image, tip, 0.06 * size, MASS)
+    _disk(image, (centre, centre), 0.025 * size, INK)
+
+
+def draw_command(image: np.ndarray, fraction: float) -> None:
+    """Draw the command as an arc; ``fraction`` in [-1, 1] of the command's limit."""
+    size = image.shape[0]
+    sweep = -170.0 * float(np.clip(fraction, -1.0, 1.0))
+    if abs(sweep) < 1.0:
+        return
+    axes = (round(0.12 * size), round(0.12 * size))
+    centre = (size // 2, size // 2)
+    cv2.ellipse(image, centre, axes, -90.0, 0.0, sweep, COMMAND, max(1, round(0.015 * size)), cv2.LINE_AA)
+
+
+def _line(image: np.ndarray, start: tuple, end: tuple, colour: tuple, thickness: int) -> None:
+    cv2.line(image, _pixel(start), _pixel(end), colour, thickness, cv2.LINE_AA, 4)
+
+
+def _disk(image: np.ndarray, centre: tuple, radius: float, colour: tuple) -> None:
+    cv2.circle(image, _pixel(centre), round(radius * 16), colour, -1, cv2.LINE_AA, 4)
+
+
+def _pixel(point: tuple) -> tuple[int, int]:
+    # 4 fractional bits: without them small pictures jitter by a pixel from frame to frame.
+    return round(point[0] * 16), round(point[1] * 16)

@@ -1,0 +1,67 @@
+"""The disk pendulum with a DC motor, driven by a voltage."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems import drawing
+from deepkoco.systems.joint import JointSystem, angle_channel, speed_channel
+from deepkoco.systems.system import Channel, Parameter, Parameters
+
+GRAVITY = 9.81  # [m/s2]
+# Width of the smoothed sign of the Coulomb term [rad/s]: a sharp sign stalls Runge-Kutta and Gauss-Newton.
+COULOMB_SMOOTHING = 0.1
+
+
+class Pendulum(JointSystem):
+    """J theta'' = u K/R + m g l sin(theta) - b theta' - theta' K^2/R - c sign(theta'), theta = 0 upright.
+
+    Source: thesis app. 4.C.1.
+    """
+
+    name = "pendulum"
+    upright = 0.0
+
+    def __init__(self) -> None:
+        self.parameters = (
+            Parameter("inertia", 1.599e-4, "kg m2", 1e-5, 1e-3, 1.6e-6, "J, disk and mass about the axis"),
+            Parameter("mass", 0.0509, "kg", 0.005, 0.5, 5e-4, "m, eccentric mass"),
+            Parameter("length", 0.0415, "m", 0.005, 0.2, 4e-4, "l, axis to mass"),
+            Parameter("viscous", 1.43e-5, "N m s/rad", 0.0, 1e-3, 3e-6, "b, viscous friction"),
+            Parameter("motor_constant", 0.0333, "N m/A", 1e-3, 0.3, 3e-4, "K, torque and back-EMF constant"),
+            Parameter("resistance", 7.73, "ohm", 0.5, 50.0, 0.08, "R, winding resistance"),
+            Parameter("coulomb", 9.75e-4, "N m", 0.0, 0.02, 2e-5, "c, Coulomb friction"),
+        )
+        self.command = Channel("voltage", "V", "command", -3.0, 3.0, description="motor voltage")
+        self.measurements = (angle_channel(0.002), speed_channel(0.05))
+
+    @property
+    def load_scale(self) -> float:
+        mass, length = self.parameter("mass").value, self.parameter("length").value
+        return mass * GRAVITY * length
+
+    def inertia(self, parameters: Parameters) -> Tensor:
+        return parameters["inertia"]
+
+    def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        p = parameters
+        motor = (effort - omega * p["motor_constant"]) * p["motor_constant"] / p["resistance"]
+        gravity = p["mass"] * GRAVITY * p["length"] * torch.sin(theta)
+        friction = p["viscous"] * omega + p["coulomb"] * torch.tanh(omega / COULOMB_SMOOTHING)
+        return motor + gravity - friction
+
+    def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
+        length = parameters["length"]
+        return {
+            **parameters,
+            "mass": parameters["mass"] + mass,
+            "inertia": parameters["inertia"] + mass * length**2,
+        }
+
+    def draw(self, measurement: np.ndarray, command: float, size: int = 256) -> np.ndarray:
+        image = drawing.canvas(size)
+        drawing.draw_disk(image, float(measurement[0]))
+        drawing.draw_command(image, command / self.command.high)
+        return image

@@ -1,0 +1,59 @@
+"""The rod pendulum of Gymnasium's Pendulum-v1, driven by a torque."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems import drawing
+from deepkoco.systems.joint import JointSystem, angle_channel, speed_channel
+from deepkoco.systems.system import Channel, Parameter, Parameters
+
+
+class RodPendulum(JointSystem):
+    """theta'' = 3 g/(2 l) sin(theta) + 3 u/(m l^2) - 3 b theta'/(m l^2), theta = 0 upright.
+
+    Gymnasium's task has no friction; ``viscous`` is 0 there and exists so that a fit can find some.
+
+    Source: Gymnasium, classic_control/pendulum (Pendulum-v1).
+    """
+
+    name = "rod_pendulum"
+    upright = 0.0
+
+    def __init__(self) -> None:
+        self.parameters = (
+            Parameter("gravity", 10.0, "m/s2", 1.0, 20.0, 0.1, "g, gravity"),
+            Parameter("mass", 1.0, "kg", 0.1, 10.0, 0.01, "m, mass of the rod"),
+            Parameter("length", 1.0, "m", 0.1, 5.0, 0.005, "l, length of the rod"),
+            Parameter("viscous", 0.0, "N m s/rad", 0.0, 2.0, 0.005, "b, viscous friction"),
+        )
+        self.command = Channel("torque", "N m", "command", -2.0, 2.0, description="joint torque")
+        self.measurements = (angle_channel(0.002), speed_channel(0.05))
+
+    @property
+    def load_scale(self) -> float:
+        gravity, mass = self.parameter("gravity").value, self.parameter("mass").value
+        return 0.5 * mass * gravity * self.parameter("length").value
+
+    def inertia(self, parameters: Parameters) -> Tensor:
+        rod = parameters["mass"] * parameters["length"] ** 2 / 3.0
+        tip_mass = parameters.get("tip_mass")
+        return rod if tip_mass is None else rod + tip_mass * parameters["length"] ** 2
+
+    def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        p = parameters
+        moment = 0.5 * p["mass"] * p["length"]
+        if "tip_mass" in p:
+            moment = moment + p["tip_mass"] * p["length"]
+        return moment * p["gravity"] * torch.sin(theta) + effort - p["viscous"] * omega
+
+    def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
+        return {**parameters, "tip_mass": mass}
+
+    def draw(self, measurement: np.ndarray, command: float, size: int = 256) -> np.ndarray:
+        image = drawing.canvas(size)
+        drawing.draw_rod(image, float(measurement[0]))
+        drawing.draw_command(image, command / self.command.high)
+        return image
