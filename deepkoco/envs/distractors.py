@@ -157,10 +157,9 @@ class VectorStateDistractors(VectorWrapper):
         self.observation_space = gymnasium.vector.utils.batch_space(self.mixer.space, env.num_envs)
         self._ended = np.zeros(env.num_envs, bool)
 
-    def reset(self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None):
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         observation, info = self.env.reset(seed=seed, options=options)
-        first = seed[0] if isinstance(seed, (list, tuple)) else seed
-        self.mixer.reset(first)
+        self.mixer.reset(seed)
         self._ended[:] = False
         return self.mixer.mix(observation), info
 

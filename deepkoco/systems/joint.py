@@ -34,7 +34,7 @@ class JointSystem(System):
 
     state_names: ClassVar[tuple[str, ...]] = ("theta", "omega")
     state_units: ClassVar[tuple[str, ...]] = ("rad", "rad/s")
-    upright: ClassVar[float]  # angle at which the tip points up [rad]
+    upright: float  # angle at which the tip points up [rad]
 
     @abstractmethod
     def inertia(self, parameters: Parameters) -> Tensor:

@@ -93,7 +93,7 @@ class System(ABC):
     a population of parameters is one more batch.
     """
 
-    name: ClassVar[str]
+    name: str
     state_names: ClassVar[tuple[str, ...]]
     state_units: ClassVar[tuple[str, ...]]
     parameters: tuple[Parameter, ...]

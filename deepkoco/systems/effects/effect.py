@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
-from torch import Tensor
-
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.system import Parameter, System
 
 Place = Literal["command", "timing", "load", "body", "sensor"]
+
+
+def _carried_out_by_the_runtime(*_: Any) -> Any:
+    raise TypeError("a timing effect is a delay: it has no equation to apply")
 
 
 @dataclass(frozen=True)
@@ -38,4 +40,4 @@ class Effect:
     place: Place
     parameters: Callable[[System], tuple[Parameter, ...]]
     summary: str
-    apply: Callable[..., Tensor | Parameters] | None = field(default=None)
+    apply: Callable[..., Any] = _carried_out_by_the_runtime
