@@ -1,0 +1,87 @@
+"""The agent in a batch of environments: one network pass for all, one small QP for each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepkoco.agent.exploration import OrnsteinUhlenbeck
+from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.planning.config import PlannerConfig
+from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
+
+
+class VectorAgent:
+    """Acts in B environments at once.
+
+    Action a_k is applied while a_{k+1} = a_k + da_k is decided from (o_k, a_k): one step of input delay, which is
+    the time a real controller has to compute. a_0 = 0. The increment is the plan plus exploration noise, then the
+    action is clipped, so the increments that are learned from are the realised ones.
+    """
+
+    def __init__(
+        self,
+        model: ExportedModel | None,
+        planner: PlannerConfig,
+        action_low: Array,
+        action_high: Array,
+        count: int,
+        noise: OrnsteinUhlenbeck | None = None,
+    ) -> None:
+        """Set up one controller per environment.
+
+        Args:
+            model: The latent model; None moves by noise alone (the first, random episodes).
+            planner: Settings of the planner.
+            action_low: a_min (M,).
+            action_high: a_max (M,).
+            count: B.
+            noise: Exploration; None for noise-free control.
+        """
+        self._model = model
+        self._low, self._high = action_low, action_high
+        self._noise = noise
+        self._planners = []
+        if model is not None:
+            self._planners = [LinearMPC(model, planner, action_low, action_high) for _ in range(count)]
+        self._count = count
+        self.reset()
+
+    @property
+    def statistics(self) -> PlannerStatistics:
+        """Sums over all controllers."""
+        total = PlannerStatistics()
+        for planner in self._planners:
+            total.plans += planner.statistics.plans
+            total.failures += planner.statistics.failures
+            total.reasons.update(planner.statistics.reasons)
+        return total
+
+    def reset(self) -> None:
+        """Start new episodes in all environments."""
+        start = np.clip(np.zeros_like(self._low), self._low, self._high)
+        self._next = np.tile(start, (self._count, 1))
+        for planner in self._planners:
+            planner.reset()
+        if self._noise is not None:
+            self._noise.reset()
+
+    def act(self, observations: Array, variance: float = 0.0) -> Array:
+        """Return the actions decided one step earlier and decide the next ones.
+
+        Args:
+            observations: o_k (B, N).
+            variance: sigma^2 of the exploration noise.
+
+        Returns:
+            a_k (B, M).
+        """
+        actions = self._next
+        following = actions
+        if self._model is not None:
+            rows, factors = self._model.linearise(observations, actions)
+            plans = zip(self._planners, rows, factors, actions, strict=True)
+            following = actions + np.stack([planner.plan(r, c, a) for planner, r, c, a in plans])
+        if self._noise is not None:
+            following = following + self._noise.step(variance).numpy()
+        self._next = np.clip(following, self._low, self._high)
+        return actions

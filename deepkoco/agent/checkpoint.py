@@ -1,0 +1,52 @@
+"""Atomic checkpoints that hold tensors and plain values only."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+
+FORMAT_VERSION = 1
+
+
+class CheckpointError(ValueError):
+    """A checkpoint is missing or does not fit."""
+
+
+def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint so that a kill at any moment leaves the old or the new file, whole.
+
+    Args:
+        path: Target file.
+        state: Tensors and plain values; generator states as byte tensors.
+    """
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        torch.save({"version": FORMAT_VERSION, **state}, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint without running any code from it.
+
+    Args:
+        path: File written by `save_checkpoint`.
+
+    Returns:
+        The saved state.
+
+    Raises:
+        CheckpointError: There is no such file, or another version wrote it.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no checkpoint; the run has not saved one yet, start it anew")
+    state = torch.load(path, weights_only=True, map_location="cpu")
+    if state.pop("version", None) != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{path}: written by another version of the format; this release reads {FORMAT_VERSION}"
+        )
+    return state

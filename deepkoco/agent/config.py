@@ -1,0 +1,81 @@
+"""Hyper-parameters of DeepKoCo's training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from deepkoco.koopman.model import ModelConfig
+from deepkoco.planning.config import PlannerConfig
+
+
+class TrainingConfigError(ValueError):
+    """A hyper-parameter is out of range."""
+
+
+@dataclass
+class TrainingConfig:
+    """Hyper-parameters of one run (Alg. 8); published values unless docs/training.md says otherwise."""
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    """Sizes of the latent model."""
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    """Settings of the planner."""
+    first_episodes: int = 90
+    """Episodes of the first iteration, moved by noise alone."""
+    first_epochs: int = 100
+    """Epochs on the first episodes."""
+    iteration_episodes: int = 20
+    """Episodes of every later iteration."""
+    iteration_epochs: int = 3
+    """Epochs over the whole buffer in every later iteration."""
+    iteration_updates: int = 350
+    """Cap on the updates of a later iteration."""
+    total_episodes: int = 400
+    """Episodes of the run; the last iteration collects what is missing."""
+    horizon: int = 15
+    """T, steps predicted in a training window of T + 1 steps."""
+    chunks: int = 8
+    """G, chunks in a minibatch."""
+    chunk_length: int = 40
+    """L, consecutive steps of a chunk, which holds L - T overlapping windows."""
+    learning_rate: float = 1e-3
+    """Step size of Adam."""
+    cost_weight: float = 10.0
+    """alpha_1, weight of cost reconstruction and prediction against the linear loss."""
+    weight_penalty: float = 1e-14
+    """alpha_2, weight of the squared weights (L2)."""
+    noise_correlation: float = 0.85
+    """lambda of the Ornstein-Uhlenbeck noise, per step."""
+    noise_variance: float = 0.85
+    """Innovation variance of the noise before the first episode [action unit^2]."""
+    noise_last_episode: int = 400
+    """Episode at which the variance has fallen linearly to zero."""
+    evaluation_episodes: int = 10
+    """Noise-free episodes after every iteration; 0 for none."""
+    final_evaluation_episodes: int = 50
+    """Noise-free episodes at the end of the run."""
+    checkpoint_updates: int = 1000
+    """Updates between two checkpoints inside an iteration."""
+
+    def check(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            TrainingConfigError: Names the first value that is out of range and its remedy.
+        """
+        positive = (
+            "first_episodes first_epochs iteration_episodes iteration_epochs iteration_updates total_episodes "
+            "horizon chunks learning_rate noise_last_episode final_evaluation_episodes checkpoint_updates"
+        )
+        for name in positive.split():
+            if not getattr(self, name) > 0:
+                raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value above 0")
+        for name in ("evaluation_episodes", "noise_variance", "cost_weight", "weight_penalty"):
+            if not getattr(self, name) >= 0:
+                raise TrainingConfigError(f"{name} = {getattr(self, name)}; give 0 or more")
+        if self.chunk_length <= self.horizon:
+            raise TrainingConfigError(
+                f"chunk_length = {self.chunk_length} holds no window of horizon + 1 = {self.horizon + 1} steps; raise it"
+            )
+        if self.model.pairs < 1 or not self.model.time_step > 0:
+            raise TrainingConfigError("model.pairs and model.time_step must be above 0")

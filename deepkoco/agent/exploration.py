@@ -1,0 +1,58 @@
+"""Ornstein-Uhlenbeck exploration noise on the action increment."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+class OrnsteinUhlenbeck:
+    r"""$\epsilon_{k+1} = \lambda \epsilon_k + \sqrt{\sigma^2}\, N(0, 1)$, independent per environment and action.
+
+    The published variance is read as that of the innovation, not of the stationary process: this explores more
+    and learns better. Noise is added to the increment in the action's unit.
+    """
+
+    def __init__(self, count: int, action_size: int, correlation: float, generator: torch.Generator) -> None:
+        """Start at zero.
+
+        Args:
+            count: Environments in the batch.
+            action_size: M.
+            correlation: lambda, per step.
+            generator: Source of every draw.
+        """
+        self._noise = torch.zeros(count, action_size, dtype=torch.float64)
+        self._correlation = correlation
+        self._generator = generator
+
+    def reset(self) -> None:
+        """Return to zero at the start of an episode."""
+        self._noise.zero_()
+
+    def step(self, variance: float) -> Tensor:
+        """Draw the next noise.
+
+        Args:
+            variance: sigma^2 of the innovation.
+
+        Returns:
+            Noise (B, M), float64.
+        """
+        innovation = torch.randn(self._noise.shape, generator=self._generator, dtype=torch.float64)
+        self._noise = self._correlation * self._noise + variance**0.5 * innovation
+        return self._noise
+
+
+def annealed_variance(initial: float, episodes: int, last_episode: int) -> float:
+    """Linear decay of the innovation variance to zero.
+
+    Args:
+        initial: sigma^2 before the first episode.
+        episodes: Episodes collected so far.
+        last_episode: Episode from which there is no noise.
+
+    Returns:
+        sigma^2 for the next episodes.
+    """
+    return initial * max(0.0, 1.0 - episodes / last_episode)

@@ -1,0 +1,66 @@
+"""Metrics of a run: a CSV that is always whole, and TensorBoard events made from the same rows."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from pathlib import Path
+
+from torch.utils.tensorboard import SummaryWriter
+
+Row = dict[str, float]
+
+
+class MetricsLog:
+    """One row per training iteration.
+
+    The rows belong to the checkpoint; a resumed run starts from the rows it had then, rewrites the CSV and makes
+    the event file anew, so no step appears twice.
+    """
+
+    def __init__(self, folder: Path, rows: list[Row]) -> None:
+        """Open the log.
+
+        Args:
+            folder: The run's folder.
+            rows: Rows of the checkpoint, or none.
+        """
+        self.rows = list(rows)
+        self._path = folder / "metrics.csv"
+        events = folder / "tensorboard"
+        for old in events.glob("events.out.tfevents.*"):
+            old.unlink()
+        self._writer = SummaryWriter(str(events))
+        for row in self.rows:
+            self._write_events(row)
+        if self.rows:
+            self._write_csv()
+
+    def add(self, row: Row) -> None:
+        """Append a row; every row has the same keys, `episodes` is the x-axis.
+
+        Args:
+            row: Name to value.
+        """
+        self.rows.append(row)
+        self._write_events(row)
+        self._write_csv()
+
+    def close(self) -> None:
+        """Flush the events."""
+        self._writer.close()
+
+    def _write_events(self, row: Row) -> None:
+        for name, value in row.items():
+            self._writer.add_scalar(name, value, global_step=int(row["episodes"]))
+        self._writer.flush()
+
+    def _write_csv(self) -> None:
+        text = io.StringIO()
+        writer = csv.DictWriter(text, fieldnames=list(self.rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        partial = self._path.with_name(self._path.name + ".partial")
+        partial.write_text(text.getvalue())
+        os.replace(partial, self._path)

@@ -1,0 +1,98 @@
+"""The trained controller for one robot: NumPy only, no training code."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.planning.config import PlannerConfig
+from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
+
+
+class ObservationError(ValueError):
+    """An observation has the wrong number of entries."""
+
+
+class KoopmanPolicy:
+    """Noise-free DeepKoCo control, one call of `act` per control step.
+
+    `act(o_k)` returns the action a_k that was decided one step earlier and decides a_{k+1}, as in training. It
+    never raises for numbers: where a plan cannot be made it holds the last one and counts that in `statistics`.
+    """
+
+    def __init__(
+        self, model: ExportedModel, planner: PlannerConfig, action_low: Array, action_high: Array
+    ) -> None:
+        """Set up the controller.
+
+        Args:
+            model: The latent model.
+            planner: Settings of the planner.
+            action_low: a_min (M,).
+            action_high: a_max (M,).
+        """
+        self.model = model
+        self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
+        self._planner = LinearMPC(model, planner, self._low, self._high)
+        self.reset()
+
+    @property
+    def statistics(self) -> PlannerStatistics:
+        """Plans made and failed so far."""
+        return self._planner.statistics
+
+    def reset(self) -> None:
+        """Start a new episode with action zero."""
+        self._next = np.clip(np.zeros_like(self._low), self._low, self._high)
+        self._planner.reset()
+
+    def act(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Control one step.
+
+        Args:
+            observation: o_k (N,).
+
+        Returns:
+            a_k (M,).
+
+        Raises:
+            ObservationError: The observation does not have N entries.
+        """
+        observation = np.asarray(observation, dtype=np.float64)
+        if observation.shape != (self.model.observation_size,):
+            raise ObservationError(
+                f"observation has shape {observation.shape}; this model takes ({self.model.observation_size},)"
+            )
+        action = self._next
+        rows, factor = self.model.linearise(observation, action)
+        self._next = action + self._planner.plan(rows, factor, action)
+        return action.astype(np.float32)
+
+
+def load_policy(folder: str | Path, **planner: object) -> KoopmanPolicy:
+    """Load a trained controller.
+
+    Args:
+        folder: Folder of an exported model, or of a finished training run.
+        **planner: Settings of `PlannerConfig` to use instead of the stored ones.
+
+    Returns:
+        The controller.
+
+    Raises:
+        ModelFolderError: The folder holds no model this release can read.
+        TypeError: An unknown planner setting.
+    """
+    folder = Path(folder)
+    if (folder / "model").is_dir():
+        folder = folder / "model"
+    model, config = ExportedModel.load(folder)
+    known = {f.name for f in fields(PlannerConfig)}
+    stored = {k: v for k, v in config["planner"].items() if k in known}  # type: ignore[attr-defined]
+    settings = PlannerConfig(**{**stored, **planner})  # type: ignore[arg-type]
+    low, high = (np.array(config[name], dtype=np.float64) for name in ("action_low", "action_high"))
+    return KoopmanPolicy(model, settings, low, high)

@@ -1,0 +1,257 @@
+"""Training: collect, fit, evaluate, repeat; stoppable at any moment and resumed bit for bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import VectorEnv
+
+from deepkoco.agent.agent import VectorAgent
+from deepkoco.agent.buffer import EpisodeBuffer
+from deepkoco.agent.checkpoint import load_checkpoint, save_checkpoint
+from deepkoco.agent.collection import VectorEnvFactory, box_sizes, collect_episodes, episode_costs
+from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
+from deepkoco.agent.metrics import MetricsLog, Row
+from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.koopman.export import export_model
+from deepkoco.koopman.losses import Losses, chunk_losses
+from deepkoco.koopman.model import KoopmanModel
+
+CHECKPOINT_FILE = "checkpoint.pt"
+MODEL_FOLDER = "model"
+LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale")
+
+
+@dataclass
+class Progress:
+    """Where a run stands.
+
+    Attributes:
+        iteration: Finished iterations.
+        collected: Whether the present iteration's episodes are in the buffer.
+        iteration_updates: Updates done in the present iteration.
+        updates: Updates done in all.
+        seconds: Time spent, over all resumptions [s].
+    """
+
+    iteration: int = 0
+    collected: bool = False
+    iteration_updates: int = 0
+    updates: int = 0
+    seconds: float = 0.0
+
+
+Report = Callable[[Progress, int, Row], None]
+"""Called with (progress, planned updates of this iteration, last metrics row)."""
+
+
+class Trainer:
+    """One training run in one folder.
+
+    Each iteration resets the environments with a seed derived from (run seed, iteration), and makes its planners
+    anew, so neither belongs to a checkpoint. Weights, optimiser, episodes, generators, counters and metrics do.
+
+    Source: DeepKoCo, Alg. 8.
+    """
+
+    def __init__(self, make_envs: VectorEnvFactory, config: TrainingConfig, seed: int, folder: Path) -> None:
+        """Set up, and continue where the folder's checkpoint stands if there is one.
+
+        Args:
+            make_envs: Makes environments from (count, seed).
+            config: Hyper-parameters.
+            seed: The run's seed.
+            folder: The run's folder; it exists.
+
+        Raises:
+            TrainingConfigError: A hyper-parameter is out of range.
+            SpaceError: The environment's spaces do not fit.
+        """
+        config.check()
+        self.config, self.seed, self.folder = config, seed, folder
+        self._make_envs = make_envs
+        self._pool: dict[int, VectorEnv] = {}
+        observation_size, self._low, self._high = box_sizes(self._envs(config.first_episodes))
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
+            self.model = KoopmanModel(observation_size, self._low.size, config.model)
+        # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
+        self._optimiser = torch.optim.Adam(
+            self.model.parameters(),
+            config.learning_rate,
+            weight_decay=2.0 * config.weight_penalty,
+            fused=True,
+        )
+        self._buffer = EpisodeBuffer(observation_size, self._low.size)
+        self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
+        self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
+        self._collected: Row = {}
+        self._loss_sums = torch.zeros(len(LOSS_NAMES), dtype=torch.float64)
+        self.progress = Progress()
+        rows: list[Row] = []
+        if (folder / CHECKPOINT_FILE).exists():
+            rows = self._restore(load_checkpoint(folder / CHECKPOINT_FILE))
+        self.metrics = MetricsLog(folder, rows)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all episodes are collected and learned from."""
+        return not self.progress.collected and len(self._buffer) >= self.config.total_episodes
+
+    def run(self, report: Report | None = None) -> Row:
+        """Train to the end, evaluate and export the model into the folder `model`.
+
+        Args:
+            report: Called now and then, for a progress display.
+
+        Returns:
+            The last metrics row.
+        """
+        started = time.perf_counter() - self.progress.seconds
+        while not self.finished:
+            if not self.progress.collected:
+                self._collect()
+                self._save(started)
+            planned = self._planned_updates()
+            while self.progress.iteration_updates < planned:
+                self._update()
+                if self.progress.iteration_updates % self.config.checkpoint_updates == 0:
+                    self._save(started)
+                if report is not None and self.progress.iteration_updates % 50 == 0:
+                    report(self.progress, planned, self._collected)
+            self._finish_iteration(planned, started)
+            self._save(started)
+        for envs in self._pool.values():
+            envs.close()
+        self._pool.clear()
+        self.metrics.close()
+        if not (self.folder / MODEL_FOLDER).exists():
+            self._export()
+        return self.metrics.rows[-1]
+
+    def _envs(self, count: int) -> VectorEnv:
+        """Environments of one batch size, made once."""
+        if count not in self._pool:
+            self._pool[count] = self._make_envs(count, self.seed)
+        return self._pool[count]
+
+    def _collect(self) -> None:
+        config, done = self.config, len(self._buffer)
+        first = self.progress.iteration == 0
+        count = config.first_episodes if first else config.iteration_episodes
+        count = min(count, config.total_episodes - done)
+        noise = OrnsteinUhlenbeck(count, self._low.size, config.noise_correlation, self._noise)
+        model = None if first else export_model(self.model)
+        agent = VectorAgent(model, config.planner, self._low, self._high, count, noise)
+        variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
+        seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
+        episodes = collect_episodes(self._envs(count), agent, seed, variance)
+        self._buffer.add(episodes)
+        costs = episode_costs(episodes)
+        self._collected = {
+            "train/cost": float(costs.mean()),
+            "train/cost_sd": float(costs.std()),
+            "train/noise_variance": variance,
+            "train/planner_failures": float(agent.statistics.failures),
+        }
+        self._loss_sums.zero_()
+        self.progress.collected, self.progress.iteration_updates = True, 0
+
+    def _planned_updates(self) -> int:
+        config = self.config
+        batch = config.chunks * (config.chunk_length - config.horizon)
+        epoch = max(1, self._buffer.windows(config.horizon) // batch)
+        if self.progress.iteration == 0:
+            return config.first_epochs * epoch
+        return min(config.iteration_epochs * epoch, config.iteration_updates)
+
+    def _update(self) -> None:
+        config = self.config
+        batch = self._buffer.sample(config.chunks, config.chunk_length, config.horizon, self._sampling)
+        losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight)
+        self._optimiser.zero_grad()
+        losses.total.backward()
+        self._optimiser.step()
+        self.progress.iteration_updates += 1
+        self.progress.updates += 1
+        self._add_losses(losses)
+
+    def _add_losses(self, losses: Losses) -> None:
+        """Sum the losses of an iteration's last updates, at most as many as a later iteration makes."""
+        if self._planned_updates() - self.progress.iteration_updates < self.config.iteration_updates:
+            self._loss_sums += torch.stack([getattr(losses, name) for name in LOSS_NAMES])
+
+    def _finish_iteration(self, planned: int, started: float) -> None:
+        config = self.config
+        means = (self._loss_sums / min(planned, config.iteration_updates)).tolist()
+        losses = dict(zip((f"loss/{name}" for name in LOSS_NAMES), means, strict=True))
+        final = len(self._buffer) >= config.total_episodes
+        count = config.final_evaluation_episodes if final else config.evaluation_episodes
+        purpose = Purpose.FINAL_EVALUATION if final else Purpose.EVALUATION
+        costs, failures = np.full(1, np.nan), 0
+        if count:
+            agent = VectorAgent(export_model(self.model), config.planner, self._low, self._high, count)
+            costs = episode_costs(collect_episodes(self._envs(count), agent, derive_seed(self.seed, purpose)))
+            failures = agent.statistics.failures
+        self.progress.iteration += 1
+        self.progress.collected, self.progress.iteration_updates = False, 0
+        self.metrics.add(
+            {
+                "episodes": len(self._buffer),
+                "steps": self._buffer.steps,
+                "updates": self.progress.updates,
+                **self._collected,
+                **losses,
+                "model/largest_growth_rate": float(self.model.dynamics.mu.detach().max()),
+                "evaluation/cost": float(costs.mean()),
+                "evaluation/cost_sd": float(costs.std()),
+                "evaluation/cost_median": float(np.median(costs)),
+                "evaluation/episodes": count,
+                "evaluation/planner_failures": failures,
+                "seconds": time.perf_counter() - started,
+            }
+        )
+
+    def _save(self, started: float) -> None:
+        self.progress.seconds = time.perf_counter() - started
+        save_checkpoint(
+            self.folder / CHECKPOINT_FILE,
+            {
+                "model": self.model.state_dict(),
+                "optimiser": self._optimiser.state_dict(),
+                "buffer": self._buffer.state_dict(),
+                "sampling": self._sampling.get_state(),
+                "noise": self._noise.get_state(),
+                "progress": asdict(self.progress),
+                "collected": self._collected,
+                "loss_sums": self._loss_sums,
+                "metrics": self.metrics.rows,
+            },
+        )
+
+    def _restore(self, state: dict[str, Any]) -> list[Row]:
+        self.model.load_state_dict(state["model"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self._buffer.load_state_dict(state["buffer"])
+        self._sampling.set_state(state["sampling"])
+        self._noise.set_state(state["noise"])
+        self.progress = Progress(**state["progress"])
+        self._collected, self._loss_sums = state["collected"], state["loss_sums"]
+        return state["metrics"]
+
+    def _export(self) -> None:
+        extra = {
+            "planner": asdict(self.config.planner),
+            "action_low": self._low.tolist(),
+            "action_high": self._high.tolist(),
+            "seed": self.seed,
+            "episodes": len(self._buffer),
+        }
+        export_model(self.model).save(self.folder / MODEL_FOLDER, extra)

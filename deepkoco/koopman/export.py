@@ -1,0 +1,37 @@
+"""From the torch model to the NumPy model."""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.mlp import ReluNetwork
+from deepkoco.koopman.model import KoopmanModel
+
+
+def export_model(model: KoopmanModel) -> ExportedModel:
+    """Copy a model's weights out of torch.
+
+    Args:
+        model: The trained model.
+
+    Returns:
+        The same function on float64 NumPy arrays.
+    """
+
+    def array(tensor: Tensor) -> Array:
+        return tensor.detach().cpu().numpy().astype(np.float64)
+
+    def layers(network: ReluNetwork) -> tuple[tuple[Array, Array], ...]:
+        return tuple((array(layer.weight), array(layer.bias)) for layer in network.layers)
+
+    return ExportedModel(
+        layers(model.encoder.network),
+        layers(model.cost_factor.network),
+        array(model.dynamics.mu),
+        array(model.dynamics.omega),
+        model.dynamics.time_step,
+        model.config.action_weight,
+        model.action_size,
+    )

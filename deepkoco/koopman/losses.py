@@ -1,0 +1,95 @@
+"""The training losses on batches of overlapping windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from deepkoco.koopman.cost import quadratic_cost
+from deepkoco.koopman.model import KoopmanModel
+
+
+@dataclass
+class ChunkBatch:
+    """G chunks of L consecutive steps; every window of T + 1 steps inside a chunk is one training sequence.
+
+    Attributes:
+        observations: (G, L, N).
+        actions: (G, L, M), the actions that were really applied.
+        costs: (G, L), cost of step k under observation k and action k.
+        window_weights: (G, L - T), 1 for windows that lie wholly inside the episode, else 0.
+    """
+
+    observations: Tensor
+    actions: Tensor
+    costs: Tensor
+    window_weights: Tensor
+
+
+@dataclass
+class Losses:
+    """Values of one batch; each is a scalar tensor.
+
+    Attributes:
+        total: The minimised sum.
+        linear: Mean squared distance between encoded and rolled latents.
+        cost_reconstruction: Mean squared error of the cost at the first step of the windows [cost^2].
+        cost_prediction: Mean squared error of the cost over the T following steps [cost^2].
+        latent_scale: Root mean square of the encoded latents; L_linear alone would shrink it to 0.
+    """
+
+    total: Tensor
+    linear: Tensor
+    cost_reconstruction: Tensor
+    cost_prediction: Tensor
+    latent_scale: Tensor
+
+
+def chunk_losses(model: KoopmanModel, batch: ChunkBatch, horizon: int, cost_weight: float) -> Losses:
+    r"""Losses of all windows of a batch of chunks, each step encoded once.
+
+    $L = L_{lin} + \alpha_1 (L_{recon} + L_{pred})$ with, for each window,
+    $L_{lin} = \frac{1}{T} \sum_{k=1}^{T} \| \varphi(o_k, a_k) - s_k \|^2 / 2P$,
+    $L_{recon} = (c_0 - \hat c_0)^2$ and $L_{pred} = \frac{1}{T}\sum_{k=1}^{T} (c_k - \hat c_k)^2$. The rolled latents
+    $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does. Gradients flow through B
+    (second order), through psi and its input, and into both sides of $L_{lin}$.
+
+    Args:
+        model: The latent model.
+        batch: The chunks.
+        horizon: T, predicted steps per window.
+        cost_weight: alpha_1.
+
+    Returns:
+        The losses, averaged over the valid windows, time and components.
+
+    Source: DeepKoCo, Eq. 5.12-5.15.
+    """
+    windows = batch.window_weights.shape[1]
+    weights = batch.window_weights.flatten()
+    weights = weights / weights.sum()
+    latents, input_matrices, factors = model.encoder_and_factors(batch.observations, batch.actions, windows)
+
+    start = latents[:, :windows].flatten(0, 1)  # (W, 2P)
+    increments = batch.actions.diff(dim=1).unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, M)
+    rolled = model.dynamics.rollout(start, input_matrices.flatten(0, 1), increments)  # (W, T, 2P)
+    encoded = latents[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, 2P)
+    linear = ((encoded - rolled).square().mean((1, 2)) * weights).sum()
+
+    factors = factors.flatten(0, 1)  # (W, 2P)
+    actions = batch.actions[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, M)
+    costs = batch.costs[:, 1:].unfold(1, horizon, 1).flatten(0, 1)  # (W, T)
+    weight = model.config.action_weight
+    predicted = quadratic_cost(factors.unsqueeze(1), rolled, actions, weight)
+    prediction = ((costs - predicted).square().mean(1) * weights).sum()
+
+    first = quadratic_cost(factors, start, batch.actions[:, :windows].flatten(0, 1), weight)
+    reconstruction = ((batch.costs[:, :windows].flatten() - first).square() * weights).sum()
+    return Losses(
+        total=linear + cost_weight * (reconstruction + prediction),
+        linear=linear.detach(),
+        cost_reconstruction=reconstruction.detach(),
+        cost_prediction=prediction.detach(),
+        latent_scale=latents.detach().square().mean().sqrt(),
+    )

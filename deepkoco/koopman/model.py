@@ -1,0 +1,85 @@
+"""The latent model: encoder, Jordan dynamics and cost factor, with its size and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from deepkoco.koopman.cost import CostFactor
+from deepkoco.koopman.encoder import Encoder
+from deepkoco.koopman.jordan import JordanDynamics
+
+
+@dataclass
+class ModelConfig:
+    """Sizes of the latent model."""
+
+    pairs: int = 10
+    """P, complex eigenvalue pairs; the latent has 2P components."""
+    time_step: float = 0.05
+    """Seconds between two decisions of the agent."""
+    encoder_hidden: tuple[int, ...] = (90, 90)
+    """Widths of the hidden layers of phi."""
+    cost_hidden: tuple[int, ...] = (70, 70)
+    """Widths of the hidden layers of psi."""
+    action_weight: float = 0.001
+    """R, weight of a squared action in the predicted cost."""
+
+
+class KoopmanModel(nn.Module):
+    r"""A cost-predictive Koopman latent model.
+
+    $s = \varphi(o, a)$, $s_{k+1} = \Lambda s_k + B \Delta a_k$, $a_{k+1} = a_k + \Delta a_k$,
+    $\hat c = (C s)^2 + a^\top R a$, with $B = \partial\varphi/\partial a$ and $C = \psi(s)$ at the present state.
+    There is no observation decoder: with B frozen over a rollout it would enter no loss.
+
+    Source: DeepKoCo, Eq. 5.4-5.8.
+    """
+
+    def __init__(self, observation_size: int, action_size: int, config: ModelConfig) -> None:
+        """Make the networks from the global generator of torch; seed it first.
+
+        Args:
+            observation_size: N.
+            action_size: M.
+            config: Sizes.
+        """
+        super().__init__()
+        self.config = config
+        self.observation_size = observation_size
+        self.action_size = action_size
+        self.encoder = Encoder(observation_size, action_size, config.pairs, config.encoder_hidden)
+        self.dynamics = JordanDynamics(config.pairs, config.time_step)
+        self.cost_factor = CostFactor(config.pairs, config.cost_hidden)
+
+    def encoder_and_factors(
+        self, observations: Tensor, actions: Tensor, starts: int
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Encode sequences and linearise at their first steps only.
+
+        Args:
+            observations: (G, L, N).
+            actions: (G, L, M).
+            starts: Number of leading steps at which B and C are wanted.
+
+        Returns:
+            Latents (G, L, 2P), input matrices (G, starts, 2P, M) and cost rows (G, starts, 2P).
+        """
+        latent, input_matrix, factor = self.linearise(observations[:, :starts], actions[:, :starts])
+        rest = self.encoder(observations[:, starts:], actions[:, starts:])
+        return torch.cat((latent, rest), 1), input_matrix, factor
+
+    def linearise(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Everything the planner needs at one point.
+
+        Args:
+            observation: (..., N).
+            action: (..., M).
+
+        Returns:
+            Latent s (..., 2P), input matrix B (..., 2P, M) and cost row C (..., 2P).
+        """
+        latent, input_matrix = self.encoder.with_input_matrix(observation, action)
+        return latent, input_matrix, self.cost_factor(latent)

@@ -1,0 +1,143 @@
+"""Box-constrained QP solvers that are set up once and updated at every step."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import daqp
+import numpy as np
+import osqp
+import qpsolvers
+from scipy import sparse
+
+from deepkoco.planning.config import Array, SolverError
+
+
+class UnknownSolverError(ValueError):
+    """The named QP solver is not installed."""
+
+
+class BoxSolver(Protocol):
+    """Minimises x'Px/2 + q'x subject to low <= x <= high, with fixed limits."""
+
+    def solve(self, hessian: Array, gradient: Array) -> Array:
+        """Solve for a new P (n, n) and q (n,); returns x (n,) or raises `SolverError`."""
+        ...
+
+
+class DaqpSolver:
+    """Dual active-set solver; its workspace is kept between calls."""
+
+    def __init__(self, low: Array, high: Array, tolerance: float) -> None:
+        """Keep the limits; the workspace is made with the first problem."""
+        self._low, self._high = low, high
+        self._no_rows = np.empty((0, low.size))
+        self._workspace = daqp.Model()
+        self._ready = False
+
+    def solve(self, hessian: Array, gradient: Array) -> Array:
+        """See `BoxSolver.solve`."""
+        # daqp calls a problem with NaN solved; the sums find every NaN and infinity.
+        if not np.isfinite(hessian.sum() + gradient.sum()):
+            raise SolverError("daqp: the problem has entries that are not finite")
+        if self._ready:
+            self._workspace.update(H=hessian, f=gradient)
+        else:
+            self._workspace.setup(hessian, gradient, self._no_rows, self._high, self._low)
+            self._ready = True
+        x, _, status, _ = self._workspace.solve()
+        if status != 1:
+            raise SolverError(f"daqp: exit flag {status}")
+        return x
+
+
+class OsqpSolver:
+    """Operator-splitting solver, updated in place and warm-started."""
+
+    def __init__(self, low: Array, high: Array, tolerance: float) -> None:
+        """Set up on a problem with a full upper triangle, so that any Hessian can follow."""
+        size = low.size
+        self._upper = np.triu_indices(size)
+        self._columns = np.lexsort(self._upper)  # column-major order, as CSC stores it
+        pattern = sparse.csc_matrix(np.triu(np.ones((size, size))))
+        pattern.data[:] = np.eye(size)[self._upper][self._columns]
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            pattern,
+            np.zeros(size),
+            sparse.identity(size, format="csc"),
+            low,
+            high,
+            verbose=False,
+            eps_abs=tolerance,
+            eps_rel=tolerance,
+            max_iter=20000,
+        )
+
+    def solve(self, hessian: Array, gradient: Array) -> Array:
+        """See `BoxSolver.solve`."""
+        if not np.isfinite(hessian.sum() + gradient.sum()):
+            raise SolverError("osqp: the problem has entries that are not finite")
+        self._solver.update(Px=hessian[self._upper][self._columns], q=gradient)
+        return osqp_solution(self._solver)
+
+
+class QpsolversSolver:
+    """Any other solver known to qpsolvers; it offers no update, so every call sets up anew."""
+
+    def __init__(self, name: str, low: Array, high: Array) -> None:
+        """Keep the limits."""
+        self._name, self._low, self._high = name, low, high
+
+    def solve(self, hessian: Array, gradient: Array) -> Array:
+        """See `BoxSolver.solve`."""
+        if not np.isfinite(hessian.sum() + gradient.sum()):
+            raise SolverError(f"{self._name}: the problem has entries that are not finite")
+        x = qpsolvers.solve_qp(hessian, gradient, lb=self._low, ub=self._high, solver=self._name)
+        if x is None:
+            raise SolverError(f"{self._name}: no solution found")
+        return x
+
+
+def osqp_solution(solver: osqp.OSQP) -> Array:
+    """Run OSQP and take its solution.
+
+    Args:
+        solver: A solver that is set up and updated.
+
+    Returns:
+        The solution vector.
+
+    Raises:
+        SolverError: OSQP reports anything but "solved".
+    """
+    result = solver.solve(raise_error=False)
+    if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
+        raise SolverError(f"osqp: {result.info.status}")
+    return np.asarray(result.x)
+
+
+def make_box_solver(name: str, low: Array, high: Array, tolerance: float) -> BoxSolver:
+    """Make a solver by name.
+
+    Args:
+        name: "daqp", "osqp" or a name of `qpsolvers.available_solvers`.
+        low: Lower limits (n,).
+        high: Upper limits (n,).
+        tolerance: For OSQP.
+
+    Returns:
+        The solver.
+
+    Raises:
+        UnknownSolverError: No such solver is installed.
+    """
+    if name in UPDATED_SOLVERS:
+        return UPDATED_SOLVERS[name](low, high, tolerance)
+    if name in qpsolvers.available_solvers:
+        return QpsolversSolver(name, low, high)
+    known = sorted({*UPDATED_SOLVERS, *qpsolvers.available_solvers})
+    raise UnknownSolverError(f'solver "{name}" is not installed; choose one of {", ".join(known)}')
+
+
+UPDATED_SOLVERS = {"daqp": DaqpSolver, "osqp": OsqpSolver}

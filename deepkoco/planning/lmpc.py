@@ -1,0 +1,117 @@
+"""The linear model-predictive controller that never fails its caller."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deepkoco.koopman.exported import ExportedModel
+from deepkoco.planning.condensed import CondensedProgram
+from deepkoco.planning.config import Array, PlannerConfig, PlanningProblem, SolverError
+from deepkoco.planning.sparse import SparseProgram
+
+logger = logging.getLogger(__name__)
+
+
+class PlannerConfigError(ValueError):
+    """A setting of the planner is out of range."""
+
+
+@dataclass
+class PlannerStatistics:
+    """What happened so far.
+
+    Attributes:
+        plans: Decisions asked for.
+        failures: Decisions that held the last plan because the program was not solved.
+        reasons: Count of each reason.
+    """
+
+    plans: int = 0
+    failures: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+
+
+class LinearMPC:
+    """Plans action increments; holds the last plan when a program is not solved.
+
+    One object serves one control loop: it keeps one solver, updated at every step, and the last plan. A failure
+    takes the next increment of that plan (zero once it is used up), is counted in `statistics` and logged.
+    """
+
+    def __init__(
+        self, model: ExportedModel, config: PlannerConfig, action_low: Array, action_high: Array
+    ) -> None:
+        """Set up the solver.
+
+        Args:
+            model: Gives eigenvalues and R.
+            config: Settings.
+            action_low: a_min (M,).
+            action_high: a_max (M,).
+
+        Raises:
+            PlannerConfigError: The form is unknown or the horizon is not positive.
+            UnknownSolverError: The solver is not installed.
+        """
+        if config.horizon < 1:
+            raise PlannerConfigError(f"planner.horizon = {config.horizon}; give at least 1 step")
+        self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
+        problem = PlanningProblem(
+            model.eigenvalues,
+            self._low,
+            self._high,
+            model.action_weight,
+            config.increment_weight,
+            config.horizon,
+        )
+        if config.form == "condensed":
+            self._program = CondensedProgram(problem, config.solver, config.tolerance)
+        elif config.form == "sparse":
+            self._program = SparseProgram(problem, config.tolerance)
+        else:
+            raise PlannerConfigError(f'planner.form = "{config.form}"; choose "condensed" or "sparse"')
+        self.statistics = PlannerStatistics()
+        self._held = np.zeros((0, self._low.size))
+
+    def reset(self) -> None:
+        """Forget the last plan at the start of an episode."""
+        self._held = self._held[:0]
+
+    def plan(self, rows: Array, factor: Array, action: Array) -> Array:
+        """Decide the next action increment.
+
+        Args:
+            rows: Latent and input columns (1 + M, 2P) as given by `ExportedModel.linearise`.
+            factor: Cost row C (2P,).
+            action: Present action a_0 (M,).
+
+        Returns:
+            Increment da_0 (M,) with a_0 + da_0 inside the limits.
+        """
+        self.statistics.plans += 1
+        try:
+            planned = self._program.solve(rows, factor, action)
+        except SolverError as error:
+            increment = self._hold(str(error))
+        else:
+            increment = planned[0] - action
+            self._held = np.diff(planned, axis=0)
+        return np.minimum(np.maximum(action + increment, self._low), self._high) - action
+
+    def _hold(self, reason: str) -> Array:
+        """Count a failure and take the next increment of the last plan."""
+        statistics = self.statistics
+        statistics.failures += 1
+        statistics.reasons[reason] += 1
+        if statistics.failures & (statistics.failures - 1) == 0:  # 1st, 2nd, 4th, 8th ...
+            logger.warning(
+                "plan not solved (%s), failure %d: holding the last plan", reason, statistics.failures
+            )
+        if len(self._held) == 0:
+            return np.zeros_like(self._low)
+        increment, self._held = self._held[0], self._held[1:]
+        return increment
