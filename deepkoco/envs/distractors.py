@@ -80,9 +80,13 @@ class WanderingCopies:
         """Observations (B, width) float32."""
         return self._entries().reshape(self.batch, self.width).numpy().astype(np.float32)
 
-    def angles(self) -> np.ndarray:
-        """Angles from upright (B, copies), for pictures [rad]."""
-        return (self._state[..., 0] - self.system.upright).numpy()
+    def draw(self, environment: int, size: int) -> np.ndarray:
+        """Pictures of one environment's copies side by side, uint8 (size, copies * size, 3)."""
+        states = self._state[environment].numpy()
+        limit = self.task.command_limit
+        commands = limit * self._drive[environment].clamp(-1.0, 1.0).numpy()
+        pairs = zip(states, commands, strict=True)
+        return np.concatenate([self.system.draw(state, float(u), size) for state, u in pairs], 1)
 
     def _entries(self) -> Tensor:
         return self.task.observation(self.system, self._state)
@@ -102,6 +106,13 @@ class _Mixer:
         if seed is not None:
             self.copies.seed(seed)
         self.copies.restart()
+
+    def draw(self, frame: np.ndarray, environment: int) -> np.ndarray:
+        """The task's frame with the copies in a strip below it."""
+        size = frame.shape[1] // self.copies.copies
+        strip = self.copies.draw(environment, size)
+        margin = np.full((size, frame.shape[1] - strip.shape[1], 3), 255, np.uint8)
+        return np.concatenate([frame, np.concatenate([strip, margin], 1)], 0)
 
     def mix(self, observation: np.ndarray) -> np.ndarray:
         return np.concatenate([observation, self.copies.observe()], -1)[..., self.order]
@@ -138,6 +149,11 @@ class StateDistractors(gymnasium.Wrapper):
         self.mixer.copies.step()
         return self.mixer.mix(observation[None])[0], reward, terminated, truncated, info
 
+    def render(self):
+        """The environment's frame with the distractors in a strip below it."""
+        frame = self.env.render()
+        return self.mixer.draw(frame, 0) if isinstance(frame, np.ndarray) else frame
+
 
 class VectorStateDistractors(VectorWrapper):
     """:class:`StateDistractors` for a vector environment; copies restart with their environment."""
@@ -170,3 +186,8 @@ class VectorStateDistractors(VectorWrapper):
             self.mixer.copies.restart(self._ended)
         self._ended = np.logical_or(terminated, truncated)
         return self.mixer.mix(observation), reward, terminated, truncated, info
+
+    def render(self):
+        """The frames of all environments, each with its distractors in a strip below it."""
+        frames = self.env.render()
+        return None if frames is None else tuple(self.mixer.draw(f, i) for i, f in enumerate(frames))

@@ -1,0 +1,91 @@
+"""Distractors leave the task alone, have their own draws and keep their order."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from deepkoco.envs.distractors import StateDistractors, VectorStateDistractors
+
+SMOOTH_SPEED = 2 * 15.0 + 15.0  # largest acceleration the physics allows [rad/s2]: 3 g/2l + 3 u/ml^2
+
+
+def wrapped(shuffle_seed: int = 0, copies: int = 4) -> StateDistractors:
+    return StateDistractors(gymnasium.make("Pendulum-v1"), copies=copies, shuffle_seed=shuffle_seed)
+
+
+def roll(env, seed: int, steps: int = 20) -> np.ndarray:
+    observation, _ = env.reset(seed=seed)
+    rows = [observation]
+    for k in range(steps):
+        rows.append(env.step(np.array([np.sin(k)], np.float32))[0])
+    return np.array(rows)
+
+
+def test_the_task_is_untouched():
+    env = wrapped()
+    plain = roll(gymnasium.make("Pendulum-v1"), seed=3)
+    mixed = roll(env, seed=3)
+    task_columns = np.argsort(env.mixer.order)[:3]
+    np.testing.assert_array_equal(mixed[:, task_columns], plain)
+    assert mixed.shape[1] == 15
+
+
+def test_same_seed_same_bytes_and_other_seed_other_distractors():
+    first, again, other = roll(wrapped(), 5), roll(wrapped(), 5), roll(wrapped(), 6)
+    assert first.tobytes() == again.tobytes()
+    columns = np.argsort(wrapped().mixer.order)[3:]
+    assert np.abs(first[:, columns] - other[:, columns]).max() > 0.5
+
+
+def test_the_order_depends_on_the_shuffle_seed_alone():
+    assert np.array_equal(wrapped(1).mixer.order, wrapped(1).mixer.order)
+    assert not np.array_equal(wrapped(1).mixer.order, wrapped(2).mixer.order)
+    assert sorted(wrapped(1).mixer.order) == list(range(15))
+
+
+def test_distractors_swing_like_pendulums():
+    """Each copy lies on the unit circle and its speed changes no quicker than its torque allows."""
+    env = wrapped()
+    rows = roll(env, seed=1, steps=100)[:, np.argsort(env.mixer.order)]
+    for copy in range(4):
+        cosine, sine, speed = rows[:, 3 + 3 * copy : 6 + 3 * copy].T
+        np.testing.assert_allclose(cosine**2 + sine**2, 1.0, atol=1e-6)
+        assert np.abs(np.diff(speed)).max() <= 0.05 * SMOOTH_SPEED
+        assert speed.std() > 0.3
+
+
+def test_observations_stay_in_their_space():
+    env = wrapped()
+    for row in roll(env, seed=2, steps=100):
+        assert env.observation_space.contains(row)
+
+
+def test_the_vector_form_restarts_copies_with_their_environment():
+    env = VectorStateDistractors(gymnasium.make_vec("Pendulum-v1", num_envs=2, max_episode_steps=5))
+    env.reset(seed=0)
+    columns = np.argsort(env.mixer.order)[3:]
+    jumps = []
+    before = env.step(np.zeros((2, 1), np.float32))[0]
+    for _ in range(7):
+        after = env.step(np.zeros((2, 1), np.float32))[0]
+        jumps.append(np.abs(after[:, columns] - before[:, columns]).max())
+        before = after
+    assert np.argmax(jumps) == 4  # steps 2..5 end the episode, the sixth is the reset
+    assert jumps[4] > 2 * max(jumps[:4])
+
+
+def test_the_picture_shows_the_distractors():
+    from deepkoco.envs.distractors import WanderingCopies
+
+    copies = WanderingCopies("rod_pendulum", 4, 1)
+    copies.seed(0)
+    copies.restart()
+    first = copies.draw(0, 32)
+    copies.step()
+    assert first.shape == (32, 128, 3)
+    assert not np.array_equal(first, copies.draw(0, 32))
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_any_number_of_copies(copies: int):
+    assert wrapped(copies=copies).observation_space.shape == (3 + 3 * copies,)
