@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -73,15 +72,15 @@ class KoopmanPolicy:
         return action.astype(np.float32)
 
 
-def load_policy(folder: str | Path, **planner: object) -> KoopmanPolicy:
-    """Load a trained controller.
+def load_model(folder: str | Path, **planner: object) -> tuple[ExportedModel, PlannerConfig, Array, Array]:
+    """Load what a controller is made of.
 
     Args:
         folder: Folder of an exported model, or of a finished training run.
         **planner: Settings of `PlannerConfig` to use instead of the stored ones.
 
     Returns:
-        The controller.
+        Latent model, planner settings and action limits (M,), (M,).
 
     Raises:
         ModelFolderError: The folder holds no model this release can read.
@@ -91,8 +90,23 @@ def load_policy(folder: str | Path, **planner: object) -> KoopmanPolicy:
     if (folder / "model").is_dir():
         folder = folder / "model"
     model, config = ExportedModel.load(folder)
-    known = {f.name for f in fields(PlannerConfig)}
-    stored = {k: v for k, v in config["planner"].items() if k in known}  # type: ignore[attr-defined]
-    settings = PlannerConfig(**{**stored, **planner})  # type: ignore[arg-type]
+    settings = PlannerConfig(**{**config["planner"], **planner})
     low, high = (np.array(config[name], dtype=np.float64) for name in ("action_low", "action_high"))
-    return KoopmanPolicy(model, settings, low, high)
+    return model, settings, low, high
+
+
+def load_policy(folder: str | Path, **planner: object) -> KoopmanPolicy:
+    """Load a trained controller.
+
+    Args:
+        folder: Folder of an exported model, or of a finished training run.
+        **planner: Settings of `PlannerConfig` to use instead of the stored ones.
+
+    Returns:
+        The controller, with `act(observation) -> action` and `reset()`.
+
+    Raises:
+        ModelFolderError: The folder holds no model this release can read.
+        TypeError: An unknown planner setting.
+    """
+    return KoopmanPolicy(*load_model(folder, **planner))

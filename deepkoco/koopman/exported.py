@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,7 @@ class ExportedModel:
         weight, bias = self.cost_factor[-1]
         return h @ weight.T + bias
 
-    def save(self, folder: Path, extra: dict[str, object]) -> None:
+    def save(self, folder: Path, extra: dict[str, Any]) -> None:
         """Write `model.safetensors` and `config.json` into a new folder, all or nothing.
 
         Args:
@@ -129,7 +130,7 @@ class ExportedModel:
         os.replace(partial, folder)
 
     @classmethod
-    def load(cls, folder: Path) -> tuple[ExportedModel, dict[str, object]]:
+    def load(cls, folder: Path) -> tuple[ExportedModel, dict[str, Any]]:
         """Read an exported model.
 
         Args:

@@ -1,0 +1,59 @@
+"""Evaluate a trained run: `python -m experiments.evaluate run=RUN episodes=50 json=true`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from deepkoco.agent.agent import VectorAgent
+from deepkoco.agent.collection import box_sizes, collect_episodes, episode_costs
+from deepkoco.agent.policy import load_model
+from deepkoco.agent.seeding import Purpose, derive_seed
+from experiments.commands import run_command
+from experiments.environments import ExperimentError, make_factory
+from experiments.settings import EvaluateConfig
+from experiments.train import load_run_config
+
+
+def evaluate(config: EvaluateConfig) -> None:
+    """Run noise-free episodes and print their cost.
+
+    Args:
+        config: Settings of the command.
+    """
+    if config.episodes < 1:
+        raise ExperimentError(f"episodes = {config.episodes}; give at least 1")
+    folder = Path(config.run)
+    run = load_run_config(folder)
+    model, planner, low, high = load_model(folder)
+    envs = make_factory(run.env, run.distractors)(config.episodes, run.seed)
+    box_sizes(envs)
+    agent = VectorAgent(model, planner, low, high, config.episodes)
+    # Index 0 is the evaluation that training itself makes at its end.
+    seed = derive_seed(run.seed, Purpose.FINAL_EVALUATION, 1 + config.seed)
+    episodes = collect_episodes(envs, agent, seed)
+    envs.close()
+    costs = episode_costs(episodes)
+    ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
+    result = {
+        "run": str(folder),
+        "n": config.episodes,
+        "mean": float(costs.mean()),
+        "sd": float(costs.std(ddof=1)) if config.episodes > 1 else 0.0,
+        "median": float(np.median(costs)),
+        "upright": float((ends <= config.upright_cost).mean()),
+        "planner_failures": agent.statistics.failures,
+    }
+    if config.json:
+        print(json.dumps(result))
+    else:
+        print(
+            f"{folder}: cost {result['mean']:.1f} (sd {result['sd']:.1f}, median {result['median']:.1f}), "
+            f"upright {100 * result['upright']:.0f} % of {config.episodes} noise-free episodes"
+        )
+
+
+if __name__ == "__main__":
+    run_command("evaluate", evaluate)

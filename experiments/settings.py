@@ -1,0 +1,82 @@
+"""Typed settings of the experiment commands, registered with Hydra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING
+
+from deepkoco.agent.config import TrainingConfig
+
+
+@dataclass
+class EnvConfig:
+    """A Gymnasium environment."""
+
+    name: str = MISSING
+    """Short name, for folders and figures."""
+    id: str = MISSING
+    """Registered Gymnasium id."""
+    system: str = "rod_pendulum"
+    """System of the distractor copies."""
+    kwargs: dict[str, Any] = field(default_factory=dict)
+    """Arguments of the environment; a new one is given as env.kwargs.NAME=VALUE with a leading +."""
+
+
+@dataclass
+class TrainRunConfig:
+    """Settings of one training run."""
+
+    env: EnvConfig = field(default_factory=EnvConfig)
+    """The environment, a file of configs/env."""
+    agent: TrainingConfig = field(default_factory=TrainingConfig)
+    """Hyper-parameters."""
+    seed: int = 0
+    """Seed of everything: weights, episodes, noise, distractors."""
+    distractors: str = "none"
+    """Distractors of the observation: "none" or "copies" (four further systems, shuffled order)."""
+    run: str = "runs/${env.name}/${distractors}/seed_${seed}"
+    """Folder of the run; it must not exist."""
+    resume: str | None = None
+    """Folder of a run to continue, with the settings stored there."""
+    threads: int = 1
+    """Threads of torch; more than one is slower on networks of this size."""
+
+
+@dataclass
+class EvaluateConfig:
+    """Settings of an evaluation."""
+
+    run: str = MISSING
+    """Folder of a finished run."""
+    episodes: int = 50
+    """Noise-free episodes."""
+    seed: int = 0
+    """Which set of start states; never one of training."""
+    json: bool = False
+    """Print one JSON object instead of a line of text."""
+    upright_steps: int = 50
+    """Steps at the end of an episode that tell whether it is upright."""
+    upright_cost: float = 0.25
+    """Largest mean cost of those steps; 0.25 is an angle of 0.5 rad off on the pendulum tasks."""
+
+
+@dataclass
+class AggregateConfig:
+    """Settings of an aggregation."""
+
+    runs: str = MISSING
+    """Folder that holds runs, at any depth."""
+    out: str = MISSING
+    """Folder for the CSV files and the figure; it must not exist."""
+
+
+def register() -> None:
+    """Make the schemas known to Hydra."""
+    store = ConfigStore.instance()
+    store.store(name="train_schema", node=TrainRunConfig)
+    store.store(name="evaluate_schema", node=EvaluateConfig)
+    store.store(name="aggregate_schema", node=AggregateConfig)
+    store.store(group="env", name="env_schema", node=EnvConfig)
