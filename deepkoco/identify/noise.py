@@ -1,0 +1,79 @@
+"""Sensor noise estimated from a measured series itself."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+ORDERS = range(2, 9)  # polynomial degrees that the differences remove
+
+
+class Noise(NamedTuple):
+    """Standard deviation of a channel's noise, in the channel's unit, and its relative uncertainty."""
+
+    sd: float
+    relative_sd: float
+
+
+def estimate_noise(t: np.ndarray, value: np.ndarray, fallback: float) -> Noise:
+    """Standard deviation of what no smooth curve through neighbouring samples explains.
+
+    A normalised divided difference of order d annihilates polynomials up to degree d - 1 on any time
+    stamps and leaves white noise at its size. The motion leaks less the higher the order, until the
+    order suits the motion: the smallest estimate over the orders is taken. A rounded series has at
+    least the noise of its quantum q, q / sqrt(12).
+
+    Args:
+        t: (n,) time stamps [s], increasing.
+        value: (n,) samples.
+        fallback: Standard deviation that holds where the series is too short to tell.
+
+    Returns:
+        The estimate.
+    """
+    if len(t) < 40:
+        return Noise(fallback, 0.3)
+    quantum = _quantum(value)
+    best = math.inf
+    for order in ORDERS:
+        difference = _normalised_difference(t, value, order)
+        best = min(best, _clipped_sd(difference))
+    sd = max(best, quantum / math.sqrt(12.0), 1e-12)
+    # Neighbouring differences share samples; about one in three is independent of the others.
+    return Noise(sd, math.sqrt(3.0 / (2.0 * len(t))))
+
+
+def _normalised_difference(t: np.ndarray, value: np.ndarray, order: int) -> np.ndarray:
+    rows = np.arange(len(t) - order)[:, None] + np.arange(order + 1)
+    stamps = t[rows]
+    gap = stamps[:, :, None] - stamps[:, None, :]
+    gap /= np.abs(gap).max(axis=(1, 2), keepdims=True)
+    gap[:, np.arange(order + 1), np.arange(order + 1)] = 1.0
+    weight = 1.0 / gap.prod(axis=2)
+    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+    return (weight * value[rows]).sum(axis=1)
+
+
+def _clipped_sd(difference: np.ndarray) -> float:
+    """Root mean square after clipping at 3 standard deviations, corrected for what the clipping takes."""
+    scale = 1.4826 * float(np.median(np.abs(difference)))
+    if scale == 0.0:
+        return float(np.sqrt(np.mean(difference**2)))
+    for _ in range(5):
+        inside = difference[np.abs(difference) < 3.0 * scale]
+        # Variance of a standard normal truncated at 3 is 0.9733.
+        scale = float(np.sqrt(np.mean(inside**2) / 0.9733))
+    return scale
+
+
+def _quantum(value: np.ndarray) -> float:
+    """Step of the grid on which all values lie, 0 if there is none."""
+    levels = np.unique(value)
+    if len(levels) < 2 or len(levels) > 0.9 * len(value):
+        return 0.0
+    step = np.diff(levels)
+    smallest = float(step.min())
+    ratio = step / smallest
+    return smallest if float(np.abs(ratio - np.round(ratio)).max()) < 0.05 else 0.0

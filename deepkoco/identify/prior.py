@@ -1,0 +1,68 @@
+"""Gaussian priors over named parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepkoco.systems import Parameter
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Normal distribution over named parameters.
+
+    Attributes:
+        names: The parameters.
+        centre: (p,) mean.
+        covariance: (p, p).
+    """
+
+    names: tuple[str, ...]
+    centre: np.ndarray
+    covariance: np.ndarray
+
+    @staticmethod
+    def empty() -> Prior:
+        """Prior over no parameter."""
+        return Prior((), np.zeros(0), np.zeros((0, 0)))
+
+    @staticmethod
+    def of(parameters: Iterable[Parameter]) -> Prior:
+        """Independent priors as the parameters declare them."""
+        declared = tuple(parameters)
+        sd = np.array([p.prior_sd for p in declared])
+        return Prior(tuple(p.name for p in declared), np.array([p.value for p in declared]), np.diag(sd**2))
+
+    def mean(self, names: Iterable[str]) -> np.ndarray:
+        """Means of some of the parameters, in the order asked for."""
+        return self.centre[[self.names.index(n) for n in names]]
+
+    def precision(self, names: Iterable[str]) -> np.ndarray:
+        """Inverse covariance of some of the parameters (the others marginalised)."""
+        index = [self.names.index(n) for n in names]
+        block = self.covariance[np.ix_(index, index)]
+        scale = np.sqrt(np.diag(block))
+        inverse = np.linalg.pinv(block / np.outer(scale, scale), hermitian=True)
+        return inverse / np.outer(scale, scale)
+
+    def widened(self, added: Iterable[Parameter], values: Mapping[str, float]) -> Prior:
+        """With further uncertainty on some parameters, new or known: their declared spread is added.
+
+        Args:
+            added: Parameters that become (more) uncertain.
+            values: Means of those that are new.
+        """
+        names, centre = list(self.names), list(self.centre)
+        covariance = self.covariance
+        for parameter in added:
+            if parameter.name not in names:
+                names.append(parameter.name)
+                centre.append(values[parameter.name])
+                covariance = np.pad(covariance, ((0, 1), (0, 1)))
+            i = names.index(parameter.name)
+            covariance = covariance.copy()
+            covariance[i, i] += parameter.prior_sd**2
+        return Prior(tuple(names), np.array(centre), covariance)

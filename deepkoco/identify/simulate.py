@@ -1,0 +1,88 @@
+"""Batched multiple-shooting simulator: lanes (parameter sets) times windows, one tensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from deepkoco.identify.effort import step_efforts
+from deepkoco.identify.windows import Windows
+from deepkoco.systems import System
+
+
+def trajectories(
+    system: System, windows: Windows, parameters: Mapping[str, Tensor], initial: Tensor, push: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Simulate every window under its logged commands.
+
+    Args:
+        system: Dynamics.
+        windows: W windows of n steps.
+        parameters: Named values, each (L,) or scalar.
+        initial: (L, W, S) states at the start of the windows.
+        push: (L, W, n) extra torque on the joint over each step [N m]; None for none.
+
+    Returns:
+        States (n + 1, L, W, S), derivative at the start and at the end of each step (n, L, W, S).
+
+    Source: classical Runge-Kutta with an effort that is linear in time within the step.
+    """
+    lanes = initial.shape[0]
+    start, slope = step_efforts(system, windows, dict(parameters), lanes)
+    h = windows.step
+    named = {name: value[:, None] if value.ndim else value for name, value in parameters.items()}
+    state = initial
+    states = torch.empty(windows.steps + 1, *initial.shape, dtype=torch.float64)
+    left = torch.empty(windows.steps, *initial.shape, dtype=torch.float64)
+    right = torch.empty_like(left)
+    states[0] = state
+    start, slope = start.movedim(2, 0).contiguous(), slope.movedim(2, 0).contiguous()
+    pushes = None if push is None else push.movedim(2, 0).contiguous()
+    for i in range(windows.steps):
+        if pushes is not None:
+            named["external_torque"] = pushes[i]
+        middle = start[i] + 0.5 * h * slope[i]
+        k1 = system.derivative(state, start[i], named)
+        k2 = system.derivative(state + 0.5 * h * k1, middle, named)
+        k3 = system.derivative(state + 0.5 * h * k2, middle, named)
+        k4 = system.derivative(state + h * k3, start[i] + h * slope[i], named)
+        state = state + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        states[i + 1], left[i], right[i] = state, k1, k4
+    return states, left, right
+
+
+def predict(
+    system: System, windows: Windows, parameters: Mapping[str, Tensor], initial: Tensor, push: Tensor | None = None
+) -> Tensor:
+    """Noise-free measurements (L, W, N, M) at the windows' own time stamps.
+
+    Between the integration nodes the state follows the cubic through its values and derivatives. The
+    derivative at a step's end is the last stage of the step, since a command may jump at the node.
+
+    Args and Source: as :func:`trajectories`.
+    """
+    states, left, right = trajectories(system, windows, parameters, initial, push)
+    per_sample = {n: v[:, None, None] if v.ndim else v for n, v in parameters.items()}
+    lanes, count, channels, samples = initial.shape[0], len(windows), windows.t.shape[1], windows.t.shape[2]
+    result = torch.empty(lanes, count, channels, samples, dtype=torch.float64)
+    measured: Tensor | None = None
+    for c in range(channels):
+        shared = c > 0 and torch.equal(windows.t[:, c], windows.t[:, c - 1])
+        if not shared or measured is None:
+            state = _between(states, left, right, windows.t[:, c], windows.step)
+            measured = system.measure(state, per_sample)
+        result[:, :, c] = measured[..., c]
+    return result
+
+
+def _between(states: Tensor, left: Tensor, right: Tensor, t: Tensor, h: float) -> Tensor:
+    """Hermite interpolation: states (n + 1, L, W, S) at times t (W, M) -> (L, W, M, S)."""
+    cell = (t / h).floor().long().clamp(0, left.shape[0] - 1)
+    s = (t / h - cell)[..., None, None]
+    window = torch.arange(t.shape[0])[:, None]
+    x0, x1 = states[cell, :, window], states[cell + 1, :, window]  # (W, M, L, S)
+    d0, d1 = left[cell, :, window] * h, right[cell, :, window] * h
+    value = x0 + s * (d0 + s * (3.0 * (x1 - x0) - 2.0 * d0 - d1 + s * (2.0 * (x0 - x1) + d0 + d1)))
+    return value.permute(2, 0, 1, 3)

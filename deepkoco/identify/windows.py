@@ -1,0 +1,225 @@
+"""Recordings cut into windows of equal length, ready for multiple shooting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.recording import LogError, Recording
+from deepkoco.identify.noise import Noise, estimate_noise
+from deepkoco.systems import System
+
+LONGEST_STEP = 0.01  # integration step [s]
+HISTORY = 0.1  # commands that must be known before a window begins, for delays and lags [s]
+MIN_SAMPLES = 6  # of a channel inside a window
+STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
+
+
+@dataclass(frozen=True)
+class CommandSeries:
+    """Zero-order-hold commands of one log: stamps (n,) [s] and values (n,) in the command's unit."""
+
+    t: np.ndarray
+    value: np.ndarray
+
+
+@dataclass(frozen=True)
+class Windows:
+    """W windows of one length, from one or several logs of one system.
+
+    Attributes:
+        commands: Command series of each log.
+        log: (W,) index of the window's log.
+        t0: (W,) start in its log's time [s].
+        step: Integration step [s].
+        steps: Number of integration steps in a window.
+        t: (W, N, M) stamps of the measurements after ``t0`` [s], 0 where padded.
+        value: (W, N, M) measurements in the channels' units, angles unwrapped.
+        valid: (W, N, M) True where there is a sample.
+        noise: One per channel.
+        state: (W, S) first guess of the initial states.
+    """
+
+    commands: tuple[CommandSeries, ...]
+    log: np.ndarray
+    t0: np.ndarray
+    step: float
+    steps: int
+    t: Tensor
+    value: Tensor
+    valid: Tensor
+    noise: tuple[Noise, ...]
+    state: Tensor
+
+    def __len__(self) -> int:
+        return len(self.t0)
+
+    @property
+    def length(self) -> float:
+        """Length of a window [s]."""
+        return self.step * self.steps
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values in all windows."""
+        return int(self.valid.sum())
+
+    def take(self, keep: np.ndarray) -> Windows:
+        """The windows with these indices (or where this mask is True)."""
+        index = np.flatnonzero(keep) if keep.dtype == bool else keep
+        pick = torch.as_tensor(index)
+        return replace(
+            self,
+            log=self.log[index],
+            t0=self.t0[index],
+            t=self.t[pick],
+            value=self.value[pick],
+            valid=self.valid[pick],
+            state=self.state[pick],
+        )
+
+    def with_value(self, value: Tensor) -> Windows:
+        """The same windows with other measurements (W, N, M)."""
+        return replace(self, value=value)
+
+
+def window_length(system: System) -> float:
+    """About one period of the system's small motion, between 1 and 2 s.
+
+    Shorter windows do not show slow effects; in longer ones unstable motion outgrows every fit.
+    """
+    parameters = system.default_parameters()
+    eps = 1e-6
+    stiffness = 0.0
+    for angle in np.linspace(0.0, 2.0 * math.pi, 17):
+        state = torch.tensor([[angle, 0.0], [angle + eps, 0.0]], dtype=torch.float64)
+        acceleration = system.derivative(state, torch.zeros(2, dtype=torch.float64), parameters)[:, 1]
+        stiffness = max(stiffness, float(acceleration[0] - acceleration[1]) / eps)
+    period = 2.0 * math.pi / math.sqrt(stiffness) if stiffness > 0 else 1.5
+    return float(np.clip(period, 1.0, 2.0))
+
+
+def cut_windows(
+    recordings: Sequence[Recording], system: System, length: float, noise: tuple[Noise, ...] | None = None
+) -> Windows:
+    """Cut logs into back-to-back windows.
+
+    Args:
+        recordings: Logs of the system; each has the command and at least one measurement.
+        system: Says which channels there are.
+        length: Length of a window [s].
+        noise: Noise of each channel; None estimates it from these logs.
+
+    Raises:
+        LogError: A log lacks the command or every measurement.
+    """
+    steps = math.ceil(length / LONGEST_STEP - 1e-9)
+    names = [channel.name for channel in system.measurements]
+    commands, rows = [], []
+    for index, recording in enumerate(recordings):
+        command, series = _channels(recording, system)
+        commands.append(command)
+        start = max(min(t[0] for t, _ in series.values()), command.t[0] + HISTORY)
+        stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
+        for w in range(int((stop - start) / length + 1e-9)):
+            t0 = start + w * length
+            pieces = {n: _piece(*series[n], t0, t0 + length) for n in names if n in series}
+            if any(len(t) >= MIN_SAMPLES for t, _ in pieces.values()):
+                rows.append((index, t0, pieces))
+    if noise is None:
+        noise = estimate_channels(recordings, system)
+    size = max((len(t) for _, _, pieces in rows for t, _ in pieces.values()), default=0)
+    shape = (len(rows), len(names), size)
+    t, value, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=bool)
+    for w, (_, t0, pieces) in enumerate(rows):
+        for c, name in enumerate(names):
+            stamps, values = pieces.get(name, (np.empty(0), np.empty(0)))
+            t[w, c, : len(stamps)] = stamps - t0
+            value[w, c, : len(stamps)] = values
+            valid[w, c, : len(stamps)] = True
+    state = np.array([_first_state(t[w], value[w], valid[w]) for w in range(len(rows))]).reshape(-1, 2)
+    return Windows(
+        tuple(commands),
+        np.array([row[0] for row in rows], dtype=int),
+        np.array([row[1] for row in rows]),
+        length / steps,
+        steps,
+        torch.from_numpy(t),
+        torch.from_numpy(value),
+        torch.from_numpy(valid),
+        noise,
+        torch.from_numpy(state),
+    )
+
+
+def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[Noise, ...]:
+    """Noise of each measurement channel over all logs, the longest log counting most."""
+    result = []
+    for channel in system.measurements:
+        parts = []
+        for recording in recordings:
+            _, series = _channels(recording, system)
+            if channel.name in series:
+                parts.append((len(series[channel.name][0]), estimate_noise(*series[channel.name], channel.noise_sd)))
+        total = sum(n for n, _ in parts)
+        if total == 0:
+            result.append(Noise(channel.noise_sd, 0.0))
+            continue
+        variance = sum(n * noise.sd**2 for n, noise in parts) / total
+        spread = sum((n * noise.relative_sd) ** 2 for n, noise in parts) ** 0.5 / total
+        result.append(Noise(math.sqrt(variance), spread))
+    return tuple(result)
+
+
+def moving(windows: Windows) -> np.ndarray:
+    """(W,) True where some channel moves visibly: a joint at rest says nothing about its dynamics."""
+    result = np.zeros(len(windows), dtype=bool)
+    for c, noise in enumerate(windows.noise):
+        value, valid = windows.value[:, c], windows.valid[:, c]
+        high = torch.where(valid, value, -math.inf).amax(-1)
+        low = torch.where(valid, value, math.inf).amin(-1)
+        result |= ((high - low) > STANDSTILL * noise.sd).numpy()
+    return result
+
+
+def _channels(
+    recording: Recording, system: System
+) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    where = recording.path or "the recording"
+    if system.command.name not in recording.channels:
+        raise LogError(
+            f'{where}: the command "{system.command.name}" of {system.name} is missing; map it in the sidecar'
+        )
+    command = recording.channels[system.command.name]
+    series = {}
+    for channel in system.measurements:
+        if channel.name in recording.channels:
+            measured = recording.channels[channel.name]
+            value = np.unwrap(measured.value) if channel.angle else measured.value
+            series[channel.name] = (measured.t, value)
+    if not series:
+        wanted = ", ".join(c.name for c in system.measurements)
+        raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
+    return CommandSeries(command.t, command.value), series
+
+
+def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple[np.ndarray, np.ndarray]:
+    first, last = np.searchsorted(t, [start - 1e-9, stop - 1e-9])
+    return t[first:last], value[first:last]
+
+
+def _first_state(t: np.ndarray, value: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Angle and speed at the window's start by a parabola through the first angles (or the first speed)."""
+    angle, speed = 0.0, 0.0
+    n = min(int(valid[0].sum()), 7)
+    if n >= 3:
+        # The parabola's constant and slope.
+        _, speed, angle = np.polyfit(t[0, :n], value[0, :n], 2)
+    if len(value) > 1 and valid[1].any():
+        speed = float(value[1, : min(3, int(valid[1].sum()))].mean())
+    return np.array([angle, speed])
