@@ -17,7 +17,6 @@ _HOME = {
     "SensorMessage": "messages",
     "UnitError": "messages",
     "Unit": "process",
-    "record": "record",
     "SimulatedUnit": "simulated",
     "SensorSpec": "spec",
     "UnitSpec": "spec",
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     )
     from deepkoco.unit.messages import SensorMessage, UnitError
     from deepkoco.unit.process import Unit
-    from deepkoco.unit.record import record
     from deepkoco.unit.simulated import SimulatedUnit
     from deepkoco.unit.spec import SensorSpec, UnitSpec
     from deepkoco.unit.unit_file import UnitSpecError, load_unit, make_unit
@@ -59,7 +57,6 @@ __all__ = [
     "make_excitation",
     "make_unit",
     "policy_excitation",
-    "record",
 ]
 
 

@@ -110,8 +110,8 @@ class Joint:
         self.omega = omega + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
 
     def _smooth_torque(self, theta: float, omega: float, effort: float, push: float) -> float:
-        inertia, effort_gain, gravity, viscous, _ = self._body
-        torque = effort_gain * effort + gravity * math.sin(theta) - viscous * omega + push
+        body = self._body
+        torque = body.effort_gain * effort + body.gravity * math.sin(theta) - body.viscous * omega + push
         friction = self._friction
         if friction.quadratic:
             torque -= friction.quadratic * omega * abs(omega)

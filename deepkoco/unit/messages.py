@@ -46,6 +46,11 @@ class FrameReader:
         self._frame = frame
         self._rest = b""
 
+    @property
+    def missing(self) -> int:
+        """Bytes that complete the next frame."""
+        return self._frame.size - len(self._rest)
+
     def feed(self, data: bytes) -> list[tuple]:
         """Frames completed by ``data``, oldest first."""
         data = self._rest + data

@@ -11,6 +11,7 @@ from deepkoco.unit.bodies import BODIES
 from deepkoco.unit.joint import Friction, Joint
 from deepkoco.unit.spec import UnitSpec
 
+SPACING = 1e-6  # a path carries one message at a time: least time between two [s]
 NO_EFFECT: Mapping[str, float] = {}
 
 
@@ -48,7 +49,7 @@ class Plant:
         self._drive = self._actuate(0.0)
         self._arriving: deque[tuple[float, float]] = deque()  # (due, command)
         self._leaving: deque[tuple[float, int, tuple[float, ...]]] = deque()  # (due, seq, values)
-        self._last_due = {"actuation_delay": 0.0, "sensing_delay": 0.0}
+        self._last_due = {"actuation_delay": -math.inf, "sensing_delay": -math.inf}
         self._deadline = math.inf  # when the heartbeat is missed
         self.stops = 0  # times that the heartbeat was missed
         self._noise = Random(f"noise {spec.seed} {stream}")
@@ -132,7 +133,7 @@ class Plant:
             delay = self._jitter.gauss(law["delay"], law["jitter_sd"])
             while delay < 0.0:
                 delay = self._jitter.gauss(law["delay"], law["jitter_sd"])
-        self._last_due[path] = max(self.time + delay, self._last_due[path])
+        self._last_due[path] = max(self.time + delay, self._last_due[path] + SPACING)
         return self._last_due[path]
 
     def _set(self, command: float) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import deque
+from contextlib import suppress
 from types import TracebackType
 
 from deepkoco.unit.messages import (
@@ -182,10 +183,8 @@ class Unit:
             process.wait()
         for stream in (process.stdin, process.stderr):
             if stream is not None and not stream.closed:
-                try:
+                with suppress(BrokenPipeError):  # it died before it read its spec
                     stream.close()
-                except BrokenPipeError:
-                    pass  # it died before it read its spec
 
     def _running(self) -> socket.socket:
         if self._process is None:
@@ -203,8 +202,9 @@ class Unit:
             raise self._death() from None
 
     def _read(self) -> None:
+        # One frame at a time, so that messages that have piled up each get a stamp of their own.
         try:
-            data = self._sensor.recv(65536)
+            data = self._sensor.recv(self._reader.missing)
         except OSError:
             data = b""
         stamp = self.now()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -250,10 +251,8 @@ def _list(names: Sequence[str]) -> str:
 
 def _number(value: Any, where: str, low: float, high: float, unit: str) -> float:
     if isinstance(value, str):  # YAML takes 1e-3 for text
-        try:
+        with suppress(ValueError):
             value = float(value)
-        except ValueError:
-            pass
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UnitSpecError(f"{where}: expected a number in {unit}, got {value!r}")
     if not low <= value <= high:
