@@ -1,5 +1,39 @@
 """Nodes, delays, timing and execution of robot simulations, and recordings of what happened."""
 
+from deepkoco.graph.computation_graph import ComputationGraph
+from deepkoco.graph.connection import Connection
+from deepkoco.graph.delay import Delay, DelayError, Deterministic, Empirical, Gaussian, Mixture, make_delay
+from deepkoco.graph.graph import Graph
+from deepkoco.graph.node import GraphError, Input, Node, Supervisor
 from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
+from deepkoco.graph.runtime import BatchedRuntime, HorizonError, RuntimeState
+from deepkoco.graph.timing import MeasuredTiming, TimingError, draw_timing, replay_timing
 
-__all__ = ["LogError", "Recording", "Series", "read_log", "write_log"]
+__all__ = [
+    "BatchedRuntime",
+    "ComputationGraph",
+    "Connection",
+    "Delay",
+    "DelayError",
+    "Deterministic",
+    "Empirical",
+    "Gaussian",
+    "Graph",
+    "GraphError",
+    "HorizonError",
+    "Input",
+    "LogError",
+    "MeasuredTiming",
+    "Mixture",
+    "Node",
+    "Recording",
+    "RuntimeState",
+    "Series",
+    "Supervisor",
+    "TimingError",
+    "draw_timing",
+    "make_delay",
+    "read_log",
+    "replay_timing",
+    "write_log",
+]

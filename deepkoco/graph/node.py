@@ -1,0 +1,127 @@
+"""Nodes: what runs at a rate, and what it sees of the other nodes."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from deepkoco.graph.delay import Delay, exact_fraction, make_delay
+
+State = dict[str, Tensor]
+Parameters = Mapping[str, Tensor]
+SCHEDULINGS = ("frequency", "phase")
+
+
+class GraphError(ValueError):
+    """Nodes and connections do not make a graph; the message names the culprit."""
+
+
+class Input(NamedTuple):
+    """The last messages of one connection that a step sees, oldest first.
+
+    Before `window` messages have arrived, the oldest places hold the sender's initial output, with
+    seq -window..-1 and both times minus infinity (it has always been there).
+
+    Attributes:
+        data: (B, window, ...) outputs of the sender.
+        seq: (B, window) int64 step of the sender that made each output.
+        t_sent: (B, window) float64, end of that step [s].
+        t_received: (B, window) float64, arrival [s].
+        t_start: (B,) float64, start of the step that reads [s].
+    """
+
+    data: Tensor
+    seq: Tensor
+    t_sent: Tensor
+    t_received: Tensor
+    t_start: Tensor
+
+
+class Node(ABC):
+    """A pure function that runs at a rate; it knows its inputs and neither its neighbours nor the graph.
+
+    Everything it remembers is in its state, and every tensor has the batch of environments first.
+
+    Args:
+        name: unique in the graph.
+        rate: ticks per second [Hz].
+        delay: computation delay [s], a number, a law or its description.
+        scheduling: "frequency" keeps the distance between ticks after an overrun (a computation longer
+            than a period shifts all later ticks), "phase" catches up with the original ticks.
+        advance: with only blocking inputs, start as soon as they have arrived, before the tick.
+        phase: time of the first tick [s]; None derives it from the expected delays of the inputs.
+    """
+
+    inputs: ClassVar[tuple[str, ...] | None] = None
+    """Names of the inputs that `step` reads; each must be connected. None: takes whatever is connected."""
+
+    def __init__(
+        self,
+        name: str,
+        rate: float | Fraction,
+        delay: Delay | float | Mapping[str, Any] = 0.0,
+        scheduling: str = "frequency",
+        advance: bool = False,
+        phase: float | Fraction | None = None,
+    ) -> None:
+        if not rate > 0 or rate == float("inf"):
+            raise GraphError(f'node "{name}": rate {rate} Hz is no positive number')
+        if scheduling not in SCHEDULINGS:
+            raise GraphError(f'node "{name}": scheduling "{scheduling}" is none of {", ".join(SCHEDULINGS)}')
+        if phase is not None and not phase >= 0:
+            raise GraphError(f'node "{name}": phase {phase} s is negative')
+        self.name = name
+        self.rate = exact_fraction(rate)
+        self.delay = make_delay(delay)
+        self.scheduling = scheduling
+        self.advance = advance
+        self.phase = None if phase is None else exact_fraction(phase)
+
+    @abstractmethod
+    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        """Return the state before the first step, every tensor (B, ...); an empty dict for no state."""
+
+    @abstractmethod
+    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
+        """Return what receivers see before the first message has arrived, (B, ...)."""
+
+    @abstractmethod
+    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
+        """Run one tick of every environment.
+
+        Args:
+            parameters: this node's parameters, each a scalar or (B, ...).
+            state: what the last step returned.
+            inputs: by name of the connection.
+
+        Returns:
+            The next state (same keys and shapes) and the output (B, ...).
+        """
+
+
+class Supervisor(Node):
+    """The node whose output is the action given from outside: the seat of the agent.
+
+    Args:
+        name: unique in the graph.
+        rate: ticks per second [Hz].
+        initial_action: (M,) action that its receivers see before the first one arrives.
+    """
+
+    def __init__(
+        self, name: str = "agent", rate: float | Fraction = 20, *, initial_action: Tensor, **options: Any
+    ) -> None:
+        super().__init__(name, rate, **options)
+        self.initial_action = initial_action
+
+    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        return {}
+
+    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
+        return self.initial_action.expand(batch, *self.initial_action.shape)
+
+    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
+        raise GraphError(f'supervisor "{self.name}" does not step: its action comes from outside')
