@@ -42,8 +42,6 @@ def make_excitation(
     size = limit if amplitude is None else amplitude
     if not 0.0 < size <= limit:
         raise ExcitationError(f"amplitude {size:g} {unit} is outside (0, {limit:g}] {unit} of {system}")
-    if not seconds > 0.0:
-        raise ExcitationError(f"a log of {seconds:g} s is empty; record for at least 1 s")
     generator = np.random.default_rng([seed, sorted(EXCITATIONS).index(kind)])
     excitation = EXCITATIONS[kind](physics, seconds, size, generator)
     return _speed_guard(excitation, size, natural_frequency(physics))
@@ -171,8 +169,8 @@ def load_policy_excitation(folder: str | Path, system: str) -> tuple[Excitation,
     width = len(task.observation_bounds)
     if policy.model.observation_size != width:
         raise ExcitationError(
-            f"{folder}: the policy takes {policy.model.observation_size} observations, {system} gives {width}; "
-            "give a policy that was trained without distractors"
+            f"{folder}: the policy takes {policy.model.observation_size} observations, {system} gives "
+            f"{width}; give a policy that was trained without distractors"
         )
 
     def act(measurement: Sequence[float]) -> float:

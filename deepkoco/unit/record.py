@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -19,6 +20,10 @@ from deepkoco.unit.spec import UnitSpec
 
 DEFAULT_RATE = 50.0  # of the commands [Hz]
 CLOCKS: dict[str, type[Unit] | type[SimulatedUnit]] = {"wall": Unit, "simulated": SimulatedUnit}
+
+
+class RecordError(ValueError):
+    """The clock, the length or the control rate of a recording does not fit the unit."""
 
 
 def record(
@@ -56,14 +61,16 @@ def record(
     Raises:
         ExcitationError: The excitation is unknown or too large.
         UnitError: The unit died, or stopped itself because commands came too late.
-        ValueError: The clock is unknown, or the control rate does not fit the unit.
+        RecordError: The clock is unknown, or the length or the control rate does not fit the unit.
     """
     if clock not in CLOCKS:
-        raise ValueError(f'unknown clock "{clock}"; known: {", ".join(CLOCKS)}')
+        raise RecordError(f'unknown clock "{clock}"; known: {", ".join(CLOCKS)}')
+    if not 0.0 < seconds < math.inf:
+        raise RecordError(f"a log of {seconds:g} s cannot be recorded; give its length in seconds")
     sensor_rate = spec.sensor.rate_hz
     rate = min(DEFAULT_RATE, sensor_rate) if control_rate is None else control_rate
     if not 1.0 / spec.heartbeat < rate <= sensor_rate:
-        raise ValueError(
+        raise RecordError(
             f"control rate {rate:g} Hz does not fit the unit: its sensor gives {sensor_rate:g} Hz and its "
             f"heartbeat wants more than {1.0 / spec.heartbeat:g} Hz"
         )
