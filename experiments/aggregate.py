@@ -90,8 +90,15 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
     for axis, (curve, title) in zip(axes, CURVES.items(), strict=True):
         chosen = curves[curves["curve"] == curve]
         for i, (condition, group) in enumerate(chosen.groupby("condition", sort=True)):
-            axis.plot(group["episodes"], group["mean"], color=f"C{i}", label=f"{condition} (n = {group['seeds'].max()})")
-            axis.fill_between(group["episodes"], group["low"], group["high"], color=f"C{i}", alpha=0.2, linewidth=0)
+            axis.plot(
+                group["episodes"],
+                group["mean"],
+                color=f"C{i}",
+                label=f"{condition} (n = {group['seeds'].max()})",
+            )
+            axis.fill_between(
+                group["episodes"], group["low"], group["high"], color=f"C{i}", alpha=0.2, linewidth=0
+            )
         axis.set(title=title, xlabel="training episodes", ylim=(0, None))
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("cost per episode, mean and 95 % band")
@@ -115,7 +122,9 @@ def aggregate(config: AggregateConfig) -> None:
     kept = ["episodes", "updates", "evaluation/cost", "evaluation/cost_sd", "evaluation/cost_median"]
     out.mkdir(parents=True)
     curves.to_csv(out / "curves.csv", index=False)
-    final[["condition", "seed", *kept, "evaluation/episodes", "seconds"]].to_csv(out / "final.csv", index=False)
+    final[["condition", "seed", *kept, "evaluation/episodes", "seconds"]].to_csv(
+        out / "final.csv", index=False
+    )
     draw(curves, out / "learning_curve.png")
     for condition, group in final.groupby("condition"):
         costs = group["evaluation/cost"]

@@ -11,8 +11,8 @@ from omegaconf import OmegaConf
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from deepkoco.agent.metrics import Row
-from deepkoco.agent.training import Trainer
 from deepkoco.agent.training import Progress as TrainingProgress
+from deepkoco.agent.training import Trainer
 from experiments.commands import run_command
 from experiments.environments import ExperimentError, make_factory
 from experiments.settings import TrainRunConfig
@@ -58,7 +58,9 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path]:
         return load_run_config(folder), folder
     folder = Path(config.run)
     if folder.exists():
-        raise ExperimentError(f"{folder}: exists already; choose another run= or continue it with resume={folder}")
+        raise ExperimentError(
+            f"{folder}: exists already; choose another run= or continue it with resume={folder}"
+        )
     make_factory(config.env, config.distractors)
     config.agent.check()
     folder.mkdir(parents=True)
@@ -74,13 +76,20 @@ def train(given: TrainRunConfig) -> None:
     Args:
         given: Settings of the command.
     """
-    others = [o for o in HydraConfig.get().overrides.task if not o.lstrip("+").startswith(("resume=", "threads="))]
+    others = [
+        o for o in HydraConfig.get().overrides.task if not o.lstrip("+").startswith(("resume=", "threads="))
+    ]
     if given.resume is not None and others:
         raise ExperimentError(f"resume= continues with the stored settings; leave out {' '.join(others)}")
     torch.set_num_threads(given.threads)
     config, folder = prepare_folder(given)
     trainer = Trainer(make_factory(config.env, config.distractors), config.agent, config.seed, folder)
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[cost]}"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[cost]}"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, disable=not sys.stdout.isatty()) as bar:
         task = bar.add_task(str(folder), cost="")
 

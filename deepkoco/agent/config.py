@@ -44,6 +44,8 @@ class TrainingConfig:
     """alpha_1, weight of cost reconstruction and prediction against the linear loss."""
     weight_penalty: float = 1e-14
     """alpha_2, weight of the squared weights (L2)."""
+    averaging: float = 0.998
+    """Decay per update of the moving average of the weights that acts, is evaluated and is exported; 0 for none."""
     noise_correlation: float = 0.85
     """lambda of the Ornstein-Uhlenbeck noise, per step."""
     noise_variance: float = 0.85
@@ -64,8 +66,8 @@ class TrainingConfig:
             TrainingConfigError: Names the first value that is out of range and its remedy.
         """
         positive = (
-            "first_episodes first_epochs iteration_episodes iteration_epochs iteration_updates total_episodes "
-            "horizon chunks learning_rate noise_last_episode final_evaluation_episodes checkpoint_updates"
+            "first_episodes first_epochs iteration_episodes iteration_epochs iteration_updates "
+            "total_episodes horizon chunks learning_rate noise_last_episode final_evaluation_episodes checkpoint_updates"
         )
         for name in positive.split():
             if not getattr(self, name) > 0:
@@ -73,9 +75,13 @@ class TrainingConfig:
         for name in ("evaluation_episodes", "noise_variance", "cost_weight", "weight_penalty"):
             if not getattr(self, name) >= 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give 0 or more")
+        for name in ("averaging", "noise_correlation"):
+            if not 0 <= getattr(self, name) < 1:
+                raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value in [0, 1)")
         if self.chunk_length <= self.horizon:
             raise TrainingConfigError(
-                f"chunk_length = {self.chunk_length} holds no window of horizon + 1 = {self.horizon + 1} steps; raise it"
+                f"chunk_length = {self.chunk_length} holds no window of {self.horizon + 1} steps; "
+                "give more than horizon"
             )
         if self.model.pairs < 1 or not self.model.time_step > 0:
             raise TrainingConfigError("model.pairs and model.time_step must be above 0")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import EpisodeBuffer
@@ -55,6 +56,9 @@ Report = Callable[[Progress, int, Row], None]
 class Trainer:
     """One training run in one folder.
 
+    What acts, is evaluated and is exported is a moving average of the weights: single iterates of Adam swing
+    between good and poor swing-ups from one iteration to the next although their losses hardly differ.
+
     Each iteration resets the environments with a seed derived from (run seed, iteration), and makes its planners
     anew, so neither belongs to a checkpoint. Weights, optimiser, episodes, generators, counters and metrics do.
 
@@ -82,6 +86,8 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self.model = KoopmanModel(observation_size, self._low.size, config.model)
+        decay = get_ema_multi_avg_fn(config.averaging)
+        self._average = AveragedModel(self.model, multi_avg_fn=decay)
         # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
         self._optimiser = torch.optim.Adam(
             self.model.parameters(),
@@ -148,7 +154,7 @@ class Trainer:
         count = config.first_episodes if first else config.iteration_episodes
         count = min(count, config.total_episodes - done)
         noise = OrnsteinUhlenbeck(count, self._low.size, config.noise_correlation, self._noise)
-        model = None if first else export_model(self.model)
+        model = None if first else export_model(self._average.module)
         agent = VectorAgent(model, config.planner, self._low, self._high, count, noise)
         variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
@@ -179,6 +185,7 @@ class Trainer:
         self._optimiser.zero_grad()
         losses.total.backward()
         self._optimiser.step()
+        self._average.update_parameters(self.model)
         self.progress.iteration_updates += 1
         self.progress.updates += 1
         self._add_losses(losses)
@@ -197,7 +204,9 @@ class Trainer:
         purpose = Purpose.FINAL_EVALUATION if final else Purpose.EVALUATION
         costs, failures = np.full(1, np.nan), 0
         if count:
-            agent = VectorAgent(export_model(self.model), config.planner, self._low, self._high, count)
+            agent = VectorAgent(
+                export_model(self._average.module), config.planner, self._low, self._high, count
+            )
             costs = episode_costs(collect_episodes(self._envs(count), agent, derive_seed(self.seed, purpose)))
             failures = agent.statistics.failures
         self.progress.iteration += 1
@@ -209,7 +218,7 @@ class Trainer:
                 "updates": self.progress.updates,
                 **self._collected,
                 **losses,
-                "model/largest_growth_rate": float(self.model.dynamics.mu.detach().max()),
+                "model/largest_growth_rate": float(self._average.module.dynamics.mu.detach().max()),
                 "evaluation/cost": float(costs.mean()),
                 "evaluation/cost_sd": float(costs.std()),
                 "evaluation/cost_median": float(np.median(costs)),
@@ -225,6 +234,7 @@ class Trainer:
             self.folder / CHECKPOINT_FILE,
             {
                 "model": self.model.state_dict(),
+                "average": self._average.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
                 "buffer": self._buffer.state_dict(),
                 "sampling": self._sampling.get_state(),
@@ -238,6 +248,7 @@ class Trainer:
 
     def _restore(self, state: dict[str, Any]) -> list[Row]:
         self.model.load_state_dict(state["model"])
+        self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
         self._buffer.load_state_dict(state["buffer"])
         self._sampling.set_state(state["sampling"])
@@ -254,4 +265,4 @@ class Trainer:
             "seed": self.seed,
             "episodes": len(self._buffer),
         }
-        export_model(self.model).save(self.folder / MODEL_FOLDER, extra)
+        export_model(self._average.module).save(self.folder / MODEL_FOLDER, extra)

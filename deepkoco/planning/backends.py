@@ -43,7 +43,9 @@ class DaqpSolver:
         if self._ready:
             self._workspace.update(H=hessian, f=gradient)
         else:
-            self._workspace.setup(hessian, gradient, self._no_rows, self._high, self._low)
+            status, _ = self._workspace.setup(hessian, gradient, self._no_rows, self._high, self._low)
+            if status < 0:
+                raise SolverError(f"daqp: exit flag {status} at set-up")
             self._ready = True
         x, _, status, _ = self._workspace.solve()
         if status != 1:
@@ -93,7 +95,10 @@ class QpsolversSolver:
         """See `BoxSolver.solve`."""
         if not np.isfinite(hessian.sum() + gradient.sum()):
             raise SolverError(f"{self._name}: the problem has entries that are not finite")
-        x = qpsolvers.solve_qp(hessian, gradient, lb=self._low, ub=self._high, solver=self._name)
+        try:
+            x = qpsolvers.solve_qp(hessian, gradient, lb=self._low, ub=self._high, solver=self._name)
+        except qpsolvers.exceptions.QPError as error:
+            raise SolverError(f"{self._name}: {error}") from error
         if x is None:
             raise SolverError(f"{self._name}: no solution found")
         return x

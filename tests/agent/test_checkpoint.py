@@ -1,0 +1,43 @@
+"""Checkpoints and seeds."""
+
+import pytest
+import torch
+
+from deepkoco.agent.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from deepkoco.agent.seeding import Purpose, derive_seed
+
+
+def test_a_checkpoint_restores_tensors_values_and_generators(tmp_path):
+    generator = torch.Generator().manual_seed(1)
+    torch.randn(3, generator=generator)
+    path = tmp_path / "c.pt"
+    save_checkpoint(path, {"w": torch.arange(3), "n": 4, "rng": generator.get_state()})
+    expected = torch.randn(3, generator=generator)
+    state = load_checkpoint(path)
+    other = torch.Generator()
+    other.set_state(state["rng"])
+    assert torch.equal(torch.randn(3, generator=other), expected)
+    assert torch.equal(state["w"], torch.arange(3))
+    assert state["n"] == 4
+    assert [p.name for p in tmp_path.iterdir()] == ["c.pt"]
+
+
+def test_an_interrupted_write_leaves_the_old_checkpoint(tmp_path):
+    path = tmp_path / "c.pt"
+    save_checkpoint(path, {"n": 1})
+    with pytest.raises(Exception, match="pickle"):
+        save_checkpoint(path, {"n": (i for i in range(3))})
+    assert load_checkpoint(path)["n"] == 1
+
+
+def test_a_missing_checkpoint_is_named(tmp_path):
+    with pytest.raises(CheckpointError, match="no checkpoint"):
+        load_checkpoint(tmp_path / "c.pt")
+
+
+def test_evaluation_never_uses_a_training_seed():
+    training = {derive_seed(s, p, i) for s in range(20) for p in list(Purpose)[:4] for i in range(20)}
+    evaluation = {derive_seed(s, p, i) for s in range(20) for p in list(Purpose)[4:] for i in range(20)}
+    assert max(training) + 2**20 < 2**30 <= min(evaluation)
+    assert max(evaluation) + 2**20 < 2**31
+    assert len(training) == 20 * 4 * 20

@@ -1,0 +1,96 @@
+"""Training losses: one window worked out by hand, many against loops and automatic differentiation."""
+
+import pytest
+import torch
+
+from deepkoco.koopman.losses import ChunkBatch, chunk_losses
+from deepkoco.koopman.model import KoopmanModel, ModelConfig
+
+
+def identity_model() -> KoopmanModel:
+    """s = (o, a), Lambda = 1, B = (0, 1), C = (1, 0), R = 0.5."""
+    model = KoopmanModel(1, 1, ModelConfig(1, 0.05, (), (), action_weight=0.5))
+    with torch.no_grad():
+        model.encoder.network.layers[0].weight.copy_(torch.eye(2))
+        model.encoder.network.layers[0].bias.zero_()
+        model.dynamics.omega.zero_()
+        model.cost_factor.network.layers[0].weight.zero_()
+        model.cost_factor.network.layers[0].bias.copy_(torch.tensor([1.0, 0.0]))
+    return model
+
+
+def test_one_window_by_hand():
+    # Rolled: s_1 = (1, 1), s_2 = (1, 3). Encoded: (2, 1), (4, 3).
+    # linear = (1 + 0 + 9 + 0) / 4 = 2.5
+    # costs: c0 = 1^2 + 0 against 1; c1 = 1 + 0.5 against 2; c2 = 1 + 4.5 against 3
+    # reconstruction = 0; prediction = (0.25 + 6.25) / 2 = 3.25; total = 2.5 + 10 * 3.25
+    batch = ChunkBatch(
+        observations=torch.tensor([[[1.0], [2.0], [4.0]]]),
+        actions=torch.tensor([[[0.0], [1.0], [3.0]]]),
+        costs=torch.tensor([[1.0, 2.0, 3.0]]),
+        window_weights=torch.ones(1, 1),
+    )
+    losses = chunk_losses(identity_model(), batch, horizon=2, cost_weight=10.0)
+    assert losses.linear.item() == pytest.approx(2.5)
+    assert losses.cost_reconstruction.item() == pytest.approx(0.0)
+    assert losses.cost_prediction.item() == pytest.approx(3.25)
+    assert losses.total.item() == pytest.approx(35.0)
+    # all encoded latents: 1, 0, 2, 1, 4, 3 -> squares sum 31 over 6
+    assert losses.latent_scale.item() == pytest.approx((31 / 6) ** 0.5)
+
+
+def random_batch(weights: torch.Tensor) -> ChunkBatch:
+    chunks, windows = weights.shape
+    length = windows + 4
+    generator = torch.Generator().manual_seed(3)
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    return ChunkBatch(
+        draw(chunks, length, 3), draw(chunks, length, 2), draw(chunks, length) ** 2, weights.double()
+    )
+
+
+def looped_total(model: KoopmanModel, batch: ChunkBatch, horizon: int, cost_weight: float) -> torch.Tensor:
+    """The published formulas window by window, with B from automatic differentiation."""
+    totals = []
+    for g, i in batch.window_weights.nonzero().tolist():
+        o, a, c = batch.observations[g, i:], batch.actions[g, i:], batch.costs[g, i:]
+        s = model.encoder(o[0], a[0])
+        b = torch.func.jacrev(model.encoder, argnums=1)(o[0], a[0])
+        row = model.cost_factor(s)
+
+        def cost(latent, action, row=row):
+            return (row @ latent) ** 2 + model.config.action_weight * action @ action
+
+        total = cost_weight * (c[0] - cost(s, a[0])) ** 2
+        for k in range(1, horizon + 1):
+            s = model.dynamics.matrix() @ s + b @ (a[k] - a[k - 1])
+            linear = (model.encoder(o[k], a[k]) - s).square().mean()
+            total = total + (linear + cost_weight * (c[k] - cost(s, a[k])) ** 2) / horizon
+        totals.append(total)
+    return torch.stack(totals).mean()
+
+
+def test_losses_and_gradients_equal_the_window_by_window_formulas():
+    torch.manual_seed(0)
+    model = KoopmanModel(3, 2, ModelConfig(2, 0.05, (6, 5), (4, 4))).double()
+    batch = random_batch(torch.tensor([[1, 1, 0], [0, 1, 1]]))
+    parameters = list(model.parameters())
+    ours = chunk_losses(model, batch, 4, 10.0).total
+    theirs = looped_total(model, batch, 4, 10.0)
+    torch.testing.assert_close(ours, theirs)
+    for one, other in zip(
+        torch.autograd.grad(ours, parameters), torch.autograd.grad(theirs, parameters), strict=True
+    ):
+        torch.testing.assert_close(one, other)
+
+
+def test_windows_of_weight_zero_do_not_count():
+    torch.manual_seed(0)
+    model = KoopmanModel(3, 2, ModelConfig(2, 0.05, (6,), (4,))).double()
+    batch = random_batch(torch.tensor([[1, 1, 0]]))
+    before = chunk_losses(model, batch, 4, 10.0).total
+    batch.observations[0, -1] += 100.0  # only the third window reaches the last step
+    assert chunk_losses(model, batch, 4, 10.0).total == before
