@@ -190,4 +190,6 @@ class VectorStateDistractors(VectorWrapper):
     def render(self):
         """The frames of all environments, each with its distractors in a strip below it."""
         frames = self.env.render()
-        return None if frames is None else tuple(self.mixer.draw(f, i) for i, f in enumerate(frames))
+        return (
+            None if frames is None else tuple(self.mixer.draw(np.asarray(f), i) for i, f in enumerate(frames))
+        )

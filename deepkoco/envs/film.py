@@ -1,0 +1,57 @@
+"""Films of episodes: a clip that browsers play and a strip for the page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+
+class FilmError(OSError):
+    """The clip could not be written."""
+
+
+def write_clip(path: str | Path, frames: Sequence[np.ndarray], fps: float) -> None:
+    """Write frames as a VP9 .webm clip, which browsers play without a plug-in.
+
+    Args:
+        path: File to write; must end in .webm.
+        frames: RGB pictures, uint8 (height, width, 3), all of one size.
+        fps: Frames per second.
+
+    Raises:
+        FileExistsError: The file is there already.
+        FilmError: OpenCV has no VP9 encoder, or there are no frames.
+    """
+    path = Path(path)
+    if path.exists():
+        raise FileExistsError(f"{path} exists; choose another name")
+    if not frames:
+        raise FilmError(f"{path}: no frames to write")
+    height, width = frames[0].shape[:2]
+    partial = path.with_suffix(".partial.webm")
+    code = cv2.VideoWriter.fourcc(*"VP90")
+    writer = cv2.VideoWriter(str(partial), code, fps, (width, height))
+    if not writer.isOpened():
+        raise FilmError(f"{path}: this build of OpenCV has no VP9 encoder")
+    for frame in frames:
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+    writer.release()
+    os.replace(partial, path)
+
+
+def film_strip(frames: Sequence[np.ndarray], count: int = 8, gap: int = 6) -> np.ndarray:
+    """Evenly spaced frames side by side, uint8 (height, width, 3).
+
+    Args:
+        frames: RGB pictures of one size.
+        count: How many of them to show.
+        gap: White columns between two frames [pixels].
+    """
+    chosen = [frames[round(i)] for i in np.linspace(0, len(frames) - 1, count)]
+    margin = np.full((chosen[0].shape[0], gap, 3), 255, np.uint8)
+    pieces = [piece for frame in chosen for piece in (frame, margin)]
+    return np.concatenate(pieces[:-1], 1)

@@ -1,0 +1,124 @@
+"""The nodes of a one-joint robot: world, sensor, actuator; the agent's node is its supervisor."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepkoco.envs.tasks import SwingUp
+from deepkoco.graph import Input, Node
+from deepkoco.graph.node import State
+from deepkoco.systems import JointSystem, Parameters, rk4_step
+
+
+class World(Node):
+    """The system's state, one tick of 1/rate [s] at a time; the output (B, S) is the state at the tick.
+
+    Tick 0 puts out the start state; tick k integrates over (t_{k-1}, t_k]. The effort over a tick is the
+    time average of the zero-order-hold commands received in it, so a delay may be finer than a tick.
+
+    Args:
+        system: Dynamics.
+        task: Draws the start state.
+        rate: Ticks per second [Hz].
+        integrator: ``rk4``, or ``semi_implicit_euler`` with the task's speed limit, which at the control
+            rate is Gymnasium's own scheme.
+    """
+
+    def __init__(self, system: JointSystem, task: SwingUp, rate: float, integrator: str) -> None:
+        super().__init__("world", rate)
+        self.period = 1.0 / rate
+        self.system, self.task = system, task
+        self.advance_by = {"rk4": self._rk4, "semi_implicit_euler": self._semi_implicit_euler}[integrator]
+
+    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        return {
+            "state": self.task.start(self.system, batch, generator),
+            "effort": torch.zeros(batch, dtype=torch.float64),
+            "started": torch.zeros(batch, dtype=torch.bool),
+        }
+
+    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
+        return state["state"]
+
+    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
+        commands = inputs["actuator"]
+        dt, end = self.period, commands.t_start
+        # Each command holds from its arrival to the next one's; the oldest has held since before the tick.
+        arrival = torch.minimum(torch.maximum(commands.t_received, (end - dt)[:, None]), end[:, None])
+        until = torch.cat([arrival[:, 1:], end[:, None]], 1)
+        since = torch.cat([(end - dt)[:, None], arrival[:, 1:]], 1)
+        effort = self.system.actuate(commands.data[..., 0].to(torch.float64), parameters)
+        target = (effort * (until - since)).sum(1) / dt
+        lag = self.system.timing(parameters).lag
+        # Exact first-order response; where the time constant is zero the effort is the target.
+        held = torch.where(lag > 0, lag, 1.0)
+        decay = torch.where(lag > 0, torch.exp(-dt / held), 0.0)
+        mean = target + (state["effort"] - target) * torch.where(lag > 0, held / dt * (1.0 - decay), 0.0)
+        after = self.advance_by(state["state"], mean, dt, parameters)
+        started = state["started"]
+        now = torch.where(started[:, None], after, state["state"])
+        delivered = torch.where(started, target + (state["effort"] - target) * decay, state["effort"])
+        return {"state": now, "effort": delivered, "started": torch.ones_like(started)}, now
+
+    def _rk4(self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters) -> Tensor:
+        return rk4_step(self.system, state, effort, dt, parameters)
+
+    def _semi_implicit_euler(
+        self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters
+    ) -> Tensor:
+        slope = self.system.derivative(state, effort, parameters)
+        limit = self.task.speed_limit
+        speed = (state[..., 1] + slope[..., 1] * dt).clamp(-limit, limit)
+        return torch.stack([state[..., 0] + speed * dt, speed], -1)
+
+
+class Sensor(Node):
+    """Measures the world's last state; the output is (B, N).
+
+    Args:
+        system: Declares the measurements.
+        rate: Measurements per second [Hz].
+        noise: Standard deviation of the noise per channel, in the channel's unit.
+        horizon: Longest episode in ticks; the noise is drawn before the episode.
+    """
+
+    def __init__(self, system: JointSystem, rate: float, noise: tuple[float, ...], horizon: int) -> None:
+        super().__init__("sensor", rate)
+        self.system, self.horizon = system, horizon
+        self.noise = torch.tensor(noise, dtype=torch.float64)
+
+    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        channels = len(self.system.measurements)
+        draws = torch.zeros(batch, 1, channels, dtype=torch.float64)
+        if bool((self.noise > 0).any()):
+            shape = (batch, self.horizon, channels)
+            draws = self.noise * torch.randn(shape, generator=generator, dtype=torch.float64)
+        return {"noise": draws, "tick": torch.zeros(batch, dtype=torch.int64)}
+
+    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
+        return torch.zeros(batch, len(self.system.measurements), dtype=torch.float64)
+
+    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
+        clean = self.system.measure(inputs["world"].data[:, -1], parameters)
+        index = torch.remainder(state["tick"], state["noise"].shape[1])
+        noise = state["noise"][torch.arange(len(index)), index]
+        return {"noise": state["noise"], "tick": state["tick"] + 1}, clean + noise
+
+
+class Actuator(Node):
+    """Passes the last command on, cut to the command's limits; the output is (B, 1)."""
+
+    def __init__(self, system: JointSystem, rate: float, limit: float) -> None:
+        super().__init__("actuator", rate)
+        self.low = max(-limit, system.command.low)
+        self.high = min(limit, system.command.high)
+
+    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        return {}
+
+    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
+        return torch.zeros(batch, 1, dtype=torch.float64)
+
+    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
+        return state, inputs["agent"].data[:, -1].clamp(self.low, self.high)

@@ -1,0 +1,31 @@
+"""Gymnasium ids of the environments; importing deepkoco.envs registers them."""
+
+from __future__ import annotations
+
+import gymnasium
+
+# id -> (steps of an episode, arguments). A new environment is one line.
+ENVIRONMENTS: dict[str, tuple[int, dict]] = {
+    # Gymnasium's Pendulum-v1: without delays and at 20 Hz its own integrator, step by step.
+    "deepkoco/RodPendulum-v0": (
+        200,
+        {"system": "rod_pendulum", "world_rate": 20.0, "integrator": "semi_implicit_euler"},
+    ),
+    # The same task on continuous physics, for delays and for models of a unit.
+    "deepkoco/RodPendulumDelay-v0": (200, {"system": "rod_pendulum"}),
+    "deepkoco/Pendulum-v0": (250, {"system": "pendulum", "world_rate": 200.0}),
+    "deepkoco/TorquePendulum-v0": (250, {"system": "torque_pendulum", "world_rate": 200.0}),
+}
+
+
+def register_envs() -> None:
+    """Register every id with Gymnasium; does nothing for one that is there already."""
+    for name, (steps, arguments) in ENVIRONMENTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point="deepkoco.envs.graph_env:DelayGraphEnv",
+                vector_entry_point="deepkoco.envs.graph_env:DelayGraphVectorEnv",
+                max_episode_steps=steps,
+                kwargs=arguments,
+            )

@@ -1,0 +1,103 @@
+"""Settings of an environment on the delay graph, checked before anything is built."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deepkoco.envs.tasks import TASKS, SwingUp
+from deepkoco.graph.delay import Delay, make_delay
+from deepkoco.systems import ExtendedSystem, JointSystem, load_model, make_system
+
+INTEGRATORS = ("rk4", "semi_implicit_euler")
+ACTION_UNITS = ("normalized", "physical")
+DELAYS = ("actuation_delay", "sensing_delay")
+
+
+class SettingsError(ValueError):
+    """An argument of an environment is wrong."""
+
+
+@dataclass(frozen=True)
+class EnvironmentSettings:
+    """What an environment on the delay graph simulates.
+
+    Attributes:
+        system: Name of the system.
+        model: Path of a model.yaml, or a system, to simulate in place of the nominal system.
+        actuation_delay: Delay from the agent to the actuator [s]: a number, a delay law or its
+            description; the model's own delay adds to it.
+        sensing_delay: Delay from the sensor to the agent [s], likewise.
+        world_rate: Ticks of the simulated physics per second [Hz].
+        integrator: ``rk4``, or ``semi_implicit_euler`` for Gymnasium's scheme.
+        randomize: Parameter or delay name -> (low, high): drawn uniformly for every episode and
+            environment. A range replaces the nominal value.
+        noise: Whether measurements carry the noise that the system's channels declare.
+        action_history: How many past actions are appended to the observation, newest first.
+        action_units: ``normalized``: actions in [-1, 1]; ``physical``: in the command's unit.
+    """
+
+    system: str
+    model: str | Path | JointSystem | None = None
+    actuation_delay: Delay | float | Mapping[str, Any] = 0.0
+    sensing_delay: Delay | float | Mapping[str, Any] = 0.0
+    world_rate: float = 100.0
+    integrator: str = "rk4"
+    randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    noise: bool = False
+    action_history: int = 0
+    action_units: str = "normalized"
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("integrator", self.integrator, INTEGRATORS),
+            ("action_units", self.action_units, ACTION_UNITS),
+        ):
+            if value not in choices:
+                raise SettingsError(f'{name} "{value}" is none of {", ".join(choices)}')
+        if self.action_history < 0:
+            raise SettingsError(f"action_history = {self.action_history}; give 0 or more")
+        if not (self.world_rate > 0 and math.isfinite(self.world_rate)):
+            raise SettingsError(f"world_rate = {self.world_rate} Hz; give a positive number")
+        for name in DELAYS:
+            make_delay(getattr(self, name))
+        self._check_ranges()
+
+    @property
+    def task(self) -> SwingUp:
+        """The system's task."""
+        return TASKS[self.system]
+
+    def make_system(self) -> JointSystem:
+        """The system to simulate, with its nominal parameters.
+
+        Raises:
+            SettingsError: The model belongs to another system.
+        """
+        system = self.model if isinstance(self.model, JointSystem) else None
+        if system is None:
+            system = make_system(self.system) if self.model is None else load_model(str(self.model))
+        assert isinstance(system, JointSystem)
+        if system.name != self.system:
+            raise SettingsError(f"the model is of {system.name}, the environment of {self.system}")
+        return system
+
+    def _check_ranges(self) -> None:
+        system = self.make_system()
+        bounds = {p.name: (p.low, p.high, p.unit) for p in system.parameters}
+        bounds |= {name: (0.0, math.inf, "s") for name in DELAYS}
+        for name, span in self.randomize.items():
+            if name not in bounds:
+                raise SettingsError(f'randomize: "{name}" is none of {", ".join(bounds)}')
+            low, high, unit = bounds[name]
+            if len(tuple(span)) != 2 or not low <= span[0] <= span[1] <= high:
+                raise SettingsError(
+                    f"randomize: {name} = {tuple(span)} {unit}; give (low, high) inside [{low}, {high}]"
+                )
+        if isinstance(system, ExtendedSystem):
+            for own, effect in zip(DELAYS, ("actuation_delay.delay", "sensing_delay.delay"), strict=True):
+                if own in self.randomize and effect in bounds:
+                    raise SettingsError(f"randomize: {own} is {effect} of the model; randomize that")
