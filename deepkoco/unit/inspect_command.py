@@ -65,7 +65,6 @@ def run(args: argparse.Namespace) -> int:
 
 def table(path: Path, recording: Recording) -> Table:
     """Summary of a log as a table for the terminal."""
-    from rich.box import SIMPLE_HEAD
     from rich.markup import escape
     from rich.table import Table
 
@@ -76,13 +75,13 @@ def table(path: Path, recording: Recording) -> Table:
     result = Table(
         title=f"{path} · {recording.system or 'unknown system'} · {seconds:.2f} s",
         title_justify="left",
-        box=SIMPLE_HEAD,
+        box=None,
         padding=(0, 1, 0, 0),
     )
-    result.add_column("channel", no_wrap=True)
-    result.add_column("kind", no_wrap=True)
-    for heading in ("samples", "rate Hz", "jitter ms", "gaps", "longest ms", "range"):
-        result.add_column(heading, justify="right", no_wrap=heading == "range")
+    for heading in ("channel", "kind"):
+        result.add_column(heading, no_wrap=True)
+    for heading in ("samples", "rate\nHz", "jitter\nms", "gaps", "longest\nms", "range"):
+        result.add_column(heading, justify="right", no_wrap=True)
     for s in summaries:
         result.add_row(
             escape(f"{s.name} [{s.unit}]"),
