@@ -70,7 +70,7 @@ def learning_curves(rows: pd.DataFrame) -> pd.DataFrame:
         Columns condition, curve, episodes, mean, low, high, seeds.
     """
     curves = []
-    for (condition, episodes), group in rows.groupby(["condition", "episodes"], sort=True):
+    for (condition, episodes), group in rows.groupby(["condition", "episodes"], sort=True):  # type: ignore[reportGeneralTypeIssues]
         for curve in CURVES:
             values = group[curve].dropna().to_numpy()
             if values.size:

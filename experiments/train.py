@@ -99,8 +99,10 @@ def train(given: TrainRunConfig) -> None:
 
         last = trainer.run(show)
     print(
-        f"{folder}: noise-free cost {last['evaluation/cost']:.1f} over {last['evaluation/episodes']:.0f} episodes "
-        f"after {last['episodes']:.0f} training episodes, {last['updates']:.0f} updates, {last['seconds']:.0f} s"
+        f"{folder}: noise-free cost {last['evaluation/cost']:.1f} "
+        f"over {last['evaluation/episodes']:.0f} episodes "
+        f"after {last['episodes']:.0f} training episodes, "
+        f"{last['updates']:.0f} updates, {last['seconds']:.0f} s"
     )
 
 

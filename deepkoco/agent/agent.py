@@ -13,9 +13,9 @@ from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
 class VectorAgent:
     """Acts in B environments at once.
 
-    Action a_k is applied while a_{k+1} = a_k + da_k is decided from (o_k, a_k): one step of input delay, which is
-    the time a real controller has to compute. a_0 = 0. The increment is the plan plus exploration noise, then the
-    action is clipped, so the increments that are learned from are the realised ones.
+    Action a_k is applied while a_{k+1} = a_k + da_k is decided from (o_k, a_k): one step of input delay,
+    which is the time a real controller has to compute. a_0 = 0. The increment is the plan plus exploration
+    noise, then the action is clipped, so the increments that are learned from are the realised ones.
     """
 
     def __init__(

@@ -33,18 +33,20 @@ def box_sizes(envs: VectorEnv) -> tuple[int, Array, Array]:
     Raises:
         SpaceError: A space is not a flat Box.
     """
-    for name, space in (("observation", envs.single_observation_space), ("action", envs.single_action_space)):
+    observation, action = envs.single_observation_space, envs.single_action_space
+    for name, space in (("observation", observation), ("action", action)):
         if not isinstance(space, spaces.Box) or len(space.shape) != 1:
             raise SpaceError(f"{name} space is {space}; DeepKoCo on states needs a one-dimensional Box")
-    low, high = envs.single_action_space.low, envs.single_action_space.high
-    return envs.single_observation_space.shape[0], low.astype(np.float64), high.astype(np.float64)
+    assert isinstance(observation, spaces.Box)
+    assert isinstance(action, spaces.Box)
+    return observation.shape[0], action.low.astype(np.float64), action.high.astype(np.float64)
 
 
 def collect_episodes(envs: VectorEnv, agent: VectorAgent, seed: int, variance: float = 0.0) -> list[Episode]:
     """Run every environment from a reset to the end of its first episode.
 
-    Environments that end early keep being stepped (or reset, where there is no autoreset) until the last one is
-    done, but nothing after an environment's own end is recorded.
+    Environments that end early keep being stepped (or reset, where there is no autoreset) until the last
+    one is done, but nothing after an environment's own end is recorded.
 
     Args:
         envs: B environments.

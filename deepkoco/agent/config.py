@@ -45,7 +45,7 @@ class TrainingConfig:
     weight_penalty: float = 1e-14
     """alpha_2, weight of the squared weights (L2)."""
     averaging: float = 0.998
-    """Decay per update of the moving average of the weights that acts, is evaluated and is exported; 0 for none."""
+    """Decay per update of the averaged weights, which act, are evaluated and are exported; 0 for none."""
     noise_correlation: float = 0.85
     """lambda of the Ornstein-Uhlenbeck noise, per step."""
     noise_variance: float = 0.85
@@ -67,7 +67,8 @@ class TrainingConfig:
         """
         positive = (
             "first_episodes first_epochs iteration_episodes iteration_epochs iteration_updates "
-            "total_episodes horizon chunks learning_rate noise_last_episode final_evaluation_episodes checkpoint_updates"
+            "total_episodes horizon chunks learning_rate noise_last_episode "
+            "final_evaluation_episodes checkpoint_updates"
         )
         for name in positive.split():
             if not getattr(self, name) > 0:

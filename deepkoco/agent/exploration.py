@@ -7,10 +7,10 @@ from torch import Tensor
 
 
 class OrnsteinUhlenbeck:
-    r"""$\epsilon_{k+1} = \lambda \epsilon_k + \sqrt{\sigma^2}\, N(0, 1)$, independent per environment and action.
+    r"""$\epsilon_{k+1} = \lambda \epsilon_k + \sqrt{\sigma^2}\, N(0, 1)$, independent per action.
 
-    The published variance is read as that of the innovation, not of the stationary process: this explores more
-    and learns better. Noise is added to the increment in the action's unit.
+    The published variance is read as that of the innovation, not of the stationary process: this explores
+    more and learns better. Noise is added to the increment in the action's unit.
     """
 
     def __init__(self, count: int, action_size: int, correlation: float, generator: torch.Generator) -> None:

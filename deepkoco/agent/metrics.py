@@ -15,8 +15,8 @@ Row = dict[str, float]
 class MetricsLog:
     """One row per training iteration.
 
-    The rows belong to the checkpoint; a resumed run starts from the rows it had then, rewrites the CSV and makes
-    the event file anew, so no step appears twice.
+    The rows belong to the checkpoint; a resumed run starts from the rows it had then, rewrites the CSV and
+    makes the event file anew, so no step appears twice.
     """
 
     def __init__(self, folder: Path, rows: list[Row]) -> None:

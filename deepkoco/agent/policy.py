@@ -19,8 +19,9 @@ class ObservationError(ValueError):
 class KoopmanPolicy:
     """Noise-free DeepKoCo control, one call of `act` per control step.
 
-    `act(o_k)` returns the action a_k that was decided one step earlier and decides a_{k+1}, as in training. It
-    never raises for numbers: where a plan cannot be made it holds the last one and counts that in `statistics`.
+    `act(o_k)` returns the action a_k that was decided one step earlier and decides a_{k+1}, as in training.
+    It never raises for numbers: where a plan cannot be made it holds the last one and counts that in
+    `statistics`.
     """
 
     def __init__(
@@ -64,7 +65,8 @@ class KoopmanPolicy:
         observation = np.asarray(observation, dtype=np.float64)
         if observation.shape != (self.model.observation_size,):
             raise ObservationError(
-                f"observation has shape {observation.shape}; this model takes ({self.model.observation_size},)"
+                f"observation has shape {observation.shape}; "
+                f"this model takes ({self.model.observation_size},)"
             )
         action = self._next
         rows, factor = self.model.linearise(observation, action)

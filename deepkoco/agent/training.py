@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -59,8 +59,9 @@ class Trainer:
     What acts, is evaluated and is exported is a moving average of the weights: single iterates of Adam swing
     between good and poor swing-ups from one iteration to the next although their losses hardly differ.
 
-    Each iteration resets the environments with a seed derived from (run seed, iteration), and makes its planners
-    anew, so neither belongs to a checkpoint. Weights, optimiser, episodes, generators, counters and metrics do.
+    Each iteration resets the environments with a seed derived from (run seed, iteration), and makes its
+    planners anew, so neither belongs to a checkpoint. Weights, optimiser, episodes, generators, counters
+    and metrics do.
 
     Source: DeepKoCo, Alg. 8.
     """
@@ -111,6 +112,11 @@ class Trainer:
         """Whether all episodes are collected and learned from."""
         return not self.progress.collected and len(self._buffer) >= self.config.total_episodes
 
+    @property
+    def averaged_model(self) -> KoopmanModel:
+        """The model that acts: moving average of the weights."""
+        return cast(KoopmanModel, self._average.module)
+
     def run(self, report: Report | None = None) -> Row:
         """Train to the end, evaluate and export the model into the folder `model`.
 
@@ -154,7 +160,7 @@ class Trainer:
         count = config.first_episodes if first else config.iteration_episodes
         count = min(count, config.total_episodes - done)
         noise = OrnsteinUhlenbeck(count, self._low.size, config.noise_correlation, self._noise)
-        model = None if first else export_model(self._average.module)
+        model = None if first else export_model(self.averaged_model)
         agent = VectorAgent(model, config.planner, self._low, self._high, count, noise)
         variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
@@ -205,7 +211,7 @@ class Trainer:
         costs, failures = np.full(1, np.nan), 0
         if count:
             agent = VectorAgent(
-                export_model(self._average.module), config.planner, self._low, self._high, count
+                export_model(self.averaged_model), config.planner, self._low, self._high, count
             )
             costs = episode_costs(collect_episodes(self._envs(count), agent, derive_seed(self.seed, purpose)))
             failures = agent.statistics.failures
@@ -218,7 +224,7 @@ class Trainer:
                 "updates": self.progress.updates,
                 **self._collected,
                 **losses,
-                "model/largest_growth_rate": float(self._average.module.dynamics.mu.detach().max()),
+                "model/largest_growth_rate": float(self.averaged_model.dynamics.mu.detach().max()),
                 "evaluation/cost": float(costs.mean()),
                 "evaluation/cost_sd": float(costs.std()),
                 "evaluation/cost_median": float(np.median(costs)),
@@ -265,4 +271,4 @@ class Trainer:
             "seed": self.seed,
             "episodes": len(self._buffer),
         }
-        export_model(self._average.module).save(self.folder / MODEL_FOLDER, extra)
+        export_model(self.averaged_model).save(self.folder / MODEL_FOLDER, extra)

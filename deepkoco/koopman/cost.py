@@ -29,7 +29,7 @@ class CostFactor(nn.Module):
         super().__init__()
         self.network = ReluNetwork(2 * pairs, hidden, 2 * pairs)
         with torch.no_grad():
-            self.network.layers[-1].bias[0] = SIGN_BIAS
+            self.network.linears[-1].bias[0] = SIGN_BIAS
 
     def forward(self, latent: Tensor) -> Tensor:
         """Evaluate C at a latent.

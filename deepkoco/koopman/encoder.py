@@ -21,9 +21,9 @@ class Encoder(nn.Module):
 
     Source: DeepKoCo, Eq. 5.5-5.7.
 
-    The predicted cost is a square $y^2$, and $y$ near 0 is a saddle: different regions of the state space pick
-    the sign of $y$ on their own and the seams between them never heal. Biasing latent unit 0 (and, in `CostFactor`,
-    the matching unit of C) makes $y$ start clearly positive everywhere.
+    The predicted cost is a square $y^2$, and $y$ near 0 is a saddle: different regions of the state space
+    pick the sign of $y$ on their own and the seams between them never heal. Biasing latent unit 0 (and, in
+    `CostFactor`, the matching unit of C) makes $y$ start clearly positive everywhere.
     """
 
     def __init__(self, observation_size: int, action_size: int, pairs: int, hidden: Sequence[int]) -> None:
@@ -39,7 +39,7 @@ class Encoder(nn.Module):
         self.action_size = action_size
         self.network = ReluNetwork(observation_size + action_size, hidden, 2 * pairs)
         with torch.no_grad():
-            self.network.layers[-1].bias[0] = SIGN_BIAS
+            self.network.linears[-1].bias[0] = SIGN_BIAS
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Encode.

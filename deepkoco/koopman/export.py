@@ -24,7 +24,7 @@ def export_model(model: KoopmanModel) -> ExportedModel:
         return tensor.detach().cpu().numpy().astype(np.float64)
 
     def layers(network: ReluNetwork) -> tuple[tuple[Array, Array], ...]:
-        return tuple((array(layer.weight), array(layer.bias)) for layer in network.layers)
+        return tuple((array(layer.weight), array(layer.bias)) for layer in network.linears)
 
     return ExportedModel(
         layers(model.encoder.network),

@@ -65,7 +65,8 @@ class ExportedModel:
             action: (..., M).
 
         Returns:
-            Rows (..., 1 + M, 2P): the latent s, then the M columns of B as rows; and the cost row C (..., 2P).
+            Rows (..., 1 + M, 2P): the latent s, then the M columns of B as rows; and the cost row C (...,
+            2P).
 
         Source: DeepKoCo, Eq. 5.6-5.8.
         """

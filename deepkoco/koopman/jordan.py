@@ -9,14 +9,15 @@ from torch import Tensor, nn
 
 
 class JordanDynamics(nn.Module):
-    r"""$\Lambda = \mathrm{diag}(J^1, \dots, J^P)$, $J = e^{\mu\Delta t}$ times a rotation over $\omega\Delta t$.
+    r"""$\Lambda = \mathrm{diag}(J^1, \dots, J^P)$: a rotation by $\omega\Delta t$ times $e^{\mu\Delta t}$.
 
     Latents are stored pair by pair, $(s_{1}, s_{1}', s_{2}, s_{2}', \dots)$. Each pair is a complex number
-    that one step multiplies by $\lambda = e^{(\mu + i\omega)\Delta t}$, so any power of $\Lambda$ is known in closed
-    form and a rollout with a frozen B needs no loop over time:
-    $s_k = \Lambda^k s_0 + \sum_{j<k} \Lambda^{k-1-j} B \Delta a_j$.
+    that one step multiplies by $\lambda = e^{(\mu + i\omega)\Delta t}$, so any power of $\Lambda$ is known
+    in closed form and a rollout with a frozen B needs no loop over time: $s_k = \Lambda^k s_0 + \sum_{j<k}
+    \Lambda^{k-1-j} B \Delta a_j$.
 
-    Source: DeepKoCo, Eq. 5.4. Starting values are a reading: mu = 0 and omega evenly spread over [0, 2 pi] rad/s.
+    Source: DeepKoCo, Eq. 5.4. Starting values are a reading: mu = 0 and omega evenly spread over [0, 2 pi]
+    rad/s.
     """
 
     def __init__(self, pairs: int, time_step: float) -> None:
@@ -85,7 +86,7 @@ class JordanDynamics(nn.Module):
 
     @staticmethod
     def _forced(real: Tensor, imaginary: Tensor, increments: Tensor) -> tuple[Tensor, Tensor]:
-        """Sums lambda^{k-1-j} da_j over j < k, one per pair and action, as lower triangular Toeplitz products."""
+        """Sums lambda^{k-1-j} da_j over j < k, per pair and action, as Toeplitz products."""
         batch, steps, actions = increments.shape
         k = torch.arange(steps, device=increments.device)
         lag = k.unsqueeze(0) - k.unsqueeze(1)  # row j, column k - 1

@@ -51,9 +51,9 @@ def chunk_losses(model: KoopmanModel, batch: ChunkBatch, horizon: int, cost_weig
 
     $L = L_{lin} + \alpha_1 (L_{recon} + L_{pred})$ with, for each window,
     $L_{lin} = \frac{1}{T} \sum_{k=1}^{T} \| \varphi(o_k, a_k) - s_k \|^2 / 2P$,
-    $L_{recon} = (c_0 - \hat c_0)^2$ and $L_{pred} = \frac{1}{T}\sum_{k=1}^{T} (c_k - \hat c_k)^2$. The rolled latents
-    $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does. Gradients flow through B
-    (second order), through psi and its input, and into both sides of $L_{lin}$.
+    $L_{recon} = (c_0 - \hat c_0)^2$ and $L_{pred} = \frac{1}{T}\sum_{k=1}^{T} (c_k - \hat c_k)^2$. The
+    rolled latents $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does.
+    Gradients flow through B (second order), through psi and its input, and into both sides of $L_{lin}$.
 
     Args:
         model: The latent model.

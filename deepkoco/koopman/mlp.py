@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -26,7 +28,12 @@ class ReluNetwork(nn.Module):
         """
         super().__init__()
         widths = [inputs, *hidden, outputs]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True))
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
+
+    @property
+    def linears(self) -> list[nn.Linear]:
+        """The layers, first to last."""
+        return cast(list[nn.Linear], list(self.layers))
 
     def forward(self, x: Tensor) -> Tensor:
         """Evaluate the network.
@@ -37,9 +44,10 @@ class ReluNetwork(nn.Module):
         Returns:
             Output (..., outputs).
         """
-        for layer in self.layers[:-1]:
+        *hidden, last = self.linears
+        for layer in hidden:
             x = torch.relu(layer(x))
-        return self.layers[-1](x)
+        return last(x)
 
     def with_jacobian(self, x: Tensor, columns: int) -> tuple[Tensor, Tensor]:
         """Evaluate the network and its Jacobian towards the last inputs.
@@ -51,10 +59,11 @@ class ReluNetwork(nn.Module):
         Returns:
             Output (..., outputs) and *transposed* Jacobian (..., columns, outputs).
         """
-        tangent = self.layers[0].weight[:, -columns:].T
-        for layer, following in zip(self.layers[:-1], self.layers[1:], strict=True):
+        layers = self.linears
+        tangent = layers[0].weight[:, -columns:].T
+        for layer, following in pairwise(layers):
             before = layer(x)
             active = (before > 0).to(before.dtype).unsqueeze(-2)
             x = torch.relu(before)
             tangent = (active * tangent) @ following.weight.T
-        return self.layers[-1](x), tangent
+        return layers[-1](x), tangent

@@ -32,8 +32,8 @@ class KoopmanModel(nn.Module):
     r"""A cost-predictive Koopman latent model.
 
     $s = \varphi(o, a)$, $s_{k+1} = \Lambda s_k + B \Delta a_k$, $a_{k+1} = a_k + \Delta a_k$,
-    $\hat c = (C s)^2 + a^\top R a$, with $B = \partial\varphi/\partial a$ and $C = \psi(s)$ at the present state.
-    There is no observation decoder: with B frozen over a rollout it would enter no loss.
+    $\hat c = (C s)^2 + a^\top R a$, with $B = \partial\varphi/\partial a$ and $C = \psi(s)$ at the present
+    state. There is no observation decoder: with B frozen over a rollout it would enter no loss.
 
     Source: DeepKoCo, Eq. 5.4-5.8.
     """

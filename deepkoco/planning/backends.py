@@ -117,7 +117,7 @@ def osqp_solution(solver: osqp.OSQP) -> Array:
         SolverError: OSQP reports anything but "solved".
     """
     result = solver.solve(raise_error=False)
-    if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
+    if result.info.status != "solved":
         raise SolverError(f"osqp: {result.info.status}")
     return np.asarray(result.x)
 

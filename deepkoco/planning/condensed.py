@@ -10,12 +10,13 @@ from deepkoco.planning.config import Array, PlanningProblem
 
 
 class CondensedProgram:
-    r"""min over $a_1 \dots a_H$ of $|y|^2 + R|a|^2 + \tilde R \sum |a_{k+1} - a_k|^2$, $a_{min} \le a_k \le a_{max}$.
+    r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $\sum y^2 + R a^2 + \tilde R \sum \Delta a^2$.
 
-    With B and C frozen, $y_k = C s_k = C \Lambda^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ and $g_i = C \Lambda^i B$.
-    Written in the actions instead of the increments the limits are plain bounds and $y = y_0 + D a$ with the
-    Toeplitz matrix $D_{ki} = g_{k-i} - g_{k-i-1}$; the two programs are one linear change of variables apart.
-    The powers of the diagonal $\Lambda$ are known beforehand, so one product yields all of $C\Lambda^k s_0$ and $g_i$.
+    With B and C frozen, $y_k = C s_k = C \Lambda^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ and $g_i = C
+    \Lambda^i B$. Written in the actions instead of the increments the limits are plain bounds and $y = y_0
+    + D a$ with the Toeplitz matrix $D_{ki} = g_{k-i} - g_{k-i-1}$; the two programs are one linear change
+    of variables apart. The powers of the diagonal $\Lambda$ are known beforehand, so one product yields all
+    of $C\Lambda^k s_0$ and $g_i$.
 
     Source: DeepKoCo, Eq. 5.16.
     """

@@ -19,7 +19,7 @@ class PlannerConfig:
     increment_weight: float = 0.01
     """R~, weight of a squared action increment."""
     form: str = "condensed"
-    """How the problem is written: "condensed" (actions only) or "sparse" (latents, actions and increments)."""
+    """How the problem is written: "condensed" (actions only) or "sparse" (latents too)."""
     solver: str = "daqp"
     """Backend of the condensed form: "daqp", "osqp" or any other installed solver of qpsolvers."""
     tolerance: float = 1e-6

@@ -38,8 +38,9 @@ class PlannerStatistics:
 class LinearMPC:
     """Plans action increments; holds the last plan when a program is not solved.
 
-    One object serves one control loop: it keeps one solver, updated at every step, and the last plan. A failure
-    takes the next increment of that plan (zero once it is used up), is counted in `statistics` and logged.
+    One object serves one control loop: it keeps one solver, updated at every step, and the last plan. A
+    failure takes the next increment of that plan (zero once it is used up), is counted in `statistics` and
+    logged.
     """
 
     def __init__(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import osqp
+from numpy.typing import NDArray
 from scipy import sparse
 
 from deepkoco.planning.backends import osqp_solution
@@ -11,11 +12,12 @@ from deepkoco.planning.config import Array, PlanningProblem, SolverError
 
 
 class SparseProgram:
-    r"""min of $\sum_{k=1}^H y_k^2 + R |a_k|^2 + \tilde R |\Delta a_{k-1}|^2$ with the dynamics as constraints.
+    r"""min of $\sum_{k=1}^H y_k^2 + R |a_k|^2 + \tilde R |\Delta a_{k-1}|^2$ s.t. the dynamics.
 
-    Variables are $s_1 \dots s_H$, $y_1 \dots y_H$, $a_1 \dots a_H$ and $\Delta a_0 \dots \Delta a_{H-1}$. The auxiliary
-    $y_k = C s_k$ keeps the Hessian diagonal; $(C s_k)^2$ written out would make it a dense block of $C^\top C$ per
-    step. Only the entries of B and C and the right-hand side of the first steps change, in a fixed pattern.
+    Variables are $s_1 \dots s_H$, $y_1 \dots y_H$, $a_1 \dots a_H$ and $\Delta a_0 \dots \Delta a_{H-1}$.
+    The auxiliary $y_k = C s_k$ keeps the Hessian diagonal; $(C s_k)^2$ written out would make it a dense
+    block of $C^\top C$ per step. Only the entries of B and C and the right-hand side of the first steps
+    change, in a fixed pattern.
 
     Source: DeepKoCo, Eq. 5.16.
     """
@@ -34,7 +36,7 @@ class SparseProgram:
         s_at, y_at, a_at, da_at = np.concatenate(([0], sizes.cumsum()[:-1]))
         total = int(sizes.sum())
 
-        eye, shift = sparse.identity(steps), sparse.diags_array([1.0], offsets=[-1], shape=(steps, steps))
+        eye, shift = sparse.identity(steps), sparse.csc_matrix(np.eye(steps, k=-1))
         ones_b, ones_c = np.ones((latents, actions)), np.ones((1, latents))
         move = sparse.kron(eye, np.eye(latents)) - sparse.kron(shift, self._dynamics)
         hold = sparse.kron(eye - shift, np.eye(actions))
@@ -112,7 +114,7 @@ class SparseProgram:
         return osqp_solution(self._solver)[self._actions].reshape(self._shape)
 
 
-def _jordan(eigenvalues: np.ndarray) -> Array:
+def _jordan(eigenvalues: NDArray[np.complex128]) -> Array:
     """Real Jordan form (2P, 2P) of complex eigenvalues (P,)."""
     blocks = np.stack((eigenvalues.real, -eigenvalues.imag, eigenvalues.imag, eigenvalues.real), -1).reshape(
         -1, 2, 2

@@ -25,7 +25,8 @@ def test_starts_undamped_with_frequencies_from_zero_to_two_pi():
 
 
 def test_one_step_of_a_growing_quarter_turn():
-    # dt = 0.5 s, mu = 2 ln 2 /s: growth by 2; omega = pi rad/s: a quarter turn. (1, 0) -> (0, 2), (0, 1) -> (-2, 0).
+    # dt = 0.5 s, mu = 2 ln 2 /s: growth by 2; omega = pi rad/s: a quarter turn.
+    # (1, 0) -> (0, 2), (0, 1) -> (-2, 0).
     dynamics = JordanDynamics(1, 0.5).double()
     with torch.no_grad():
         dynamics.mu[:] = 2 * math.log(2)
