@@ -33,7 +33,8 @@ def make_excitation(
         amplitude: Largest command, in the command's unit; None takes the system's limit.
 
     Raises:
-        ExcitationError: There is no such excitation, or the amplitude is outside the limits.
+        ExcitationError: There is no such excitation, the amplitude is outside the limits, or the seed is
+            negative.
     """
     if kind not in EXCITATIONS:
         raise ExcitationError(f'unknown excitation "{kind}"; known: {", ".join(EXCITATIONS)}')
@@ -42,6 +43,8 @@ def make_excitation(
     size = limit if amplitude is None else amplitude
     if not 0.0 < size <= limit:
         raise ExcitationError(f"amplitude {size:g} {unit} is outside (0, {limit:g}] {unit} of {system}")
+    if seed < 0:
+        raise ExcitationError(f"seed {seed} is negative; give 0 or more")
     generator = np.random.default_rng([seed, sorted(EXCITATIONS).index(kind)])
     excitation = EXCITATIONS[kind](physics, seconds, size, generator)
     return _speed_guard(excitation, size, natural_frequency(physics))
@@ -100,7 +103,8 @@ def bang_bang(system: System, seconds: float, amplitude: float, generator: Gener
 
     A torque that cannot lift the pendulum moves it through its whole range only in step with its
     swing. The energy is e = omega^2 / (2 omega_n^2) + 1 - cos(angle from hanging), so that the tip reaches
-    the top at e = 2; levels are drawn between 0.3 and 3 and given up after two natural periods.
+    the top at e = 2; levels are drawn between 0.3 and 3, a high one is given up after two natural
+    periods and a low one after one.
     """
     assert isinstance(system, JointSystem)
     frequency = natural_frequency(system)
@@ -113,7 +117,7 @@ def bang_bang(system: System, seconds: float, amplitude: float, generator: Gener
         nonlocal goal, pump, since, last, moved
         theta, omega = measurement
         energy = 0.5 * (omega / frequency) ** 2 + 1.0 - math.cos(theta - hanging)
-        if (energy >= goal) == pump or t - since > 2.0 * period:
+        if (energy >= goal) == pump or t - since > (2.0 if pump else 1.0) * period:
             pump, since = not pump, t
             goal = float(generator.uniform(1.0, 3.0) if pump else generator.uniform(0.3, 1.0))
         # Near standstill the sign of a noisy speed says nothing: keep the last command, unless it holds

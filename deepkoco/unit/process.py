@@ -94,6 +94,11 @@ class Unit:
     ) -> None:
         self.close()
 
+    @property
+    def pid(self) -> int | None:
+        """Process of the unit, None where it is not running."""
+        return None if self._process is None else self._process.pid
+
     def now(self) -> float:
         """Time since the last reset of the client's clock [s]."""
         return (time.monotonic_ns() - self._origin) * 1e-9

@@ -30,7 +30,8 @@ def test_torque_pendulum_hangs_at_zero():
 
 
 def test_delay_is_a_number_or_a_law(tmp_path):
-    text = "system: pendulum\neffects: {actuation_delay: {delay: {mean: 0.03, sd: 5e-3}}, sensing_delay: {delay: 0.01}}"
+    laws = "{actuation_delay: {delay: {mean: 0.03, sd: 5e-3}}, sensing_delay: {delay: 0.01}}"
+    text = f"system: pendulum\neffects: {laws}"
     effects = load_unit(write(tmp_path, text)).effects
     assert effects["actuation_delay"] == {"delay": 0.03, "jitter_sd": 0.005}
     assert effects["sensing_delay"] == {"delay": 0.01, "jitter_sd": 0.0}
