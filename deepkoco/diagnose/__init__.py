@@ -1,0 +1,7 @@
+"""Show what a simulation gets wrong about a unit, name the cause, and measure what it is worth."""
+
+from deepkoco.diagnose.causes import CAUSES, Cause
+from deepkoco.diagnose.diagnose import diagnose
+from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Evidence, Finding
+
+__all__ = ["CAUSES", "Cause", "Diagnosis", "Estimate", "Evidence", "Finding", "diagnose"]

@@ -140,10 +140,43 @@ class FitProblem:
         """Run all trials; every iteration simulates all that have not converged in one batch."""
         return _Batch(self, trials).run(iterations)
 
-    def evaluate(self, trial: Trial, iterations: int = 12) -> Fit:
-        """Fit initial states and zeros only, with every parameter of the trial held."""
-        held = Trial(trial.name, (), Prior.empty(), trial.values, trial.state, trial.zero)
-        return self.fit([held], iterations)[0]
+    def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
+        """Fit initial states and zeros only, with every parameter held at ``values``."""
+        first = self.fit_states(values, self.windows.state if state is None else state)
+        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12)[0]
+
+    def fit_states(self, values: Mapping[str, float], state: Tensor, iterations: int = 15) -> Tensor:
+        """Initial states (W, S) that suit held parameters; each window steps and is damped by itself."""
+        theta = np.repeat(np.array([[float(values[n]) for n in self.names]]), 1 + state.shape[1], axis=0)
+        zero = torch.zeros(1 + state.shape[1], self.logs, dtype=torch.float64)
+        best, trial = state.clone(), state.clone()
+        count, size = len(self.windows), state.shape[1]
+        cost = torch.full((count,), torch.inf, dtype=torch.float64)
+        damping = torch.full((count,), 1e-3, dtype=torch.float64)
+        hessian = torch.eye(size, dtype=torch.float64).repeat(count, 1, 1)
+        gradient = torch.zeros(count, size, dtype=torch.float64)
+        for _ in range(iterations):
+            lanes = trial.repeat(1 + size, 1, 1)
+            for s in range(size):
+                lanes[1 + s, :, s] += STATE_STEP[s]
+            predicted = self.predict(theta, lanes, zero)
+            residual = ((self.windows.value - predicted[0]) * self.weight).reshape(count, -1)
+            step = torch.tensor(STATE_STEP[:size], dtype=torch.float64)[:, None, None, None]
+            slope = ((predicted[1:] - predicted[0]) / step * self.weight).reshape(size, count, -1)
+            now = (residual**2).sum(1)
+            better = torch.isfinite(now) & (now <= cost)
+            moved = bool((better & (cost - now > TOLERANCE / count)).any())
+            hessian = torch.where(better[:, None, None], torch.einsum("swm,twm->wst", slope, slope), hessian)
+            gradient = torch.where(better[:, None], torch.einsum("swm,wm->ws", slope, residual), gradient)
+            best = torch.where(better[:, None], trial, best)
+            cost = torch.where(better, now, cost)
+            damping = torch.where(better, damping * 0.1, damping * 20.0).clamp(1e-9, 1e9)
+            if not moved and bool((better | (damping > 1e6)).all()):
+                break
+            diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
+            matrix = hessian + torch.diag_embed(damping[:, None] * diagonal + 1e-9)
+            trial = best + torch.linalg.solve(matrix, gradient)
+        return best
 
 
 class _Batch:
@@ -245,19 +278,19 @@ class _Batch:
         columns = self.columns[k]
         p = len(columns)
         at = self.theta[k, columns]
+        low, high = problem.low[columns] - at, problem.high[columns] - at
         held = np.zeros(p, dtype=bool)
+        limit = np.zeros(p)
         while True:
-            move, states, gain = normal.solve(self.damping[k], held)
-            wanted = at + move[:p]
-            # A parameter on its bound that wants to leave the box is held there and the rest solved again.
-            outside = ((at <= problem.low[columns]) & (move[:p] < 0)) | (
-                (at >= problem.high[columns]) & (move[:p] > 0)
-            )
-            if not (outside & ~held).any():
+            move, states, gain = normal.solve(self.damping[k], held, limit)
+            # What leaves the box stops at its bound, and the others are solved again around it.
+            outside = ((move[:p] < low) | (move[:p] > high)) & ~held
+            if not outside.any():
                 break
             held |= outside
+            limit = np.where(outside, np.clip(move[:p], low, high), limit)
         theta = self.theta[k].copy()
-        theta[columns] = np.clip(wanted, problem.low[columns], problem.high[columns])
+        theta[columns] = np.clip(at + move[:p], problem.low[columns], problem.high[columns])
         zero = self.zero[k].clone()
         if self.zeros:
             zero += torch.from_numpy(move[p:])
@@ -348,16 +381,29 @@ class _Normal:
         matrix = matrix - torch.einsum("wis,wjs->ij", through, self.hps)
         return matrix, self.gp - torch.einsum("wis,ws->i", through, self.gs), inverse
 
-    def solve(self, damping: float, held: np.ndarray) -> tuple[np.ndarray, Tensor, float]:
-        """Damped step of parameters (q,) and states (W, S), and the decrease of cost that it promises."""
+    def solve(self, damping: float, held: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, Tensor, float]:
+        """Damped step, with some parameters moved by a given amount, and the decrease that it promises.
+
+        Args:
+            damping: Relative addition to the diagonals.
+            held: (p,) True where ``limit`` says how far the parameter moves.
+            limit: (p,) moves of the held parameters.
+
+        Returns:
+            Moves of parameters (and zeros) (q,), of states (W, S), predicted decrease of the cost.
+        """
         matrix, right, inverse = self.reduced(damping)
         free = torch.ones(len(right), dtype=torch.bool)
         free[: len(held)] = torch.from_numpy(~held)
         move = torch.zeros_like(right)
+        move[: len(held)] = torch.from_numpy(np.where(held, limit, 0.0))
         if free.any():
             scale = torch.sqrt(torch.diagonal(matrix)[free].clamp_min(1e-30))
             scaled = matrix[free][:, free] / scale[:, None] / scale
-            move[free] = torch.linalg.lstsq(scaled, right[free] / scale).solution / scale
+            wanted = (right - matrix @ move)[free] / scale
+            move[free] = torch.linalg.lstsq(scaled, wanted[:, None]).solution[:, 0] / scale
         states = torch.einsum("wst,wt->ws", inverse, self.gs - torch.einsum("wis,i->ws", self.hps, move))
-        gain = float(self.gp @ move + (self.gs * states).sum())
+        curvature = float(move @ self.hpp @ move + torch.einsum("ws,wst,wt->", states, self.hss, states))
+        curvature += 2.0 * float(torch.einsum("i,wis,ws->", move, self.hps, states))
+        gain = 2.0 * float(self.gp @ move + (self.gs * states).sum()) - curvature
         return move.numpy(), states, gain

@@ -18,6 +18,8 @@ LONGEST_STEP = 0.01  # integration step [s]
 HISTORY = 0.1  # commands that must be known before a window begins, for delays and lags [s]
 MIN_SAMPLES = 6  # of a channel inside a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
+DWELL = 0.15  # share of a window during which a joint may rest
+FEWEST = 6  # windows that leaving out rests must leave
 
 
 @dataclass(frozen=True)
@@ -177,14 +179,34 @@ def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[
 
 
 def moving(windows: Windows) -> np.ndarray:
-    """(W,) True where some channel moves visibly: a joint at rest says nothing about its dynamics."""
-    result = np.zeros(len(windows), dtype=bool)
+    """(W,) True where the joint moves, and keeps moving.
+
+    A joint at rest says nothing about its dynamics. One that comes to rest for a while inside a window is
+    held by dry friction, which a smoothed friction law lets creep: such windows are left out too, unless
+    that leaves too few.
+    """
+    moves = np.zeros(len(windows), dtype=bool)
+    rests = np.zeros(len(windows), dtype=bool)
     for c, noise in enumerate(windows.noise):
-        value, valid = windows.value[:, c], windows.valid[:, c]
-        high = torch.where(valid, value, -math.inf).amax(-1)
-        low = torch.where(valid, value, math.inf).amin(-1)
-        result |= ((high - low) > STANDSTILL * noise.sd).numpy()
-    return result
+        value, valid = windows.value[:, c].numpy(), windows.valid[:, c].numpy()
+        high = np.where(valid, value, -math.inf).max(-1, initial=-math.inf)
+        low = np.where(valid, value, math.inf).min(-1, initial=math.inf)
+        moves |= (high - low) > STANDSTILL * noise.sd
+        if c == 0 and valid.any():
+            count = max(4, math.ceil(DWELL * valid.sum(1).max()))
+            rests = _rests(value, valid, count, STANDSTILL * noise.sd)
+    enough = (moves & ~rests).sum() >= max(FEWEST, 0.3 * moves.sum())
+    return moves & ~rests if enough else moves
+
+
+def _rests(value: np.ndarray, valid: np.ndarray, count: int, reach: float) -> np.ndarray:
+    """(W,) True where ``count`` samples in a row lie within ``reach`` of each other."""
+    if value.shape[1] < count:
+        return np.zeros(len(value), dtype=bool)
+    runs = np.lib.stride_tricks.sliding_window_view(np.where(valid, value, np.nan), count, axis=1)
+    with np.errstate(invalid="ignore"):
+        spread = runs.max(-1) - runs.min(-1)
+    return (spread < reach).any(-1)
 
 
 def _channels(

@@ -1,0 +1,82 @@
+"""The baseline: the system as it is, and the system refitted within its own parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.prior import Prior
+from deepkoco.identify.push import Push
+from deepkoco.identify.windows import Windows
+from deepkoco.systems import ExtendedSystem, JointSystem
+from deepkoco.systems.effects import EFFECTS
+
+
+@dataclass(frozen=True)
+class Start:
+    """What the diagnosis takes for granted before it looks for causes.
+
+    Attributes:
+        system: The base system with every effect of the registry, at its present values.
+        values: Present value of every parameter, pushes included.
+        prior: Over the parameters that every fit frees.
+        floor: chi2 per sample that this unit shows when nothing is wrong.
+        effects: Effects that a healthy log of the unit asked for, part of the baseline from then on.
+    """
+
+    system: ExtendedSystem
+    values: dict[str, float]
+    prior: Prior
+    floor: float = 1.0
+    effects: tuple[str, ...] = ()
+
+
+def catalogue_system(system: JointSystem) -> ExtendedSystem:
+    """The system with every effect: those that it does not have yet are at their null values."""
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    return ExtendedSystem(base, tuple(EFFECTS), {p.name: p.value for p in system.parameters})
+
+
+def start_from(system: JointSystem, windows: Windows) -> Start:
+    """Start of a diagnosis that knows nothing but the system's declared parameters and priors."""
+    extended = catalogue_system(system)
+    values = {p.name: p.value for p in extended.parameters}
+    values |= {name: p.value for name, p in Push.declared(extended, windows).items()}
+    own = [p for p in extended.parameters if "." not in p.name]
+    return Start(extended, values, Prior.of(own))
+
+
+def refit(start: Start, windows: Windows, halves: Windows, free: tuple[str, ...] | None = None) -> Fit:
+    """Fit the baseline's parameters under their prior, first on windows of half the length.
+
+    A long window across an unstable equilibrium has many minima; the half windows have fewer, and give
+    both the parameters and the initial states from which the long ones start.
+
+    Args:
+        start: Prior and present values.
+        windows: The windows to fit.
+        halves: The same logs cut into windows of half the length.
+        free: Parameters to free; None frees all that the prior covers.
+    """
+    names = start.prior.names if free is None else free
+    short = FitProblem(start.system, halves)
+    state = short.fit_states(start.values, halves.state)
+    first = short.fit([Trial("half windows", names, start.prior, start.values, state)])[0]
+    problem = FitProblem(start.system, windows)
+    guess = states_from(windows, halves, first.state)
+    state = problem.fit_states(first.values, guess)
+    return problem.fit([Trial("refit", names, start.prior, first.values, state, first.zero)])[0]
+
+
+def states_from(windows: Windows, halves: Windows, state: torch.Tensor) -> torch.Tensor:
+    """Initial states of windows from those of the half windows that start at the same time."""
+    at = {(int(log), round(float(t0), 6)): i for i, (log, t0) in enumerate(zip(halves.log, halves.t0, strict=True))}
+    guess = windows.state.clone()
+    for w, (log, t0) in enumerate(zip(windows.log, windows.t0, strict=True)):
+        i = at.get((int(log), round(float(t0), 6)))
+        if i is not None and bool(np.isfinite(state[i].numpy()).all()):
+            guess[w] = state[i]
+    return guess

@@ -1,0 +1,60 @@
+"""Friction causes: torques against the motion of the joint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
+
+ADVICE = (
+    "Let the joint swing out freely from large and from small angles: the shape of the decay over the "
+    "amplitude tells friction laws apart."
+)
+
+
+def _stribeck_starts(hint: Hint) -> list[dict[str, float]]:
+    fast = float(np.quantile(np.abs(hint.omega), 0.9)) if len(hint.omega) else 1.0
+    level = 0.02 * hint.system.load_scale
+    speeds = [float(np.clip(share * fast, 0.06, 15.0)) for share in (0.05, 0.3)]
+    return [{"stribeck.breakaway": level, "stribeck.speed": v} for v in speeds] + [
+        {"stribeck.speed": v} for v in speeds
+    ]
+
+
+VISCOUS = Cause(
+    "viscous",
+    "friction",
+    ("viscous.change",),
+    "Friction in proportion to the speed differs.",
+    ADVICE,
+    "omega",
+    lambda motion: -motion.omega,
+)
+COULOMB = Cause(
+    "coulomb",
+    "friction",
+    ("coulomb.torque",),
+    "Dry friction of constant size acts on the joint.",
+    ADVICE,
+    "omega",
+    lambda motion: -np.sign(motion.omega),
+)
+STRIBECK = Cause(
+    "stribeck",
+    "friction",
+    ("stribeck.coulomb", "stribeck.breakaway", "stribeck.speed"),
+    "Dry friction acts on the joint and is larger near standstill.",
+    ADVICE,
+    "omega",
+    lambda motion: -np.sign(motion.omega) * np.exp(-((motion.omega / 0.5) ** 2)),
+    _stribeck_starts,
+)
+QUADRATIC = Cause(
+    "quadratic",
+    "friction",
+    ("quadratic.drag",),
+    "Drag grows with the square of the speed.",
+    ADVICE,
+    "omega",
+    lambda motion: -motion.omega * np.abs(motion.omega),
+)

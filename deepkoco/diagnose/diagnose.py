@@ -1,0 +1,267 @@
+"""The whole diagnosis: data in, named causes with their worth out."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import Start, refit, start_from
+from deepkoco.diagnose.causes import CAUSES, Cause
+from deepkoco.diagnose.classes import equivalent
+from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
+from deepkoco.diagnose.findings import advice_for, estimates, evidence_for, finding, localise, motion_of
+from deepkoco.diagnose.gain import Gain, held_out_gain
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.hints import hint_for
+from deepkoco.diagnose.residuals import SLOTS, dispersion, missing_torque, white_limit
+from deepkoco.diagnose.selection import DETECTION, FURTHER, Candidate, Ranking, pushes_from, rank
+from deepkoco.diagnose.unknown import describe, explained_share
+from deepkoco.graph.recording import Recording
+from deepkoco.identify.fit import Fit, FitProblem
+from deepkoco.identify.identifiability import unidentified
+from deepkoco.identify.windows import Windows, cut_windows, estimate_channels, moving, window_length
+from deepkoco.systems import ExtendedSystem, JointSystem, make_system
+
+FEWEST_WINDOWS = 4
+HELD_OUT = 4  # without hold-out logs, one window in four is kept back
+MOST_CAUSES = 3
+# Share of the excess chi2 that a cause must explain to be named while structure remains.
+EXPLAINED = 0.6
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Windows of one diagnosis: what is fitted, the same in halves, what is kept back."""
+
+    train: Windows
+    halves: Windows
+    held: Windows | None
+    resting: int
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    system: str | JointSystem,
+    healthy: Sequence[Recording] = (),
+    holdout: Sequence[Recording] = (),
+    seed: int = 0,
+    window: float | None = None,
+    detection: float = DETECTION,
+) -> Diagnosis:
+    """Say what a simulation gets wrong about a unit, from logs of it.
+
+    Every window of the logs is simulated under the logged commands from a free initial state. The
+    baseline's own parameters are refitted within their priors; each cause of the catalogue is then
+    fitted on top, ranked by the BIC, and named if it pays; causes that the data cannot tell apart are
+    named together. Further causes follow by forward selection. What remains decides between "nothing"
+    and "unknown"; windows (or logs) kept back tell what the extension is worth.
+
+    Args:
+        recordings: Logs to explain.
+        system: Name of the system, or a system (plain, or loaded from model.yaml).
+        healthy: Logs of the same unit in which nothing is wrong.
+        holdout: Logs that are never fitted; without them one window in four is kept back.
+        seed: Seed of the bootstrap.
+        window: Length of a window [s]; None takes about one period of the system.
+        detection: Fall of the BIC from which a cause is named.
+
+    Raises:
+        LogError: A log lacks a channel.
+        UnknownSystemError: There is no such system.
+    """
+    began = time.perf_counter()
+    base = make_system(system) if isinstance(system, str) else system
+    if not isinstance(base, JointSystem):
+        raise TypeError(f"{base.name} is no system with one joint")
+    length = window_length(base) if window is None else window
+    data = _cut(recordings, holdout, base, length)
+    if len(data.train) < FEWEST_WINDOWS:
+        return _insufficient(data, base, recordings, length, seed, began)
+    start = learn_baseline(healthy, base, length) if healthy else start_from(base, data.train)
+    return _Study(base, start, data, detection).run(recordings, length, seed, began)
+
+
+class _Study:
+    """One diagnosis under way."""
+
+    def __init__(self, system: JointSystem, start: Start, data: _Data, detection: float) -> None:
+        self.system, self.start, self.data, self.detection = system, start, data, detection
+        self.problem = FitProblem(start.system, data.train)
+        self.accepted: list[Cause] = []
+        self.steps: list[tuple[Ranking, tuple[str, ...]]] = []
+
+    def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
+        problem, start, data = self.problem, self.start, self.data
+        reference = refit(start, data.train, data.halves)
+        missing = missing_torque(problem, reference)
+        first, final = self._select(reference, missing)
+        chi2 = [fit.chi2 / data.train.samples for fit in (reference, final)]
+        after = dispersion(final, data.train)
+        limit = white_limit(data.train) * start.floor
+        structure = chi2[1] > limit or after.lag_one > 5.0 / np.sqrt(data.train.samples)
+        verdict = self._verdict(chi2[0], chi2[1], limit, structure)
+        named = self._named(missing) if verdict in ("cause", "ambiguous") else ()
+        if verdict not in ("cause", "ambiguous"):
+            final = reference
+        gain = self._gain(reference, final, seed)
+        left = describe(missing if final is reference else missing_torque(problem, final), after)
+        if verdict == "unknown":
+            named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
+        candidates = tuple(finding(problem, c, first) for c in first.candidates)
+        loose = unidentified(reference, start.prior)
+        return Diagnosis(
+            verdict=verdict,
+            causes=named,
+            candidates=candidates,
+            gain=gain,
+            chi2_before=chi2[0],
+            chi2_after=chi2[1] if final is not reference else chi2[0],
+            strength=float(np.sqrt(max(reference.chi2 - final.chi2, 0.0) / data.train.samples)),
+            windows=len(data.train),
+            window_s=length,
+            localisation=localise(missing),
+            advice=advice_for(named, data.train, self.system.command.unit),
+            data=describe_data(recordings, data),
+            refit=estimates(problem, reference, reference.free, first.deflation),
+            model=self._model(final),
+            seed=seed,
+            versions=versions(),
+            seconds=time.perf_counter() - began,
+            unexplained={**left, "not_identified": [vars(d) for d in loose], "white": not structure},
+            details=Details(
+                data.train, problem.evaluate(start.values, "baseline", reference.state), reference, final,
+                tuple(r for r, _ in self.steps), missing,
+            ),
+        )
+
+    def _select(self, reference: Fit, missing) -> tuple[Ranking, Fit]:
+        """Forward selection: the first ranking (over the whole catalogue) and the last fit."""
+        problem, start = self.problem, self.start
+        hint = hint_for(start.system, self.data.train, pushes_from(missing))
+        ranking = rank(problem, start, reference, (), hint)
+        first, final = ranking, reference
+        while ranking.candidates and ranking.best.delta_bic > (FURTHER if self.accepted else self.detection):
+            members = equivalent(problem, start, ranking, tuple(self.accepted))
+            self.steps.append((ranking, members))
+            self.accepted.append(ranking.best.cause)
+            final = ranking.best.fit
+            if len(self.accepted) == MOST_CAUSES:
+                break
+            hint = hint_for(start.system, self.data.train, pushes_from(missing_torque(problem, final)))
+            ranking = rank(problem, start, final, self.accepted, hint)
+        return first, final
+
+    def _verdict(self, before: float, after: float, limit: float, structure: bool) -> Verdict:
+        if not self.accepted:
+            return "unknown" if before > limit else "nothing"
+        if structure and after > limit and explained_share(before, after, self.start.floor) < EXPLAINED:
+            return "unknown"
+        families = {CAUSES[name].family for name in self.steps[0][1]}
+        return "ambiguous" if len(families) > 1 else "cause"
+
+    def _named(self, missing) -> tuple[Finding, ...]:
+        motion = motion_of(self.data.train, missing)
+        places = SLOTS * len(self.data.train)
+        result = []
+        for ranking, members in self.steps:
+            best: Candidate = ranking.best
+            evidence = evidence_for(best.cause, best, ranking, motion, missing, places)
+            result.append(finding(self.problem, best, ranking, members, evidence))
+        return tuple(result)
+
+    def _gain(self, reference: Fit, final: Fit, seed: int) -> Gain | None:
+        if self.data.held is None or len(self.data.held) == 0:
+            return None
+        quiet = {"event.torque": 0.0}
+        models = {
+            "baseline": self.start.values,
+            "refit": {**reference.values, **quiet},
+            "extended": {**final.values, **quiet},
+        }
+        return held_out_gain(self.start.system, self.data.held, models, seed)
+
+    def _model(self, final: Fit) -> ExtendedSystem:
+        had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()
+        found = tuple(c.effect for c in self.accepted if c.effect != "event")
+        effects = tuple(dict.fromkeys((*had, *self.start.effects, *found)))
+        kept = {
+            p.name: final.values[p.name]
+            for p in self.start.system.parameters
+            if "." not in p.name or p.name.split(".")[0] in effects
+        }
+        base = self.system.base if isinstance(self.system, ExtendedSystem) else self.system
+        return ExtendedSystem(base, effects, kept)
+
+
+def _cut(recordings: Sequence[Recording], holdout: Sequence[Recording], system: JointSystem, length: float) -> _Data:
+    noise = estimate_channels(recordings, system)
+    windows = cut_windows(recordings, system, length, noise)
+    moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
+    order = np.arange(len(windows))
+    keep_back = (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & (moves.sum() >= 2 * HELD_OUT)
+    train = windows.take(moves & ~keep_back)
+    if holdout:
+        held = cut_windows(holdout, system, length, estimate_channels(holdout, system))
+        held = held.take(moving(held)) if len(held) else held
+    else:
+        held = windows.take(moves & keep_back) if keep_back.any() else None
+    halves = cut_windows(recordings, system, 0.5 * length, noise)
+    inside = {(int(log), round(float(t), 6)) for log, t in zip(train.log, train.t0, strict=True)}
+    half = round(0.5 * length, 6)
+    mine = [
+        (int(log), round(float(t), 6)) in inside or (int(log), round(float(t) - half, 6)) in inside
+        for log, t in zip(halves.log, halves.t0, strict=True)
+    ]
+    return _Data(train, halves.take(np.array(mine, dtype=bool)), held, int((~moves).sum()))
+
+
+def _insufficient(
+    data: _Data, system: JointSystem, recordings: Sequence[Recording], length: float, seed: int, began: float
+) -> Diagnosis:
+    found = len(data.train)
+    advice = (
+        f"Only {found} windows of {length:.2g} s in which the joint moves; at least {FEWEST_WINDOWS} are needed. "
+        f"Record at least {2 * FEWEST_WINDOWS * length:.0f} s of motion with steps, prbs or a chirp that moves the "
+        f"joint well beyond its sensor noise.",
+    )
+    return Diagnosis(
+        "insufficient", (), (), None, float("nan"), float("nan"), 0.0, found, length, (), advice,
+        describe_data(recordings, data), {}, system, seed, versions(), time.perf_counter() - began,
+    )
+
+
+def describe_data(recordings: Sequence[Recording], data: _Data) -> dict:
+    """Files, lengths, noise and windows, for the report."""
+    logs = []
+    for recording in recordings:
+        logs.append(
+            {
+                "file": recording.path.name if recording.path else None,
+                "seconds": recording.stop - recording.start,
+                "samples": {name: len(series) for name, series in recording.channels.items()},
+            }
+        )
+    return {
+        "logs": logs,
+        "noise_sd": [n.sd for n in data.train.noise],
+        "windows_resting": data.resting,
+        "windows_held_out": 0 if data.held is None else len(data.held),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions that a result depends on."""
+    result = {"python": platform.python_version()}
+    for package in ("deepkoco", "torch", "numpy", "scipy"):
+        try:
+            result[package] = version(package)
+        except PackageNotFoundError:
+            result[package] = "unknown"
+    return result
+
+

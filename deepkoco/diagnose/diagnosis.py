@@ -1,0 +1,198 @@
+"""The result of a diagnosis and its contract, report.json."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from deepkoco.diagnose.gain import Gain
+from deepkoco.diagnose.residuals import MissingTorque
+from deepkoco.diagnose.selection import Ranking
+from deepkoco.identify.fit import Fit
+from deepkoco.identify.windows import Windows
+from deepkoco.systems import JointSystem
+
+SCHEMA = 1
+Verdict = Literal["cause", "nothing", "unknown", "ambiguous", "insufficient"]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One number that speaks for (or against) a cause, and the value it is compared with."""
+
+    kind: str
+    statistic: float
+    threshold: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One cause (or candidate) as reported."""
+
+    name: str
+    family: str
+    members: tuple[str, ...]
+    delta_bic: float
+    probability: float
+    parameters: dict[str, Estimate]
+    evidence: tuple[Evidence, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """The finding under the contract's keys."""
+        return {
+            "name": self.name,
+            "family": self.family,
+            "class": list(self.members),
+            "delta_bic": self.delta_bic,
+            "probability": self.probability,
+            "parameters": {n: vars(e) for n, e in self.parameters.items()},
+            "evidence": [vars(e) for e in self.evidence],
+        }
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """A stretch of time in which the refitted baseline misses more torque than elsewhere."""
+
+    t0: float
+    t1: float
+    channel: str
+    size: float
+    unit: str
+    log: int = 0
+
+
+@dataclass(frozen=True)
+class Details:
+    """What the figures are drawn from; not part of report.json."""
+
+    windows: Windows
+    nominal: Fit
+    refit: Fit
+    final: Fit
+    rankings: tuple[Ranking, ...]
+    missing: MissingTorque | None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the simulation gets wrong, why, and what it is worth to know.
+
+    Attributes:
+        verdict: "cause", "ambiguous" (named, but causes of several families fit as well), "nothing",
+            "unknown" (structure that nothing in the catalogue explains) or "insufficient" data.
+        causes: Named causes, strongest first.
+        candidates: Every candidate that was tried, ranked.
+        gain: Held-out errors; None without held-out windows.
+        chi2_before: chi2 per sample of the refitted baseline on the training windows.
+        chi2_after: The same with the causes.
+        strength: Root mean square of what the causes explain, in noise standard deviations.
+        windows: Number of training windows.
+        window_s: Their length [s].
+        localisation: Where in time torque is missing.
+        advice: Experiments that would settle what is open.
+        data: What was read and what was left out.
+        refit: Baseline parameters after the refit, with intervals.
+        model: The extended system, with the fitted values as its nominal ones.
+        seed: Seed.
+        versions: Versions of the package and of what it computes with.
+        seconds: Wall-clock time of the diagnosis.
+        details: Arrays behind the figures; None when the data do not suffice.
+    """
+
+    verdict: Verdict
+    causes: tuple[Finding, ...]
+    candidates: tuple[Finding, ...]
+    gain: Gain | None
+    chi2_before: float
+    chi2_after: float
+    strength: float
+    windows: int
+    window_s: float
+    localisation: tuple[Localisation, ...]
+    advice: tuple[str, ...]
+    data: dict[str, Any]
+    refit: dict[str, Estimate]
+    model: JointSystem
+    seed: int
+    versions: dict[str, str]
+    seconds: float
+    unexplained: dict[str, Any] = field(default_factory=dict)
+    details: Details | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the causes, strongest first."""
+        return tuple(c.name for c in self.causes)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of report.json: plain lists, numbers and text."""
+        return _plain(
+            {
+                "schema": SCHEMA,
+                "verdict": self.verdict,
+                "causes": [c.to_json() for c in self.causes],
+                "candidates": [c.to_json() for c in self.candidates],
+                "gain": self._gain(),
+                "fit": {
+                    "chi2_per_sample_before": self.chi2_before,
+                    "chi2_per_sample_after": self.chi2_after,
+                    "strength": self.strength,
+                    "windows": self.windows,
+                    "window_s": self.window_s,
+                    "refit": {n: vars(e) for n, e in self.refit.items()},
+                },
+                "localisation": [vars(place) for place in self.localisation],
+                "excitation_advice": list(self.advice),
+                "unexplained": self.unexplained,
+                "data": self.data,
+                "seed": self.seed,
+                "versions": self.versions,
+                "seconds": self.seconds,
+            }
+        )
+
+    def _gain(self) -> dict[str, Any] | None:
+        if self.gain is None:
+            return None
+        g = self.gain
+        return {
+            "metric": "simulation_rmse",
+            "horizon_s": g.horizon,
+            "channels": {
+                c.name: {"baseline": c.baseline, "refit": c.refit, "extended": c.extended, "unit": c.unit}
+                for c in g.channels
+            },
+            "reduction_vs_refit": g.reduction,
+            "low": g.low,
+            "high": g.high,
+            "windows": g.windows,
+        }
+
+
+def _plain(value: Any) -> Any:
+    """Replace numpy numbers and non-finite values, which JSON does not know."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,91 @@
+"""What healthy logs of the same unit teach: its parameters, its model-error floor, its spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import Start, refit, start_from
+from deepkoco.diagnose.causes import CAUSES
+from deepkoco.diagnose.hints import hint_for
+from deepkoco.diagnose.residuals import dispersion, missing_torque
+from deepkoco.diagnose.selection import DETECTION, prior_with, pushes_from, rank
+from deepkoco.graph.recording import Recording
+from deepkoco.identify.fit import Fit, FitProblem
+from deepkoco.identify.prior import Prior
+from deepkoco.identify.windows import cut_windows, moving
+from deepkoco.systems import JointSystem
+
+# A healthy unit may need several small extensions before only noise is left.
+LARGEST_EXTENSION = 4
+
+
+def learn_baseline(recordings: Sequence[Recording], system: JointSystem, length: float) -> Start:
+    """Refit, and where needed extend, the baseline on logs in which nothing is wrong.
+
+    Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would be taken for
+    causes later on. Forward selection on the healthy logs adds them to the baseline; the uncertainty of
+    that fit becomes the prior of the diagnosis, and its chi2 per sample the floor. With two or more logs
+    the spread of their separate refits widens the prior: real parameters vary from run to run.
+
+    Args:
+        recordings: Healthy logs.
+        system: The system.
+        length: Length of the windows [s].
+    """
+    windows = cut_windows(recordings, system, length)
+    windows = windows.take(moving(windows))
+    halves = cut_windows(recordings, system, 0.5 * length, windows.noise)
+    halves = halves.take(moving(halves))
+    start = start_from(system, windows)
+    problem = FitProblem(start.system, windows)
+    fit = refit(start, windows, halves)
+    accepted: list[str] = []
+    for _ in range(LARGEST_EXTENSION):
+        hint = hint_for(start.system, windows, pushes_from(missing_torque(problem, fit)))
+        causes = [c for c in CAUSES.values() if c.effect != "event"]
+        ranking = rank(problem, start, fit, [CAUSES[n] for n in accepted], hint, causes)
+        if ranking.best.delta_bic < DETECTION:
+            break
+        fit = ranking.best.fit
+        accepted.append(ranking.best.cause.name)
+    prior = prior_with(problem, start, [CAUSES[n] for n in accepted], fit.values)
+    centre = np.array([fit.values[n] for n in prior.names])
+    spread = dispersion(fit, windows)
+    covariance = fit.covariance * spread.deflation + _run_to_run(recordings, system, length, start, fit)
+    return replace(
+        start,
+        values=dict(fit.values),
+        prior=Prior(prior.names, centre, covariance),
+        floor=max(1.0, spread.chi2_per_sample),
+        effects=tuple(dict.fromkeys(CAUSES[n].effect for n in accepted)),
+    )
+
+
+def _run_to_run(
+    recordings: Sequence[Recording], system: JointSystem, length: float, start: Start, pooled: Fit
+) -> np.ndarray:
+    """Covariance (diagonal) of the baseline's parameters between logs, 0 for a single log."""
+    size = len(pooled.free)
+    if len(recordings) < 2:
+        return np.zeros((size, size))
+    fits = []
+    for recording in recordings:
+        windows = cut_windows([recording], system, length)
+        halves = cut_windows([recording], system, 0.5 * length, windows.noise)
+        windows, halves = windows.take(moving(windows)), halves.take(moving(halves))
+        if len(windows) >= 3:
+            own = replace(start, values=dict(pooled.values))
+            fits.append(refit(own, windows, halves, start.prior.names))
+    if len(fits) < 2:
+        return np.zeros((size, size))
+    result = np.zeros((size, size))
+    for i, name in enumerate(pooled.free):
+        if name in fits[0].free:
+            j = fits[0].free.index(name)
+            between = np.var([f.values[name] for f in fits], ddof=1)
+            within = np.mean([f.covariance[j, j] for f in fits])
+            result[i, i] = max(float(between - within), 0.0)
+    return result

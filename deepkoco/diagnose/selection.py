@@ -1,0 +1,168 @@
+"""Fit every cause of the catalogue, rank them, and decide which are there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.causes import CAUSES, Cause, Hint
+from deepkoco.diagnose.residuals import SLOTS, Dispersion, MissingTorque, dispersion
+from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.prior import Prior
+from deepkoco.identify.push import Push
+from deepkoco.systems import Parameter
+
+# Fall of the BIC that a first cause must reach, and each further one. Calibrated on logs of units in
+# which nothing is wrong (results/diagnose/), on other seeds than the tests use.
+DETECTION = 6.0
+FURTHER = 10.0
+SCOUTING = 4  # iterations after which only the best start of each cause goes on
+ITERATIONS = 14
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One cause, fitted together with the baseline's parameters.
+
+    Attributes:
+        cause: The cause.
+        fit: Its fit; never worse than the reference that it extends.
+        likelihood_ratio: Fall of the cost against the reference, under white noise.
+        delta_bic: Fall of the BIC against the reference, after deflation; above 0 it pays.
+    """
+
+    cause: Cause
+    fit: Fit
+    likelihood_ratio: float
+    delta_bic: float
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Candidates from best to worst, and the yardstick they were measured with."""
+
+    reference: Fit
+    candidates: tuple[Candidate, ...]
+    dispersion: Dispersion
+    deflation: float
+    samples: float  # effective number of samples
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate whose BIC falls most."""
+        return self.candidates[0]
+
+    def probabilities(self) -> dict[str, float]:
+        """Weight of each candidate among all and the reference, exp(delta BIC / 2) normalised."""
+        score = np.array([0.0] + [c.delta_bic for c in self.candidates])
+        weight = np.exp(0.5 * (score - score.max()))
+        return dict(zip([c.cause.name for c in self.candidates], weight[1:] / weight.sum(), strict=True))
+
+
+def penalty(cause: Cause, samples: float, places: int) -> float:
+    """What the BIC charges for a cause that was searched for at ``places`` places."""
+    charge = cause.size * math.log(max(samples, 2.0))
+    return charge + (2.0 * math.log(max(places, 1)) if cause.searched else 0.0)
+
+
+def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
+    """Declarations of parameters, pushes included, by full name."""
+    pushes = Push.declared(problem.system, problem.windows)
+    return [pushes[n] if n in pushes else problem.system.parameter(n) for n in names]
+
+
+def prior_with(problem: FitProblem, start: Start, causes: Sequence[Cause], values: Mapping[str, float]) -> Prior:
+    """The baseline's prior, widened by what the causes free."""
+    prior = start.prior
+    for cause in causes:
+        centre = {n: values[n] if n in Push.NAMES[1:3] else start.values[n] for n in cause.free}
+        prior = prior.widened(declared(problem, cause.free), centre)
+    return prior
+
+
+def rank(
+    problem: FitProblem,
+    start: Start,
+    reference: Fit,
+    accepted: Sequence[Cause],
+    hint: Hint,
+    causes: Sequence[Cause] | None = None,
+) -> Ranking:
+    """Fit each cause on top of a reference and rank them by the BIC.
+
+    Args:
+        problem: Training windows.
+        start: The baseline.
+        reference: Fit of the baseline with the causes accepted so far.
+        accepted: Those causes.
+        hint: What causes look at for their start values.
+        causes: Causes to try; None tries the whole catalogue.
+    """
+    tried = [c for c in (causes or CAUSES.values()) if c not in accepted]
+    trials, owner = [], []
+    for cause in tried:
+        for place in cause.starts(hint):
+            values = {**reference.values, **place}
+            prior = prior_with(problem, start, [*accepted, cause], values)
+            trials.append(Trial(cause.name, prior.names, prior, values, reference.state, reference.zero))
+            owner.append(cause)
+    scouts = problem.fit(trials, SCOUTING)
+    best: dict[str, tuple[Fit, Trial]] = {}
+    for trial, scout in zip(trials, scouts, strict=True):
+        if trial.name not in best or scout.cost < best[trial.name][0].cost:
+            best[trial.name] = (scout, trial)
+    running = [name for name, (scout, _) in best.items() if not scout.converged]
+    longer = problem.fit(
+        [
+            Trial(name, best[name][1].free, best[name][1].prior, best[name][0].values, best[name][0].state, best[name][0].zero)
+            for name in running
+        ],
+        ITERATIONS,
+    )
+    fits = {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
+    return _ranked(problem, start, reference, tried, fits)
+
+
+def _ranked(
+    problem: FitProblem, start: Start, reference: Fit, tried: Sequence[Cause], fits: Mapping[str, Fit]
+) -> Ranking:
+    lowest = min([reference, *fits.values()], key=lambda fit: fit.cost)
+    spread = dispersion(lowest, problem.windows)
+    deflation = max(spread.deflation, start.floor)
+    samples = problem.windows.samples / spread.correlation
+    places = SLOTS * len(problem.windows)
+    candidates = []
+    for cause in tried:
+        if cause.name not in fits:
+            continue
+        fit = fits[cause.name]
+        ratio = reference.cost - fit.cost
+        if ratio < 0.0:
+            # The null value is one of its values: where no start finds better, it stays there.
+            fit, ratio = reference, 0.0
+        score = ratio / deflation - penalty(cause, samples, places)
+        candidates.append(Candidate(cause, fit, ratio, score))
+    candidates.sort(key=lambda c: -c.delta_bic)
+    return Ranking(reference, tuple(candidates), spread, deflation, samples)
+
+
+def pushes_from(missing: MissingTorque) -> tuple[dict[str, float], ...]:
+    """Starts of a push: the slots (and runs of slots) where an outside torque would help most."""
+    found = []
+    for width in (1, 3):
+        kernel = np.ones(width)
+        score = np.apply_along_axis(lambda row: np.convolve(row, kernel, "valid"), 1, missing.score)
+        w, k = np.unravel_index(int(np.argmax(score)), score.shape)
+        found.append(
+            {
+                "event.torque": float(missing.single[w, k : k + width].mean()) / width,
+                "event.start": float(missing.time[w, k] - 0.5 * missing.slot),
+                "event.duration": width * missing.slot,
+                "event.log": float(missing.log[w]),
+            }
+        )
+    return tuple(found)

@@ -1,0 +1,60 @@
+"""What remains when nothing in the catalogue explains the residuals: describe it, do not name it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from deepkoco.diagnose.residuals import Dispersion, MissingTorque
+
+# Terms a missing torque is regressed on: name -> function of (theta, omega, load scale).
+TERMS = {
+    "1": lambda theta, omega: np.ones_like(theta),
+    "omega": lambda theta, omega: omega,
+    "sign(omega)": lambda theta, omega: np.sign(omega),
+    "omega |omega|": lambda theta, omega: omega * np.abs(omega),
+    "sin(theta)": lambda theta, omega: np.sin(theta),
+    "cos(theta)": lambda theta, omega: np.cos(theta),
+    "sin(2 theta)": lambda theta, omega: np.sin(2 * theta),
+    "cos(2 theta)": lambda theta, omega: np.cos(2 * theta),
+}
+
+
+def explained_share(before: float, after: float, floor: float) -> float:
+    """Share of the excess chi2 per sample that the named causes take away."""
+    return (before - after) / max(before - floor, 1e-12)
+
+
+def describe(missing: MissingTorque, spread: Dispersion) -> dict[str, Any]:
+    """Signatures of what remains, for the report.
+
+    Returns:
+        ``chi2_per_sample``, ``lag_one`` (correlation of neighbours, 0 if white), ``kurtosis`` of the
+        missing torque (0 if normal; large for a few pushes), ``correlations`` of it with simple terms in
+        angle and speed, and ``worst`` (time, angle, speed where it is largest).
+    """
+    torque = missing.torque.ravel()
+    centred = torque - torque.mean()
+    power = float((centred**2).mean())
+    theta, omega = missing.theta.ravel(), missing.omega.ravel()
+    at = int(np.argmax(np.abs(torque)))
+    return {
+        "chi2_per_sample": spread.chi2_per_sample,
+        "lag_one": spread.lag_one,
+        "kurtosis": float((centred**4).mean() / max(power**2, 1e-300) - 3.0),
+        "correlations": {
+            name: _correlation(torque, term(theta, omega)) for name, term in TERMS.items() if name != "1"
+        },
+        "worst": {
+            "time_s": float(missing.time.ravel()[at]),
+            "theta_rad": float(theta[at]),
+            "omega_rad_s": float(omega[at]),
+            "torque_nm": float(torque[at]),
+        },
+    }
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    return float((a * b).sum() / max(np.sqrt((a**2).sum() * (b**2).sum()), 1e-300))
