@@ -17,12 +17,14 @@ class World(Node):
     Tick 0 puts out the start state; tick k integrates over (t_{k-1}, t_k]. The effort over a tick is the
     time average of the zero-order-hold commands received in it, so a delay may be finer than a tick.
 
+    The joint goes no faster than the task's speed limit, as in Gymnasium's Pendulum-v1: without friction a
+    random command would else spin it up without end.
+
     Args:
         system: Dynamics.
         task: Draws the start state.
         rate: Ticks per second [Hz].
-        integrator: ``rk4``, or ``semi_implicit_euler`` with the task's speed limit, which at the control
-            rate is Gymnasium's own scheme.
+        integrator: ``rk4``, or ``semi_implicit_euler``, which at the control rate is Gymnasium's own scheme.
     """
 
     def __init__(self, system: JointSystem, task: SwingUp, rate: float, integrator: str) -> None:
@@ -62,7 +64,9 @@ class World(Node):
         return {"state": now, "effort": delivered, "started": torch.ones_like(started)}, now
 
     def _rk4(self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters) -> Tensor:
-        return rk4_step(self.system, state, effort, dt, parameters)
+        after = rk4_step(self.system, state, effort, dt, parameters)
+        limit = self.task.speed_limit
+        return torch.stack([after[..., 0], after[..., 1].clamp(-limit, limit)], -1)
 
     def _semi_implicit_euler(
         self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters

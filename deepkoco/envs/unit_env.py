@@ -27,6 +27,7 @@ class UnitEnv(gymnasium.Env):
         clock: ``wall``: the unit's own process in real time; ``simulated``: virtual time, faster.
         episode_steps: Steps after which the episode is cut.
         action_units: ``normalized`` or ``physical``, as in the simulated environments.
+        action_history: How many past actions are appended to the observation, newest first.
         render_mode: None or ``rgb_array``, drawn from the last measurement.
         render_size: Side of the picture [pixels].
     """
@@ -39,6 +40,7 @@ class UnitEnv(gymnasium.Env):
         clock: str = "wall",
         episode_steps: int = 200,
         action_units: str = "physical",
+        action_history: int = 0,
         render_mode: str | None = None,
         render_size: int = 256,
     ) -> None:
@@ -52,8 +54,13 @@ class UnitEnv(gymnasium.Env):
         bound = np.array([limit / self.action_scale], np.float32)
         self.action_space = spaces.Box(-bound, bound, dtype=np.float32)
         entries = np.array(self.task.observation_bounds, np.float32)
+        entries = np.concatenate([entries, np.tile(bound, action_history)])
+        self._history = np.zeros(action_history, np.float32)
         self.observation_space = spaces.Box(-entries, entries, dtype=np.float32)
-        self._unit = {"wall": Unit, "simulated": SimulatedUnit}[clock](spec)
+        clocks = {"wall": Unit, "simulated": SimulatedUnit}
+        if clock not in clocks:
+            raise ValueError(f'clock "{clock}" is none of {", ".join(clocks)}')
+        self._unit = clocks[clock](spec)
         self._loop: ControlLoop | None = None
 
     @property
@@ -74,6 +81,7 @@ class UnitEnv(gymnasium.Env):
             self._loop = ControlLoop(self._unit, self.task.control_rate)
         self._take(self._loop.reset((float(state[0]), float(state[1]))).values)
         self._elapsed, self._command = 0, 0.0
+        self._history[:] = 0.0
         return self._observation(), self._info()
 
     def step(self, action: np.ndarray):
@@ -83,6 +91,7 @@ class UnitEnv(gymnasium.Env):
         self._command = float(np.clip(np.asarray(action).item() * self.action_scale, -limit, limit))
         command = torch.tensor(self._command, dtype=torch.float64)
         cost = float(self.task.cost(self.system, self._measured, command))
+        self._history = np.append(self._command / self.action_scale, self._history)[: len(self._history)]
         self._take(self._loop.step(self._command).values)
         self._elapsed += 1
         return self._observation(), -cost, False, self._elapsed >= self.episode_steps, self._info()
@@ -102,7 +111,8 @@ class UnitEnv(gymnasium.Env):
         self._measured = torch.tensor(values, dtype=torch.float64)
 
     def _observation(self) -> np.ndarray:
-        return self.task.observation(self.system, self._measured).numpy().astype(np.float32)
+        observation = self.task.observation(self.system, self._measured).numpy()
+        return np.concatenate([observation, self._history]).astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
         return {"angle_from_upright": float(self.task.angle_from_upright(self.system, self._measured))}
