@@ -1,0 +1,212 @@
+"""Run trained policies on a unit: `python -m experiments.unit_trials RUN [RUN ...] --unit UNIT.yaml --json`.
+
+Every policy starts from the same states and among the same distractors, so differences are paired.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.stats import bootstrap
+
+from deepkoco.agent import load_policy
+from deepkoco.envs.distractors import StateDistractors
+from deepkoco.envs.film import write_clip
+from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.koopman.exported import ModelFolderError
+from deepkoco.unit import UnitError, UnitSpec, UnitSpecError, load_unit
+from experiments.environments import ExperimentError
+from experiments.settings import TrainRunConfig
+from experiments.train import load_run_config
+
+UPRIGHT_ANGLE = 0.5  # mean distance from upright over the last quarter that counts as standing [rad]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One episode of one policy on the unit.
+
+    Attributes:
+        policy: Name of the policy's run.
+        episode: Number of the start state.
+        cost: Sum of the step costs.
+        upright: Whether it stood at the end.
+        overruns: Control steps that came too late.
+        frames: Pictures, if they were asked for.
+    """
+
+    policy: str
+    episode: int
+    cost: float
+    upright: bool
+    overruns: int
+    frames: tuple[np.ndarray, ...] = ()
+
+
+def run_trial(
+    run: Path, unit: UnitSpec, episode: int, clock: str = "wall", seed: int = 0, film: bool = False
+) -> Trial:
+    """Run one noise-free episode of a trained policy on the unit.
+
+    Args:
+        run: Folder of the training run.
+        unit: The unit.
+        episode: Number of the episode, which with `seed` fixes start state and distractors.
+        clock: "wall" or "simulated".
+        seed: Seed of the set of episodes.
+        film: Whether to draw every step.
+
+    Returns:
+        The trial.
+    """
+    config = load_run_config(run)
+    policy = load_policy(run)
+    env = _environment(config, unit, clock, film)
+    costs, angles, frames = [], [], []
+    try:
+        observation, info = env.reset(
+            seed=int(np.random.SeedSequence([seed, episode]).generate_state(1)[0] >> 1)
+        )
+        policy.reset()
+        ended = False
+        while not ended:
+            if film:
+                frames.append(env.render())
+            observation, reward, _, ended, info = env.step(policy.act(observation))
+            costs.append(-float(reward))
+            angles.append(abs(info["angle_from_upright"]))
+        unit_env = env.unwrapped
+        assert isinstance(unit_env, UnitEnv)
+        overruns = int(unit_env.timing["overruns"])
+    finally:
+        env.close()
+    upright = float(np.mean(angles[-len(angles) // 4 :])) < UPRIGHT_ANGLE
+    return Trial(run.name, episode, float(np.sum(costs)), upright, overruns, tuple(frames))
+
+
+def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool):
+    kwargs = config.env.kwargs
+    env = UnitEnv(
+        unit,
+        clock,
+        action_units=kwargs.get("action_units", "normalized"),
+        action_history=kwargs.get("action_history", 0),
+        render_mode="rgb_array" if film else None,
+    )
+    if config.distractors == "none":
+        return env
+    return StateDistractors(env, config.env.system, shuffle_seed=config.seed)
+
+
+def run_trials(
+    runs: Sequence[Path], unit: UnitSpec, episodes: int, clock: str = "wall", seed: int = 0, parallel: int = 8
+) -> list[Trial]:
+    """Run every policy from the same start states, several units at once.
+
+    Args:
+        runs: Folders of training runs.
+        unit: The unit; each trial gets a process of its own.
+        episodes: Episodes for each policy.
+        clock: "wall" or "simulated".
+        seed: Seed of the set of episodes.
+        parallel: Units that run at once.
+
+    Returns:
+        The trials, episode by episode.
+    """
+    # Alternating the policies spreads whatever the machine does to the timing over both of them.
+    jobs = [(run, episode) for episode in range(episodes) for run in runs]
+    with ThreadPoolExecutor(parallel if clock == "wall" else 1) as pool:
+        return list(pool.map(lambda job: run_trial(job[0], unit, job[1], clock, seed), jobs))
+
+
+def interval(values: np.ndarray, seed: int = 0) -> tuple[float, float, float]:
+    """Mean and its 95 % bootstrap interval.
+
+    Args:
+        values: (n,) values.
+        seed: Seed of the bootstrap.
+    """
+    if len(values) < 2 or np.ptp(values) == 0:
+        mean = float(np.mean(values))
+        return mean, mean, mean
+    result = bootstrap((values,), np.mean, n_resamples=9999, rng=np.random.default_rng(seed))
+    low, high = result.confidence_interval
+    return float(np.mean(values)), float(low), float(high)
+
+
+def summarise(trials: Sequence[Trial]) -> dict:
+    """Costs per policy and paired differences to the first one, with intervals."""
+    names = list(dict.fromkeys(trial.policy for trial in trials))
+    ordered = sorted(trials, key=lambda trial: trial.episode)
+    costs = {name: np.array([t.cost for t in ordered if t.policy == name]) for name in names}
+    summary = {}
+    for name, values in costs.items():
+        own = [trial for trial in trials if trial.policy == name]
+        mean, low, high = interval(values)
+        saved, saved_low, saved_high = interval(costs[names[0]] - values)
+        summary[name] = {
+            "episodes": len(own),
+            "mean": mean,
+            "low": low,
+            "high": high,
+            "median": float(np.median(values)),
+            "upright": float(np.mean([trial.upright for trial in own])),
+            "overruns": sum(trial.overruns for trial in own),
+            "saved_against_first": {"mean": saved, "low": saved_low, "high": saved_high},
+        }
+    return summary
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description="Run trained policies on a unit.")
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folders of finished training runs")
+    parser.add_argument("--unit", type=Path, required=True, help="UNIT.yaml")
+    parser.add_argument("--episodes", type=int, default=20, help="episodes for each policy (default 20)")
+    parser.add_argument("--clock", choices=("wall", "simulated"), default="wall", help="real or virtual time")
+    parser.add_argument("--parallel", type=int, default=8, help="units that run at once (default 8)")
+    parser.add_argument("--seed", type=int, default=0, help="which set of start states (default 0)")
+    parser.add_argument("--out", type=Path, help="new folder for trials.csv and films")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args(arguments)
+    try:
+        unit = load_unit(args.unit)
+        if args.out is not None and args.out.exists():
+            raise ExperimentError(f"{args.out}: exists already; choose another --out")
+        if args.episodes < 1 or args.parallel < 1:
+            raise ExperimentError("--episodes and --parallel take 1 or more")
+        trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel)
+        if args.out is not None:
+            args.out.mkdir(parents=True)
+            rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
+            pd.DataFrame(rows).to_csv(args.out / "trials.csv", index=False)
+            for run in args.runs:
+                film = run_trial(run, unit, 0, args.clock, args.seed, film=True)
+                write_clip(args.out / f"{run.name}.webm", film.frames, 20.0)
+    except (ExperimentError, ModelFolderError, UnitSpecError, UnitError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    summary = summarise(trials)
+    if args.json:
+        print(json.dumps(summary))
+        return 0
+    for name, row in summary.items():
+        print(
+            f"{name}: cost {row['mean']:.1f} [{row['low']:.1f}, {row['high']:.1f}], "
+            f"median {row['median']:.1f}, "
+            f"upright {100 * row['upright']:.0f} % of {row['episodes']}, late steps {row['overruns']}"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
