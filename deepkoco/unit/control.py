@@ -78,6 +78,11 @@ class ControlLoop:
             UnitError: The unit has died.
             RuntimeError: The loop has not been reset.
         """
+        self.send(command)
+        return self.wait()
+
+    def send(self, command: float) -> None:
+        """First half of :meth:`step`: several units are stepped at once by sending to all, then waiting."""
         if self._latest is None:
             raise RuntimeError("step before reset: call reset first")
         sent = self.unit.send(command)
@@ -85,10 +90,13 @@ class ControlLoop:
         if sent > self._due:
             self.stats.overruns += 1
             self._tick = int((sent - self._origin) * self.rate) + 1
-        while (left := self._due - self.unit.now()) >= 0.0:
-            message = self.unit.poll(left)
-            if message is None:
-                break
+
+    def wait(self) -> SensorMessage:
+        """Second half of :meth:`step`."""
+        if self._latest is None:
+            raise RuntimeError("step before reset: call reset first")
+        # Past the tick, the messages that are there already still count.
+        while (message := self.unit.poll(max(0.0, self._due - self.unit.now()))) is not None:
             self._take(message)
         now = self.unit.now()
         stats = self.stats

@@ -30,6 +30,18 @@ def test_commands_reach_the_unit():
     assert pushed.values[1] == pytest.approx(3.0 * 0.05, rel=0.06)
 
 
+def test_several_units_step_at_once():
+    units = [SimulatedUnit(SPEC) for _ in range(3)]
+    together, alone = [ControlLoop(u, 20.0) for u in units], ControlLoop(SimulatedUnit(SPEC), 20.0)
+    for loop in (*together, alone):
+        loop.reset((1.0, 0.0))
+    for loop, command in zip(together, (-1.0, 0.0, 1.0), strict=True):
+        loop.send(command)
+    messages = [loop.wait() for loop in together]
+    assert messages[2] == alone.step(1.0)
+    assert messages[0].values[1] < messages[1].values[1] < messages[2].values[1]
+
+
 def test_delayed_sensor_gives_the_newest_there_is():
     delayed = make_unit("rod_pendulum", effects={"sensing_delay": {"delay": 0.03}})
     with SimulatedUnit(delayed) as unit:

@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.systems import make_system
 from deepkoco.unit import EXCITATIONS, ExcitationError, make_excitation, make_unit, policy_excitation
-from deepkoco.unit.excitation import natural_frequency
+from deepkoco.unit.excitation import load_policy_excitation, natural_frequency
 from deepkoco.unit.record import record
 
 SYSTEMS = ("pendulum", "rod_pendulum", "torque_pendulum")
@@ -97,3 +99,23 @@ def test_policy_is_cut_to_the_limits():
 def test_bad_excitation_is_named(arguments, message):
     with pytest.raises(ExcitationError, match=message):
         make_excitation(*arguments)
+
+
+def test_trained_policy_drives_the_unit_at_its_own_rate(tmp_path):
+    torch.manual_seed(0)
+    model = export_model(KoopmanModel(3, 1, ModelConfig(3, 0.05, (8,), (6,))))
+    model.save(tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]})
+    excitation, rate = load_policy_excitation(tmp_path / "policy", "rod_pendulum")
+    recording = record(make_unit("rod_pendulum"), excitation, 2.0, clock="simulated", control_rate=rate)
+    torque = recording.channels["torque"].value
+    assert rate == 20.0
+    assert len(torque) == 41
+    assert np.ptp(torque) > 0.0
+    assert np.abs(torque).max() <= 2.0
+
+
+def test_policy_for_other_observations_is_refused(tmp_path):
+    model = export_model(KoopmanModel(15, 1, ModelConfig(3, 0.05, (8,), (6,))))
+    model.save(tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]})
+    with pytest.raises(ExcitationError, match="takes 15 observations, rod_pendulum gives 3"):
+        load_policy_excitation(tmp_path / "policy", "rod_pendulum")
