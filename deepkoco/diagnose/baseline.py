@@ -73,7 +73,10 @@ def refit(start: Start, windows: Windows, halves: Windows, free: tuple[str, ...]
 
 def states_from(windows: Windows, halves: Windows, state: torch.Tensor) -> torch.Tensor:
     """Initial states of windows from those of the half windows that start at the same time."""
-    at = {(int(log), round(float(t0), 6)): i for i, (log, t0) in enumerate(zip(halves.log, halves.t0, strict=True))}
+    at = {
+        (int(log), round(float(t0), 6)): i
+        for i, (log, t0) in enumerate(zip(halves.log, halves.t0, strict=True))
+    }
     guess = windows.state.clone()
     for w, (log, t0) in enumerate(zip(windows.log, windows.t0, strict=True)):
         i = at.get((int(log), round(float(t0), 6)))

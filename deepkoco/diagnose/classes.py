@@ -48,7 +48,9 @@ def expected_gaps(
 ) -> list[float]:
     """chi2 that each candidate leaves on noise-free measurements simulated from the winner."""
     shown = problem.windows.value - winner.fit.residual / problem.weight.clamp_min(1e-300)
-    clean = FitProblem(problem.system, problem.windows.with_value(torch.where(problem.windows.valid, shown, 0.0)))
+    clean = FitProblem(
+        problem.system, problem.windows.with_value(torch.where(problem.windows.valid, shown, 0.0))
+    )
     trials = []
     for candidate in others:
         fit: Fit = candidate.fit

@@ -18,7 +18,7 @@ from deepkoco.diagnose.findings import advice_for, estimates, evidence_for, find
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import hint_for
-from deepkoco.diagnose.residuals import SLOTS, dispersion, missing_torque, white_limit
+from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.selection import DETECTION, FURTHER, Candidate, Ranking, pushes_from, rank
 from deepkoco.diagnose.unknown import describe, explained_share
 from deepkoco.graph.recording import Recording
@@ -133,13 +133,28 @@ class _Study:
             versions=versions(),
             seconds=time.perf_counter() - began,
             unexplained={**left, "not_identified": [vars(d) for d in loose], "white": not structure},
-            details=Details(
-                data.train, problem.evaluate(start.values, "baseline", reference.state), reference, final,
-                tuple(r for r, _ in self.steps), missing,
-            ),
+            detection=self.detection,
+            details=self._details(reference, final, missing),
         )
 
-    def _select(self, reference: Fit, missing) -> tuple[Ranking, Fit]:
+    def _details(self, reference: Fit, final: Fit, missing: MissingTorque) -> Details:
+        prior = self.start.prior
+        spread = np.sqrt(np.diag(prior.covariance))
+        return Details(
+            system=self.start.system,
+            channels=tuple((c.name, c.unit) for c in self.system.measurements),
+            command_unit=self.system.command.unit,
+            priors={
+                n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)
+            },
+            windows=self.data.train,
+            nominal=self.problem.evaluate(self.start.values, "baseline", reference.state),
+            refit=reference,
+            final=final,
+            missing=missing,
+        )
+
+    def _select(self, reference: Fit, missing: MissingTorque) -> tuple[Ranking, Fit]:
         """Forward selection: the first ranking (over the whole catalogue) and the last fit."""
         problem, start = self.problem, self.start
         hint = hint_for(start.system, self.data.train, pushes_from(missing))
@@ -164,7 +179,7 @@ class _Study:
         families = {CAUSES[name].family for name in self.steps[0][1]}
         return "ambiguous" if len(families) > 1 else "cause"
 
-    def _named(self, missing) -> tuple[Finding, ...]:
+    def _named(self, missing: MissingTorque) -> tuple[Finding, ...]:
         motion = motion_of(self.data.train, missing)
         places = SLOTS * len(self.data.train)
         result = []
@@ -198,7 +213,9 @@ class _Study:
         return ExtendedSystem(base, effects, kept)
 
 
-def _cut(recordings: Sequence[Recording], holdout: Sequence[Recording], system: JointSystem, length: float) -> _Data:
+def _cut(
+    recordings: Sequence[Recording], holdout: Sequence[Recording], system: JointSystem, length: float
+) -> _Data:
     noise = estimate_channels(recordings, system)
     windows = cut_windows(recordings, system, length, noise)
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
@@ -230,8 +247,24 @@ def _insufficient(
         f"joint well beyond its sensor noise.",
     )
     return Diagnosis(
-        "insufficient", (), (), None, float("nan"), float("nan"), 0.0, found, length, (), advice,
-        describe_data(recordings, data), {}, system, seed, versions(), time.perf_counter() - began,
+        "insufficient",
+        (),
+        (),
+        None,
+        float("nan"),
+        float("nan"),
+        0.0,
+        found,
+        length,
+        (),
+        advice,
+        describe_data(recordings, data),
+        {},
+        system,
+        seed,
+        versions(),
+        time.perf_counter() - began,
+        DETECTION,
     )
 
 
@@ -263,5 +296,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             result[package] = "unknown"
     return result
-
-

@@ -9,10 +9,9 @@ import numpy as np
 
 from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.residuals import MissingTorque
-from deepkoco.diagnose.selection import Ranking
 from deepkoco.identify.fit import Fit
 from deepkoco.identify.windows import Windows
-from deepkoco.systems import JointSystem
+from deepkoco.systems import ExtendedSystem, JointSystem
 
 SCHEMA = 1
 Verdict = Literal["cause", "nothing", "unknown", "ambiguous", "insufficient"]
@@ -77,13 +76,28 @@ class Localisation:
 
 @dataclass(frozen=True)
 class Details:
-    """What the figures are drawn from; not part of report.json."""
+    """What the figures are drawn from; not part of report.json.
 
+    Attributes:
+        system: The system with every effect.
+        channels: (name, unit) of each measurement.
+        command_unit: Unit of the command.
+        priors: Baseline parameter -> (mean, standard deviation) of its prior.
+        windows: Training windows.
+        nominal: The system as given on them.
+        refit: The refitted baseline.
+        final: With the named causes; the refit itself where none is named.
+        missing: Torque that the refitted baseline misses.
+    """
+
+    system: ExtendedSystem
+    channels: tuple[tuple[str, str], ...]
+    command_unit: str
+    priors: dict[str, tuple[float, float]]
     windows: Windows
     nominal: Fit
     refit: Fit
     final: Fit
-    rankings: tuple[Ranking, ...]
     missing: MissingTorque | None
 
 
@@ -110,6 +124,8 @@ class Diagnosis:
         seed: Seed.
         versions: Versions of the package and of what it computes with.
         seconds: Wall-clock time of the diagnosis.
+        detection: Fall of the BIC from which a cause is named.
+        unexplained: Signatures of what remains, and what the log cannot identify.
         details: Arrays behind the figures; None when the data do not suffice.
     """
 
@@ -130,6 +146,7 @@ class Diagnosis:
     seed: int
     versions: dict[str, str]
     seconds: float
+    detection: float
     unexplained: dict[str, Any] = field(default_factory=dict)
     details: Details | None = None
 

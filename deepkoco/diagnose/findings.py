@@ -109,7 +109,9 @@ def localise(missing: MissingTorque, most: int = 5) -> tuple[Localisation, ...]:
                 k += 1
                 continue
             end, sign = k, np.sign(missing.torque[w, k])
-            while end + 1 < loud.shape[1] and loud[w, end + 1] and np.sign(missing.torque[w, end + 1]) == sign:
+            while (
+                end + 1 < loud.shape[1] and loud[w, end + 1] and np.sign(missing.torque[w, end + 1]) == sign
+            ):
                 end += 1
             size = float(missing.torque[w, k : end + 1].mean())
             significance = float((np.abs(missing.torque) / missing.sd)[w, k : end + 1].sum())

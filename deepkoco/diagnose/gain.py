@@ -43,6 +43,7 @@ class Gain:
         horizon: Length of a window [s].
         curve_time: (BINS,) time since the window's start [s].
         curves: model -> channel -> (BINS,) error by time.
+        replayed: The held-out windows.
         fits: model -> fit on the held-out windows.
     """
 
@@ -54,6 +55,7 @@ class Gain:
     horizon: float
     curve_time: np.ndarray
     curves: dict[str, dict[str, np.ndarray]]
+    replayed: Windows
     fits: dict[str, Fit]
 
 
@@ -80,7 +82,9 @@ def held_out_gain(
     for c, channel in enumerate(system.measurements):
         if valid[:, c].any():
             rms = {name: _rms(e[:, c], valid[:, c]) for name, e in error.items()}
-            channels.append(ChannelGain(channel.name, channel.unit, rms["baseline"], rms["refit"], rms["extended"]))
+            channels.append(
+                ChannelGain(channel.name, channel.unit, rms["baseline"], rms["refit"], rms["extended"])
+            )
     first = next(c for c in range(valid.shape[1]) if valid[:, c].any())
     square = {name: (e[:, first] ** 2).sum(1) for name, e in error.items()}
     rng = np.random.default_rng(seed)
@@ -94,7 +98,10 @@ def held_out_gain(
         curves[name] = {}
         for c, channel in enumerate(system.measurements):
             if valid[:, c].any():
-                inside = [valid[:, c] & (t[:, c] >= a) & (t[:, c] < b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+                inside = [
+                    valid[:, c] & (t[:, c] >= a) & (t[:, c] < b)
+                    for a, b in zip(edges[:-1], edges[1:], strict=True)
+                ]
                 curves[name][channel.name] = np.array([_rms(e[:, c], m) for m in inside])
     return Gain(
         tuple(channels),
@@ -105,6 +112,7 @@ def held_out_gain(
         windows.length,
         0.5 * (edges[:-1] + edges[1:]),
         curves,
+        windows,
         fits,
     )
 

@@ -66,7 +66,9 @@ def white_limit(windows: Windows) -> float:
     """
     samples = windows.samples
     per_channel = [int(windows.valid[:, c].sum()) for c in range(windows.valid.shape[1])]
-    noise = sum((2.0 * n / samples * s.relative_sd) ** 2 for n, s in zip(per_channel, windows.noise, strict=True))
+    noise = sum(
+        (2.0 * n / samples * s.relative_sd) ** 2 for n, s in zip(per_channel, windows.noise, strict=True)
+    )
     return 1.0 + 4.0 * math.sqrt(2.0 / samples + noise)
 
 

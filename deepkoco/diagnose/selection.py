@@ -75,7 +75,9 @@ def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
     return [pushes[n] if n in pushes else problem.system.parameter(n) for n in names]
 
 
-def prior_with(problem: FitProblem, start: Start, causes: Sequence[Cause], values: Mapping[str, float]) -> Prior:
+def prior_with(
+    problem: FitProblem, start: Start, causes: Sequence[Cause], values: Mapping[str, float]
+) -> Prior:
     """The baseline's prior, widened by what the causes free."""
     prior = start.prior
     for cause in causes:
@@ -118,7 +120,14 @@ def rank(
     running = [name for name, (scout, _) in best.items() if not scout.converged]
     longer = problem.fit(
         [
-            Trial(name, best[name][1].free, best[name][1].prior, best[name][0].values, best[name][0].state, best[name][0].zero)
+            Trial(
+                name,
+                best[name][1].free,
+                best[name][1].prior,
+                best[name][0].values,
+                best[name][0].state,
+                best[name][0].zero,
+            )
             for name in running
         ],
         ITERATIONS,

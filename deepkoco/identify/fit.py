@@ -226,7 +226,9 @@ class _Batch:
                     # A step that is refused although the model is exact to rounding has nothing to win.
                     self.converged[k] = np.isfinite(normal.cost) and -decrease < 1e-3 * TOLERANCE
                 self.history[k].append(float(self.cost[k]))
-                self.done[k] = self.converged[k] or self.damping[k] > LARGEST_DAMPING or self.normal[k] is None
+                self.done[k] = (
+                    self.converged[k] or self.damping[k] > LARGEST_DAMPING or self.normal[k] is None
+                )
                 if not self.done[k] and iteration < iterations - 1:
                     step = self._step(k)
                     trial_theta[k], trial_initial[k], trial_zero[k], gain = step
@@ -234,7 +236,9 @@ class _Batch:
                         self.done[k] = self.converged[k] = True
         return [self._result(k) for k in range(len(self.trials))]
 
-    def _linearise(self, active: np.ndarray, theta: np.ndarray, initial: Tensor, zero: Tensor) -> list[_Normal]:
+    def _linearise(
+        self, active: np.ndarray, theta: np.ndarray, initial: Tensor, zero: Tensor
+    ) -> list[_Normal]:
         """Simulate base and perturbed lanes of the active trials at once; form their normal equations."""
         problem = self.problem
         states = initial.shape[-1]

@@ -13,7 +13,11 @@ from deepkoco.systems import System
 
 
 def trajectories(
-    system: System, windows: Windows, parameters: Mapping[str, Tensor], initial: Tensor, push: Tensor | None = None
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    initial: Tensor,
+    push: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Simulate every window under its logged commands.
 
@@ -54,7 +58,11 @@ def trajectories(
 
 
 def predict(
-    system: System, windows: Windows, parameters: Mapping[str, Tensor], initial: Tensor, push: Tensor | None = None
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    initial: Tensor,
+    push: Tensor | None = None,
 ) -> Tensor:
     """Noise-free measurements (L, W, N, M) at the windows' own time stamps.
 

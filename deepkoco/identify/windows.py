@@ -167,7 +167,9 @@ def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[
         for recording in recordings:
             _, series = _channels(recording, system)
             if channel.name in series:
-                parts.append((len(series[channel.name][0]), estimate_noise(*series[channel.name], channel.noise_sd)))
+                parts.append(
+                    (len(series[channel.name][0]), estimate_noise(*series[channel.name], channel.noise_sd))
+                )
         total = sum(n for n, _ in parts)
         if total == 0:
             result.append(Noise(channel.noise_sd, 0.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
+from deepkoco.diagnose.causes.cause import Cause, Hint
 
 
 def _largest(hint: Hint) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
+from deepkoco.diagnose.causes.cause import Cause, Hint
 
 ADVICE = (
     "Let the joint swing out freely from large and from small angles: the shape of the decay over the "

@@ -1,0 +1,142 @@
+"""`deepkoco diagnose`: name what the simulation of a logged robot gets wrong, and extend it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepkoco.command_line import InputError
+
+if TYPE_CHECKING:
+    from deepkoco.graph.recording import Recording
+    from deepkoco.systems import JointSystem
+
+DESCRIPTION = """\
+Compare logs of a robot with its simulation, name what the simulation gets wrong, and write a report, the
+extended simulation (model.yaml) and what it is worth on data that no fit has seen.
+
+Exit status: 0 diagnosed (also when nothing is wrong), 2 bad input, 3 the data do not suffice."""
+EXAMPLE = """\
+example:
+  deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out coulomb_report
+  deepkoco diagnose logs/monday.csv --system model.yaml --healthy logs/sunday.csv"""
+INSUFFICIENT = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `deepkoco diagnose`."""
+    parser.add_argument(
+        "recording", type=Path, nargs="+", metavar="LOG", help="log to explain (CSV or Parquet)"
+    )
+    parser.add_argument(
+        "--system", metavar="SYSTEM", help="name of the system, or a model.yaml; default: as the log says"
+    )
+    parser.add_argument(
+        "--healthy",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="logs of the same unit in which nothing is wrong",
+    )
+    parser.add_argument(
+        "--holdout",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="logs that are never fitted; default: keep one window in four",
+    )
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs, where it is not LOG.yaml"
+    )
+    parser.add_argument(
+        "--fill", choices=("drop", "hold"), help="what to do with missing values; default: refuse them"
+    )
+    parser.add_argument(
+        "--window", type=float, metavar="S", help="length of a window [s]; default: about one period"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default 0)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for the report; must not exist; default: LOG_diagnosis beside the first log",
+    )
+    parser.add_argument("--json", action="store_true", help="print report.json instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose, write the report and print the verdict.
+
+    Raises:
+        InputError: A log, the system or the output folder cannot be used.
+    """
+    from deepkoco.diagnose.diagnose import diagnose
+    from deepkoco.diagnose.report import OutputExistsError, check_free, write_report
+    from deepkoco.diagnose.words import terminal_table
+    from deepkoco.graph.recording import LogError
+
+    first = args.recording[0]
+    out = args.out or first.with_name(f"{first.stem}_diagnosis")
+    if args.window is not None and not 0.05 <= args.window <= 60.0:
+        raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
+    try:
+        check_free(out)
+        system, logs = _read(args, args.recording, None)
+        healthy, holdout = (_read(args, paths, system)[1] for paths in (args.healthy, args.holdout))
+        result = diagnose(logs, system, healthy, holdout, args.seed, args.window)
+        page = write_report(result, out)
+    except (LogError, OutputExistsError) as error:
+        raise InputError(str(error)) from error
+    if args.json:
+        sys.stdout.write(json.dumps(result.to_json(), indent=2) + "\n")
+    else:
+        from rich.console import Console
+
+        console = Console()
+        console.print(terminal_table(result))
+        console.print(f"report: {page}", highlight=False)
+    return INSUFFICIENT if result.verdict == "insufficient" else 0
+
+
+def _read(
+    args: argparse.Namespace, paths: Sequence[Path], system: JointSystem | None
+) -> tuple[JointSystem, list[Recording]]:
+    from deepkoco.graph.recording import read_log
+    from deepkoco.systems import SYSTEMS
+
+    name = args.system
+    if system is None and name is not None:
+        system = _system(name)
+    recordings = []
+    for path in paths:
+        if system is None:
+            said = read_log(path, args.map, systems=tuple(SYSTEMS), fill=args.fill).system
+            if said is None:
+                raise InputError(
+                    f"{path}: the sidecar names no system; give --system, one of {', '.join(SYSTEMS)}"
+                )
+            system = _system(said)
+        channels = [(c.name, c.unit, c.kind) for c in (system.command, *system.measurements)]
+        recordings.append(
+            read_log(path, args.map, system.name, channels=channels, systems=tuple(SYSTEMS), fill=args.fill)
+        )
+    assert system is not None or not paths
+    return system, recordings  # type: ignore[return-value]
+
+
+def _system(name: str) -> JointSystem:
+    from deepkoco.systems import JointSystem, ModelFileError, UnknownSystemError, load_model, make_system
+
+    try:
+        system = load_model(name) if name.endswith((".yaml", ".yml")) else make_system(name)
+    except (ModelFileError, UnknownSystemError) as error:
+        raise InputError(f"--system: {error}") from error
+    if not isinstance(system, JointSystem):
+        raise InputError(f"--system {name}: the diagnosis needs a system with one joint")
+    return system

@@ -1,0 +1,89 @@
+"""A diagnosis in words and as a table for the terminal."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from deepkoco.diagnose.causes import CAUSES
+from deepkoco.diagnose.diagnosis import Diagnosis, Finding
+
+
+def spoken(name: str) -> str:
+    """Name of a cause as it is written in a sentence."""
+    return name.replace("_", " ")
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in one line."""
+    names = " and ".join(spoken(n) for n in diagnosis.names)
+    return {
+        "cause": f"The simulation lacks: {names}",
+        "ambiguous": f"The simulation lacks: {names} (or an equivalent)",
+        "nothing": "The simulation misses nothing that this log shows",
+        "unknown": "The simulation misses something that no known cause explains",
+        "insufficient": "The data do not suffice",
+    }[diagnosis.verdict]
+
+
+def lead(diagnosis: Diagnosis) -> str:
+    """What follows from the verdict, in two or three sentences."""
+    if diagnosis.verdict == "insufficient":
+        return " ".join(diagnosis.advice)
+    if diagnosis.verdict == "nothing":
+        return (
+            "After refitting the parameters that the simulation already has, what remains is sensor noise; "
+            "no cause of the catalogue is worth its extra parameters."
+        )
+    if diagnosis.verdict == "unknown":
+        return (
+            f"The refitted simulation leaves {diagnosis.chi2_before:.2f} noise variances per sample. The best candidate "
+            f"({spoken(diagnosis.candidates[0].name)}) explains too little of that to be named. "
+            "The pictures show where it is missing torque."
+        )
+    text = " ".join(CAUSES[c.name].summary for c in diagnosis.causes)
+    for cause in diagnosis.causes:
+        others = [spoken(n) for n in cause.members[1:]]
+        if others:
+            text += f" These data do not tell {spoken(cause.name)} apart from {' or '.join(others)}."
+    return text
+
+
+def terminal_table(diagnosis: Diagnosis) -> Table:
+    """Verdict, causes, parameters and gain as a small table."""
+    table = Table(
+        title=headline(diagnosis), title_justify="left", box=None, show_header=False, padding=(0, 2, 0, 0)
+    )
+    table.add_column(style="bold")
+    table.add_column()
+    table.add_row("verdict", diagnosis.verdict)
+    for cause in diagnosis.causes:
+        _add_cause(table, cause)
+    gain = diagnosis.gain
+    if gain is not None:
+        for c in gain.channels:
+            text = (
+                f"{c.baseline:.4g} as given, {c.refit:.4g} refitted, {c.extended:.4g} at the end [{c.unit}]"
+            )
+            table.add_row(f"held-out error of {c.name}", text)
+        if diagnosis.verdict in ("cause", "ambiguous"):
+            text = f"{100 * gain.reduction:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f}) less than refitted"
+            table.add_row("gain", text)
+    if diagnosis.verdict != "insufficient":
+        text = (
+            f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} at the end (1 is sensor noise)"
+        )
+        table.add_row("error / noise variance", text)
+    for text in diagnosis.advice:
+        table.add_row("next experiment" if diagnosis.verdict != "insufficient" else "needed", text)
+    table.add_row("time", f"{diagnosis.seconds:.1f} s")
+    return table
+
+
+def _add_cause(table: Table, cause: Finding) -> None:
+    if cause.name == "unknown":
+        return
+    table.add_row("cause", f"{spoken(cause.name)} ({cause.family}), delta BIC {cause.delta_bic:.0f}")
+    if len(cause.members) > 1:
+        table.add_row("not told apart", ", ".join(spoken(n) for n in cause.members))
+    for name, e in cause.parameters.items():
+        table.add_row(f"  {name}", f"{e.value:.4g}  [{e.low:.4g}, {e.high:.4g}] {e.unit}")
