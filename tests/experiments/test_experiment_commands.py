@@ -1,0 +1,124 @@
+"""The experiment commands as a user calls them."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from experiments.aggregate import aggregate, learning_curves, mean_with_band, read_runs
+from experiments.environments import ExperimentError, make_factory
+from experiments.planner_benchmark import FRESH, benchmark, random_model
+from experiments.settings import AggregateConfig, EnvConfig
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = [
+    "env=gymnasium_pendulum",
+    "+env.kwargs.max_episode_steps=45",
+    "agent.model.encoder_hidden=[8]",
+    "agent.model.cost_hidden=[8]",
+    "agent.first_episodes=4",
+    "agent.first_epochs=2",
+    "agent.iteration_episodes=2",
+    "agent.total_episodes=7",
+    "agent.evaluation_episodes=2",
+    "agent.final_evaluation_episodes=3",
+]
+
+
+def call(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    line = [sys.executable, "-m", f"experiments.{command}", *arguments]
+    return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "small" / "seed_3"
+    done = call("train", *SMALL, "distractors=copies", "seed=3", f"run={folder}")
+    assert done.returncode == 0, done.stderr
+    assert "noise-free cost" in done.stdout
+    return folder
+
+
+def test_a_run_leaves_settings_metrics_events_checkpoint_and_model(run):
+    names = {path.name for path in run.iterdir()}
+    assert names == {"config.yaml", "metrics.csv", "tensorboard", "checkpoint.pt", "model"}
+    stored = yaml.safe_load((run / "config.yaml").read_text())
+    assert stored["seed"] == 3
+    assert stored["agent"]["model"]["encoder_hidden"] == [8]
+    assert pd.read_csv(run / "metrics.csv")["episodes"].tolist() == [4, 6, 7]
+    assert json.loads((run / "model" / "config.json").read_text())["episodes"] == 7
+
+
+def test_evaluation_prints_one_json_object(run):
+    done = call("evaluate", f"run={run}", "episodes=4", "json=true")
+    result = json.loads(done.stdout)
+    assert result["n"] == 4
+    assert result["mean"] > 0
+    assert 0 <= result["upright"] <= 1
+    assert result["planner_failures"] == 0
+
+
+def test_a_run_is_never_overwritten(run):
+    done = call("train", *SMALL, f"run={run}")
+    assert done.returncode == 2
+    assert "exists already" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_unknown_settings_end_with_status_two_and_no_folder(tmp_path):
+    done = call("train", "agent.learningrate=1", f"run={tmp_path / 'x'}")
+    assert done.returncode == 2
+    assert "learningrate" in done.stderr
+    assert not (tmp_path / "x").exists()
+
+
+def test_unknown_environments_and_distractors_are_named():
+    with pytest.raises(ExperimentError, match="Nope-v7"):
+        make_factory(EnvConfig("nope", "Nope-v7"), "none")
+    with pytest.raises(ExperimentError, match="none, copies"):
+        make_factory(EnvConfig("pendulum", "Pendulum-v1"), "videos")
+
+
+def test_the_order_of_distractor_entries_belongs_to_the_run_seed():
+    make = make_factory(EnvConfig("pendulum", "Pendulum-v1"), "copies")
+    one, same, other = (make(2, seed).reset(seed=5)[0] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one, other)
+    np.testing.assert_allclose(np.sort(one), np.sort(other))
+
+
+def test_band_of_three_seeds_by_hand():
+    # mean 2, standard deviation 1, t(0.975, 2) = 4.3027: half-width 4.3027 / sqrt(3) = 2.4841
+    mean, low, high = mean_with_band(np.array([1.0, 2.0, 3.0]))
+    assert (mean, round(low, 4), round(high, 4)) == (2.0, -0.4841, 4.4841)
+
+
+def test_aggregation_averages_seeds_and_draws(run, tmp_path):
+    twin = tmp_path / "twin"
+    twin.mkdir()
+    (twin / "config.yaml").write_text((run / "config.yaml").read_text().replace("seed: 3", "seed: 4"))
+    rows = pd.read_csv(run / "metrics.csv")
+    rows["evaluation/cost"] += 10.0
+    rows.to_csv(twin / "metrics.csv", index=False)
+    both = pd.concat([read_runs(run), read_runs(twin)])
+    curves = learning_curves(both)
+    last = curves[(curves["curve"] == "evaluation/cost") & (curves["episodes"] == 7)].iloc[0]
+    assert last["seeds"] == 2
+    assert last["mean"] == pytest.approx(rows["evaluation/cost"].iloc[-1] - 5.0)
+
+    aggregate(AggregateConfig(str(run.parent), str(tmp_path / "out")))
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"curves.csv", "final.csv", "learning_curve.png"}
+    assert pd.read_csv(tmp_path / "out" / "final.csv")["seed"].tolist() == [3]
+    with pytest.raises(ExperimentError, match="exists already"):
+        aggregate(AggregateConfig(str(run.parent), str(tmp_path / "out")))
+
+
+@pytest.mark.filterwarnings("ignore:The default value of raise_error")  # inside qpsolvers
+def test_a_kept_solver_beats_one_made_anew_at_every_step():
+    times = benchmark(random_model(4, 1, 0), np.array([-1.0]), np.array([1.0]), 60)
+    assert times["condensed, daqp"] < times[FRESH]
