@@ -118,6 +118,18 @@ def test_other_formats_are_refused_before_recording(unit, tmp_path, capsys):
     assert "ends in .csv" in capsys.readouterr().err
 
 
+def test_unit_that_stops_itself_is_status_1(tmp_path, capsys):
+    unit = tmp_path / "UNIT.yaml"
+    unit.write_text(
+        "system: rod_pendulum\nheartbeat: 0.06\neffects: {sensing_delay: {delay: {mean: 0.15, sd: 0.1}}}\n"
+    )
+    assert simulate(unit, tmp_path / "log.csv") == 1
+    error = capsys.readouterr().err
+    assert error.startswith('deepkoco record: unit "UNIT" stopped itself')
+    assert error.count("\n") == 1
+    assert files(tmp_path) == {"UNIT.yaml"}
+
+
 def test_inspect_of_a_missing_log(tmp_path, capsys):
     assert main(["inspect", str(tmp_path / "none.csv")]) == 2
     assert "none.csv: no such file" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import select
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import time
 from collections import deque
 from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
 
 from deepkoco.unit.messages import (
@@ -56,9 +58,12 @@ class Unit:
         commands, far_commands = socket.socketpair()
         sensor, far_sensor = socket.socketpair()
         far = (far_commands.fileno(), far_sensor.fileno())
+        # The same package as here, whether or not it is installed; -P keeps the working folder out.
+        path = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))
         # A process of its own group: Ctrl-C reaches the client alone, which then stops the unit.
         process = subprocess.Popen(
-            [sys.executable, "-m", "deepkoco.unit.server", *map(str, far)],
+            [sys.executable, "-P", "-m", "deepkoco.unit.server", *map(str, far)],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, path))},
             stdin=subprocess.PIPE,
             stderr=subprocess.PIPE,
             pass_fds=far,

@@ -125,6 +125,13 @@ def test_process_ends_when_the_client_is_killed():
     assert gone(pid)
 
 
+def test_modules_of_the_working_folder_do_not_disturb_the_unit(tmp_path, monkeypatch):
+    (tmp_path / "select.py").write_text("raise RuntimeError('wrong module')")
+    monkeypatch.chdir(tmp_path)
+    with Unit(SPEC) as unit:
+        assert unit.reset().seq <= 20
+
+
 def test_commands_and_states_must_be_finite():
     with Unit(SPEC) as unit:
         with pytest.raises(ValueError, match="nan is not finite"):
