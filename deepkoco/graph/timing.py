@@ -22,6 +22,7 @@ from deepkoco.graph.timing_kernel import DONE, FULL, run_rows
 Delays = Mapping[str, Any]
 NANO = 10**9
 _FINEST = 10**13  # ticks per second: beyond, int64 would not hold a day
+_MOST_STRETCH = 64  # an episode that takes this many times its nominal steps is not going to end
 _NEVER = np.iinfo(np.int64).max // 4
 
 
@@ -68,7 +69,7 @@ def draw_timing(
         raise TimingError(f"delays for each of {batch} environments need as many rows, not {rows}")
     source = _numpy_generator(generator)
     resolution = _resolution(graph, laws)
-    capacity = _capacity(graph, steps)
+    capacity = planned = _capacity(graph, steps)
     while True:
         layout = layout_of(graph, capacity)
         sizes = {node.name: int(capacity[n]) for n, node in enumerate(graph.nodes)}
@@ -92,9 +93,12 @@ def draw_timing(
             return ComputationGraph(layout, resolution, steps, row, *result)
         if status != FULL:
             raise TimingError("no node can take its next step: blocking inputs wait for each other")
-        if capacity.max() > 4 * 10**6:
-            raise TimingError("the delays hold the supervisor up for ever; its steps take millions of others")
         capacity = capacity * 2
+        if capacity.max() > _MOST_STRETCH * planned.max():
+            raise TimingError(
+                f'supervisor "{graph.supervisor}" does not come to its step {steps}: delays hold it up, or '
+                "nodes with advance=True and only blocking inputs drive each other without waiting for any tick"
+            )
 
 
 @dataclass(frozen=True)

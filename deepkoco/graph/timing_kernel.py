@@ -80,15 +80,20 @@ def run_rows(
                         if begun > tick or (skip[e] and begun == tick):
                             break
                         if i >= count[s]:
+                            # A measured start did not wait for what arrived after it.
                             complete = False
+                            if replay:
+                                column = step_base[s] + i
+                                age = computation[row, column] + communication[row, message_base[e] + i]
+                                complete = recorded[row, column] + age > recorded[row, step_base[n] + k]
                             break
                         start = max(start, t_received[row, message_base[e] + i])
                         i += 1
-                    if i >= step_base[s + 1] - step_base[s]:
+                    if i >= step_base[s + 1] - step_base[s] and not replay:
                         return FULL
-                if replay:
-                    start, complete = recorded[row, step_base[n] + k], True
-                ready[n] = start
+                    if not complete:
+                        break
+                ready[n] = recorded[row, step_base[n] + k] if replay else start
                 known[n] = complete
             # The next step is the earliest; at one instant senders come first.
             n = -1

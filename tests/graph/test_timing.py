@@ -1,0 +1,265 @@
+"""Rates and delays become exact times: by hand, against the oracle, and by what must always hold."""
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from timing_reference import Accumulate, Listed, graphs, reference_timing
+
+from deepkoco.graph import (
+    Connection,
+    Deterministic,
+    Gaussian,
+    Graph,
+    MeasuredTiming,
+    Supervisor,
+    TimingError,
+    draw_timing,
+    replay_timing,
+)
+
+
+def agent(rate=10, **options) -> Supervisor:
+    return Supervisor("agent", rate, initial_action=torch.zeros(1), **options)
+
+
+def timed(graph: Graph, steps: int, batch: int = 1, **options):
+    return draw_timing(graph, np.random.default_rng(0), steps, batch, **options)
+
+
+def seconds(timing, name: str, row: int = 0) -> list[float]:
+    start, _ = timing.steps_of(timing.layout.names.index(name), row)
+    return (start / timing.resolution).tolist()
+
+
+def chain(connection: Connection, sender_delay=0.0, **receiver) -> Graph:
+    return Graph([Accumulate("n0", 10, sender_delay), agent(**receiver)], [connection])
+
+
+def test_the_phase_is_the_expected_age_of_the_slowest_input():
+    nodes = [Accumulate("a", 10, 0.01), Accumulate("b", 10, Gaussian(0.02, 0.0)), agent()]
+    connections = [
+        Connection("a", "b", 0.005),
+        Connection("b", "agent", 0.03),
+        Connection("a", "agent", 0.001),
+        Connection("agent", "a", 0.5, skip=True),
+    ]
+    # a: 0; b: 0.01 + 0.005; agent: 0.015 + 0.02 + 0.03 by way of b.
+    graph = Graph(nodes, connections)
+    assert graph.phases == (0, Fraction(15, 1000), Fraction(65, 1000))
+    assert seconds(timed(graph, 2), "agent") == [0.065, 0.165, 0.265]
+
+
+def test_a_message_counts_from_the_instant_it_arrives_or_skipped_just_after():
+    timing = timed(chain(Connection("n0", "agent"), phase=0), 3)
+    assert timing.windows_of(0).tolist() == [[0], [1], [2], [3]]
+    timing = timed(chain(Connection("n0", "agent", skip=True), phase=0), 3)
+    assert timing.windows_of(0).tolist() == [[-1], [0], [1], [2]]
+
+
+def test_the_window_fills_up_from_the_initial_output():
+    timing = timed(chain(Connection("n0", "agent", 0.1, window=3), phase=0), 4)
+    # The message of step i arrives at (i + 1) / 10, the very instant of tick i + 1.
+    expected = [[-3, -2, -1], [-2, -1, 0], [-1, 0, 1], [0, 1, 2], [1, 2, 3]]
+    assert timing.windows_of(0).tolist() == expected
+
+
+def test_blocking_waits_and_leaves_later_messages_in_the_queue():
+    # Messages of n0 (10 Hz) take 30, 130, 30 ms; the agent's ticks are at 0, 0.1, 0.2, 0.3 s.
+    graph = chain(Connection("n0", "agent", Listed((30, 130, 30, 30)), blocking=True, window=2), phase=0)
+    timing = timed(graph, 3)
+    assert seconds(timing, "agent") == [0.03, 0.23, 0.23, 0.33]
+    assert timing.windows_of(0)[:, -1].tolist() == [0, 1, 2, 3]
+
+
+def test_waiting_does_not_shift_later_ticks_but_an_own_overrun_does():
+    graph = Graph([Accumulate("n0", 10), agent(delay=Listed((0, 150, 0, 0, 0)))], [Connection("n0", "agent")])
+    # Step 1 takes 150 ms of a period of 100: every later tick comes 50 ms later.
+    expected = [0.0, 0.1, 0.25, 0.35, 0.45]
+    np.testing.assert_allclose(np.subtract(seconds(timed(graph, 4), "agent"), 0), expected, rtol=1e-15)
+    graph = Graph(
+        [Accumulate("n0", 10), agent(delay=Listed((0, 150, 0, 0, 0)), scheduling="phase")],
+        [Connection("n0", "agent")],
+    )
+    np.testing.assert_allclose(seconds(timed(graph, 4), "agent"), [0.0, 0.1, 0.25, 0.3, 0.4], rtol=1e-15)
+
+
+def test_advance_starts_when_its_messages_are_there():
+    connection = Connection("n0", "agent", Listed((10,)), blocking=True)
+    graph = chain(connection, phase=0.05, advance=True)
+    assert seconds(timed(graph, 2), "agent") == [0.01, 0.11, 0.21]
+    assert seconds(timed(chain(connection, phase=0.05), 2), "agent") == [0.05, 0.15, 0.25]
+
+
+def test_messages_do_not_overtake_unless_asked():
+    delays = Listed((150, 10, 10, 10, 10))
+    timing = timed(chain(Connection("n0", "agent", delays), phase=0.01), 3)
+    assert (timing.messages_of(0)[1] / timing.resolution)[:3].tolist() == [0.15, 0.15, 0.21]
+    assert timing.windows_of(0)[:, 0].tolist() == [-1, -1, 2, 3]
+    timing = timed(chain(Connection("n0", "agent", delays, fifo=False, window=2), phase=0.01), 3)
+    assert (timing.messages_of(0)[1] / timing.resolution)[:3].tolist() == [0.15, 0.11, 0.21]
+    # At 0.11 s message 1 has overtaken message 0, which arrives at 0.15 s and message 2 at 0.21 s.
+    assert timing.windows_of(0).tolist() == [[-2, -1], [-1, 1], [0, 2], [2, 3]]
+
+
+def test_the_jitter_buffer_holds_early_messages_back():
+    # Expected age 50 ms: message 1, there after 0 ms, is not used before 0.15 s.
+    connection = Connection("n0", "agent", Listed((100, 0)), jitter="buffer")
+    timing = timed(chain(connection, phase=0.02, rate=20), 5)
+    # Ticks 0.02, 0.07, 0.12, 0.17, 0.22; message 0 arrives at 0.1, message 1 at 0.1 (nominal 0.15).
+    assert timing.windows_of(0)[:, 0].tolist() == [-1, -1, 0, 1, 1, 1]
+
+
+def test_the_control_loop_reads_now_and_acts_on_the_next_tick():
+    graph = Graph(
+        [Accumulate("world", 100), Accumulate("sensor", 20), agent(20), Accumulate("actuator", 20)],
+        [
+            Connection("world", "sensor"),
+            Connection("sensor", "agent"),
+            Connection("agent", "actuator"),
+            Connection("actuator", "world", skip=True),
+        ],
+    )
+    timing = timed(graph, 3, batch=5)
+    assert timing.batch == 5
+    assert len(timing.t_start) == 1
+    assert timing.windows_of(0)[:, 0].tolist() == [0, 5, 10, 15]
+    assert timing.windows_of(1)[:, 0].tolist() == [0, 1, 2, 3]
+    assert timing.windows_of(2)[:, 0].tolist() == [0, 1, 2]
+    assert timing.windows_of(3)[:12, 0].tolist() == [-1, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 2]
+
+
+RATES = (1, 2, 3, 4, 5, 6, 7, 9, 10, 12, 15, 20, 30, 50, 100)
+LAGS = (0, 1 / 7, 1 / 3, 0.1, 1 / 30, 1 / 60, 0.05, 0.02, 2 / 9, 1 / 90, 0.123)
+
+
+def test_message_counts_are_exact_in_2475_rate_and_delay_combinations():
+    """Message i of a sender at f_i is there at tick k of f_n if and only if i/f_i + tau <= k/f_n."""
+    float_mistakes = 0
+    for rate, lag in itertools.product(RATES, LAGS):
+        senders = [Accumulate(f"s{f}", f) for f in RATES]
+        connections = [Connection(node.name, "agent", lag) for node in senders]
+        timing = timed(Graph([*senders, agent(rate, phase=0)], connections), 12)
+        tau = Fraction(lag).limit_denominator(1000)
+        for edge, f in enumerate(RATES):
+            expected = [max((Fraction(k, rate) - tau) * f // 1, -1) for k in range(13)]
+            assert timing.windows_of(edge)[:, 0].tolist() == expected
+            float_mistakes += expected != [max((k / rate - lag) * f // 1, -1) for k in range(13)]
+    assert float_mistakes > 30  # the trap is real in these cases
+
+
+@settings(max_examples=150, deadline=None)
+@given(graph=graphs(), steps=st.integers(1, 6))
+def test_times_and_windows_equal_the_oracle(graph, steps):
+    timing = timed(graph, steps, batch=2, rows=2)
+    for row in range(2):
+        run = reference_timing(graph, steps, row)
+        exact = lambda ticks: [Fraction(int(t), timing.resolution) for t in ticks]  # noqa: E731
+        for n, node in enumerate(graph.nodes):
+            start, end = timing.steps_of(n, row)
+            last = node.name == graph.supervisor  # the end of its last step does not count
+            assert exact(start) == run.t_start[node.name]
+            assert exact(end[: len(end) - last]) == run.t_end[node.name]
+        for e, connection in enumerate(graph.connections):
+            assert exact(timing.messages_of(e, row)[1]) == run.t_received[connection.key]
+            assert timing.windows_of(e, row).tolist() == run.windows[connection.key]
+
+
+@settings(max_examples=100, deadline=None)
+@given(graph=graphs(), steps=st.integers(1, 6))
+def test_messages_keep_order_are_causal_and_none_is_lost(graph, steps):
+    timing = timed(graph, steps)
+    for e, connection in enumerate(graph.connections):
+        sent, received = timing.messages_of(e)
+        assert (received >= sent).all()
+        if connection.fifo:
+            assert (np.diff(received) >= 0).all()
+        start, _ = timing.steps_of(graph.index[connection.receiver])
+        windows = timing.windows_of(e)
+        for now, window in zip(start, windows, strict=True):
+            used = window[window >= 0]
+            strictly = connection.skip and not connection.blocking  # a blocking step starts on arrival
+            assert (received[used] < now).all() if strictly else (received[used] <= now).all()
+            assert len(set(window.tolist())) == connection.window
+            there = np.flatnonzero(received < now if connection.skip else received <= now)
+            if connection.jitter == "latest" and not connection.blocking and connection.fifo:
+                assert window[-1] == max(there, default=-1)
+                assert window.tolist() == list(range(window[-1] - connection.window + 1, window[-1] + 1))
+
+
+@settings(max_examples=60, deadline=None)
+@given(graph=graphs(), steps=st.integers(1, 5))
+def test_replaying_the_times_of_an_episode_gives_the_same_windows(graph, steps):
+    timing = timed(graph, steps)
+    in_seconds = lambda ticks: ticks / timing.resolution  # noqa: E731
+    measured = MeasuredTiming(
+        {node.name: in_seconds(timing.steps_of(n)[0]) for n, node in enumerate(graph.nodes)},
+        {node.name: in_seconds(timing.steps_of(n)[1]) for n, node in enumerate(graph.nodes)},
+        {c.key: in_seconds(timing.messages_of(e)[1]) for e, c in enumerate(graph.connections)},
+    )
+    again = replay_timing(graph, measured)
+    np.testing.assert_array_equal(again.boundary, timing.boundary)
+    for e in range(len(graph.connections)):
+        np.testing.assert_array_equal(again.windows_of(e), timing.windows_of(e))
+
+
+def test_a_lost_message_is_skipped_in_a_replay():
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
+    ticks = np.arange(4) / 10
+    received = np.array([0.01, np.inf, 0.21, 0.31])
+    measured = MeasuredTiming({"n0": ticks, "agent": ticks + 0.05}, {"n0": ticks, "agent": ticks + 0.06}, {
+        "n0->agent": received
+    })  # fmt: skip
+    assert replay_timing(graph, measured).windows_of(0)[:, 0].tolist() == [0, 0, 2, 3]
+
+
+def test_measured_times_that_cannot_be_are_refused():
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
+    ticks = np.arange(4) / 10
+    good = {"n0": ticks, "agent": ticks}
+    with pytest.raises(TimingError, match='node "n0": step 1 starts before'):
+        replay_timing(graph, MeasuredTiming(good, good | {"n0": ticks + 0.15}, {"n0->agent": ticks}))
+    with pytest.raises(TimingError, match='"n0->agent": message 0 arrives before it is sent'):
+        replay_timing(graph, MeasuredTiming(good, good, {"n0->agent": ticks - 0.01}))
+    with pytest.raises(TimingError, match="has no measured times"):
+        replay_timing(graph, MeasuredTiming(good, good, {}))
+
+
+def test_each_environment_draws_its_own_delays_and_a_seed_repeats_them():
+    graph = chain(Connection("n0", "agent", Gaussian(0.05, 0.02)))
+    first, again = timed(graph, 20, batch=3), timed(graph, 20, batch=3)
+    assert first.row.tolist() == [0, 1, 2]
+    assert len({first.t_received[row].tobytes() for row in range(3)}) == 3
+    np.testing.assert_array_equal(first.t_received, again.t_received)
+
+
+def test_delays_can_be_overridden_by_law_or_for_each_environment():
+    graph = chain(Connection("n0", "agent"), phase=0)
+    timing = timed(graph, 3, batch=2, delays={"n0->agent": np.array([0.0, 0.15])})
+    assert timing.windows_of(0, row=0)[:, 0].tolist() == [0, 1, 2, 3]
+    assert timing.windows_of(0, row=1)[:, 0].tolist() == [-1, -1, 0, 1]
+    timing = timed(graph, 3, batch=2, delays={"n0": Deterministic(0.1)})
+    assert timing.windows_of(0)[:, 0].tolist() == [-1, 0, 1, 2]
+    with pytest.raises(TimingError, match=r'delay of "n1".*known: n0, agent, n0->agent'):
+        timed(graph, 3, delays={"n1": 0.1})
+    with pytest.raises(TimingError, match="expected 1 finite numbers"):
+        timed(graph, 3, delays={"n0": [-0.1]})
+
+
+def test_a_long_stall_only_makes_the_timing_longer():
+    graph = Graph([Accumulate("n0", 100), agent(delay=Listed((900, 0, 0)))], [Connection("n0", "agent")])
+    timing = timed(graph, 9)
+    # Three stalls of 0.9 s shift the ticks by 0.8 s each: the last start is at 0.9 + 2.4 s.
+    assert seconds(timing, "agent")[-1] == 3.3
+    assert timing.count(0, 0) == 331
+
+
+def test_nodes_that_drive_each_other_without_a_clock_are_refused():
+    nodes = [Accumulate("n0", 10, advance=True), agent()]
+    connections = [Connection("n0", "n0", skip=True, blocking=True), Connection("n0", "agent")]
+    with pytest.raises(TimingError, match=r"does not come to its step 5: .*advance=True"):
+        timed(Graph(nodes, connections), 5)

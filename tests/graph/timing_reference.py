@@ -1,0 +1,223 @@
+"""The timing rules and their execution written down as plainly as possible, slow, as an oracle."""
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
+import torch
+from hypothesis import strategies as st
+
+from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor
+
+MS = Fraction(1, 1000)
+
+
+@dataclass(frozen=True)
+class Listed(Delay):
+    """Delays [ms] taken from a list in turn, the same in every environment but for a shift."""
+
+    values: tuple[int, ...]
+    law = "listed"
+
+    @property
+    def mean(self) -> float:
+        return sum(self.values) / len(self.values) / 1000
+
+    def at(self, environment: int, index: int) -> Fraction:
+        return self.values[(index + environment) % len(self.values)] * MS
+
+    def sample(self, generator, shape):
+        rows, columns = shape
+        return np.array([[float(self.at(b, i)) for i in range(columns)] for b in range(rows)])
+
+
+@dataclass
+class Episode:
+    """One environment: exact times, windows and the order of events."""
+
+    t_start: dict[str, list[Fraction]]
+    t_end: dict[str, list[Fraction]]
+    t_received: dict[str, list[Fraction]]
+    windows: dict[str, list[list[int]]]
+    order: list[tuple[str, int]] = field(default_factory=list)
+
+
+def reference_timing(graph: Graph, steps: int, environment: int) -> Episode:
+    """Work through rules 1 to 5 event by event, searching all messages anew each time."""
+    names = [node.name for node in graph.nodes]
+    run = Episode(
+        {n: [] for n in names},
+        {n: [] for n in names},
+        {c.key: [] for c in graph.connections},
+        {c.key: [] for c in graph.connections},
+    )
+    taken: dict[str, list[int]] = {c.key: [] for c in graph.connections}
+    shift = dict.fromkeys(names, Fraction(0))
+    before = {n: {c.sender for c in graph.inputs_of(n) if not c.skip} for n in names}
+    for _ in names:
+        before = {n: s.union(*(before[m] for m in s)) for n, s in before.items()}
+
+    def tick(name: str, k: int) -> Fraction:
+        return graph.phases[graph.index[name]] + k / graph.node(name).rate
+
+    def awaited(c: Connection, k: int) -> list[int]:
+        """Rule 2: messages nominally started in (tick k-1, tick k], with skip [tick k-1, tick k)."""
+        found, i = [], 0
+        while tick(c.sender, i) <= tick(c.receiver, k):
+            sent, now = tick(c.sender, i), tick(c.receiver, k)
+            last = tick(c.receiver, k - 1) if k > 0 else Fraction(-1)
+            if (last <= sent < now) if c.skip else (last < sent <= now):
+                found.append(i)
+            i += 1
+        return found
+
+    def next_start(name: str) -> Fraction | None:
+        node, k = graph.node(name), len(run.t_start[name])
+        blocking = [c for c in graph.inputs_of(name) if c.blocking]
+        terms = [Fraction(0), *run.t_end[name][-1:]]
+        if not (node.advance and blocking and len(blocking) == len(graph.inputs_of(name))):
+            terms.append(tick(name, k) + shift[name])
+        for c in blocking:
+            for i in awaited(c, k):
+                if i >= len(run.t_received[c.key]):
+                    return None
+                terms.append(run.t_received[c.key][i])
+        return max(terms)
+
+    def take(c: Connection, k: int, now: Fraction) -> list[int]:
+        if c.blocking:
+            return awaited(c, k)
+        age = Fraction(round(1000 * 10**6 * graph.node(c.sender).delay.mean), 10**9)
+        age += Fraction(round(1000 * 10**6 * c.law.mean), 10**9)
+        found = []
+        for i, received in enumerate(run.t_received[c.key]):
+            there = max(received, tick(c.sender, i) + age) if c.jitter == "buffer" else received
+            if i not in taken[c.key] and (there < now if c.skip else there <= now):
+                found.append(i)
+        return sorted(found, key=lambda i: (run.t_received[c.key][i], i))
+
+    while True:
+        starts = {n: next_start(n) for n in names}
+        open_ = {n for n in names if starts[n] is None}
+        ranked = [
+            (starts[n], bool(before[n] & open_), graph.order.index(graph.index[n]), n)
+            for n in names
+            if starts[n] is not None
+        ]
+        now, _, _, name = min(ranked)
+        node, k = graph.node(name), len(run.t_start[name])
+        for c in graph.inputs_of(name):
+            taken[c.key] += take(c, k, now)
+            everything = list(range(-c.window, 0)) + taken[c.key]
+            run.windows[c.key].append(everything[-c.window :])
+        run.t_start[name].append(now)
+        run.order.append((name, k))
+        if name == graph.supervisor and k == steps:
+            return run
+        computation = node.delay.at(environment, k) if isinstance(node.delay, Listed) else Fraction(0)
+        run.t_end[name].append(now + computation)
+        for c in graph.connections:
+            if c.sender == name:
+                arrival = run.t_end[name][-1] + c.law.at(environment, k)
+                received = run.t_received[c.key]
+                received.append(max([arrival, *received[-1:]]) if c.fifo else arrival)
+        if node.scheduling == "frequency":
+            shift[name] += max(Fraction(0), computation - 1 / node.rate)
+
+
+def reference_execution(graph: Graph, run: Episode, state: dict, policy) -> tuple[list, dict]:
+    """Run one environment step by step in the order of events, keeping every output for ever."""
+    outputs = {}
+    for node in graph.nodes:
+        for i in range(1, 9):
+            outputs[node.name, -i] = node.initial_output({}, state[node.name], 1)
+    seen = []
+    for name, k in run.order:
+        node = graph.node(name)
+        data = {
+            c.name: torch.stack([outputs[c.sender, i] for i in run.windows[c.key][k]], dim=1)
+            for c in graph.inputs_of(name)
+        }
+        if name == graph.supervisor:
+            seen.append(data)
+            outputs[name, k] = policy(data, k)
+        else:
+            state[name], outputs[name, k] = node.step({}, state[name], {n: Seen(d) for n, d in data.items()})
+    return seen, state
+
+
+@dataclass
+class Seen:
+    """An input of which only the data is looked at."""
+
+    data: torch.Tensor
+
+
+class Accumulate(Node):
+    """Adds up what it sees, with a memory; only products and sums, so that every order of batching agrees."""
+
+    def init(self, parameters, generator, batch):
+        return {"x": torch.rand(batch, 2, dtype=torch.float64, generator=generator), "k": torch.zeros(batch)}
+
+    def initial_output(self, parameters, state, batch):
+        return state["x"] * 2
+
+    def step(self, parameters, state, inputs):
+        x = state["x"] * 0.9 + 0.01
+        for name in sorted(inputs):
+            data = inputs[name].data
+            for place in range(data.shape[1]):
+                x = x + data[:, place] * (0.1 * (place + 1))
+        k = state["k"] + 1
+        return {"x": x, "k": k}, x - 0.125 * k[:, None]
+
+
+def policy(data: dict, step: int) -> torch.Tensor:
+    """An action that depends on everything the supervisor sees and on its step."""
+    action = torch.full((len(next(iter(data.values()))), 2), 0.01 * step, dtype=torch.float64)
+    for name in sorted(data):
+        for place in range(data[name].shape[1]):
+            action = action + data[name][:, place] * 0.3
+    return action
+
+
+@st.composite
+def graphs(draw) -> Graph:
+    """Random graphs of 2 to 5 nodes in which many events fall on the same instant."""
+    size = draw(st.integers(2, 5))
+    delay = st.lists(st.integers(0, 6).map(lambda n: 5 * n), min_size=1, max_size=4).map(tuple).map(Listed)
+    quick = st.lists(st.integers(0, 12).map(lambda n: 5 * n), min_size=1, max_size=3).map(tuple).map(Listed)
+    rates = st.sampled_from([10, 20, 30, 40, 50, 60, 100, Fraction(25, 3)])
+    supervisor = draw(st.integers(0, size - 1))
+    nodes: list[Node] = []
+    for n in range(size):
+        options = {
+            "rate": draw(rates),
+            "delay": draw(quick) if draw(st.booleans()) else Listed((0,)),
+            "scheduling": draw(st.sampled_from(["frequency", "phase"])),
+            # Several of these could drive each other at infinite speed; the last one has a clocked sender.
+            "advance": n == size - 1 and draw(st.booleans()),
+        }
+        if n == supervisor:
+            action = torch.tensor([0.5, -0.5], dtype=torch.float64)
+            nodes.append(Supervisor("agent", initial_action=action, **options))
+        else:
+            nodes.append(Accumulate(f"n{n}", **options))
+    connections = []
+    pairs = [(a, b) for a in range(size) for b in range(size) if draw(st.integers(0, 2)) or b == a + 1]
+    for a, b in pairs:
+        connections.append(
+            Connection(
+                nodes[a].name,
+                nodes[b].name,
+                draw(delay),
+                window=draw(st.integers(1, 3)),
+                skip=a >= b or draw(st.integers(0, 4)) == 0,
+                blocking=draw(st.integers(0, 2)) == 0,
+                jitter=draw(st.sampled_from(["latest", "latest", "buffer"])),
+                fifo=draw(st.integers(0, 3)) > 0,
+            )
+        )
+    if not any(c.receiver == "agent" for c in connections):
+        connections.append(Connection(nodes[supervisor - 1].name, "agent", draw(delay), skip=True))
+    return Graph(nodes, connections)
