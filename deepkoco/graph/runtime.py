@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -69,7 +70,7 @@ class BatchedRuntime:
     ) -> None:
         self.graph = graph
         self.device = torch.device(device)
-        self._schedule = None if timing is None else Schedule(timing)
+        self._schedule = None if timing is None else Schedule(timing, self.device)
         self._edges = [
             [(e, c) for e, c in enumerate(graph.connections) if c.receiver == node.name]
             for node in graph.nodes
@@ -102,7 +103,7 @@ class BatchedRuntime:
         Raises:
             ValueError: no timing was given, or names and shapes do not fit.
         """
-        schedule = self._schedule if timing is None else Schedule(timing)
+        schedule = self._schedule if timing is None else Schedule(timing, self.device)
         if schedule is None:
             raise ValueError("no timing: give one to the runtime or to reset")
         fresh = self._start(schedule, parameters, generator, initial or {})
@@ -175,7 +176,8 @@ class BatchedRuntime:
             if not runs.any():
                 continue
             node = self.graph.nodes[position]
-            inputs = self._inputs(state, position, np.maximum(seq, 0))
+            # What the others would see is never used: let them look where those that run do.
+            inputs = self._inputs(state, position, seq if runs.all() else np.where(runs, seq, seq.max()))
             node_state, output = node.step(state.parameters[node.name], nodes[node.name], inputs)
             if not runs.all():
                 mask = torch.from_numpy(runs).to(self.device)
@@ -187,33 +189,38 @@ class BatchedRuntime:
 
     def _inputs(self, state: RuntimeState, position: int, step: np.ndarray) -> dict[str, Input]:
         """Collect what a node sees at its step `step`, (B,) or (1,) if it is the same for all."""
-        timing, batch = state.schedule.timing, len(state.row)
-        layout = timing.layout
-        row = state.row
-        if len(step) == 1 or ((row == row[0]).all() and (step == step[0]).all()):
-            row, step = row[:1], step[:1]
-        start = timing.t_start[row, layout.step_base[position] + step] / timing.resolution
-        t_start = self._spread(start, batch)
+        schedule, batch = state.schedule, len(state.row)
+        layout = schedule.timing.layout
+        # Where all are at the same step, what they see lies side by side in the tables: slice, else gather.
+        together = schedule.direct and bool((step == step[0]).all())
+        rows, places = state.row[:, None], np.broadcast_to(step, batch)[:, None]
+
+        def pick(table: Any, base: int, size: int) -> Any:
+            if together:
+                first = base + int(step[0]) * size
+                return table[:, first : first + size]
+            columns = base + places * size + np.arange(size)
+            return (
+                table[rows, columns]
+                if isinstance(table, np.ndarray)
+                else table[_index(rows), _index(columns)]
+            )
+
+        def spread(chosen: Tensor) -> Tensor:
+            return chosen.expand(batch, chosen.shape[1]) if len(chosen) < batch else chosen
+
+        t_start = spread(pick(schedule.t_start, int(layout.step_base[position]), 1))[:, 0]
         inputs = {}
         for edge, connection in self._edges[position]:
-            size = connection.window
-            first = layout.window_base[edge] + step * size
-            seq = timing.windows[row[:, None], first[:, None] + np.arange(size)].astype(np.int64)
-            sent = timing.t_end[row[:, None], layout.step_base[layout.sender[edge]] + np.maximum(seq, 0)]
-            received = timing.t_received[row[:, None], layout.message_base[edge] + np.maximum(seq, 0)]
-            initial = seq < 0
+            where = int(layout.window_base[edge]), connection.window
             inputs[connection.name] = Input(
-                data=_read(state.outputs[connection.sender], seq),
-                seq=self._spread(seq, batch),
-                t_sent=self._spread(np.where(initial, -np.inf, sent / timing.resolution), batch),
-                t_received=self._spread(np.where(initial, -np.inf, received / timing.resolution), batch),
+                data=_read(state.outputs[connection.sender], pick(schedule.timing.windows, *where)),
+                seq=spread(pick(schedule.seq, *where)),
+                t_sent=spread(pick(schedule.t_sent, *where)),
+                t_received=spread(pick(schedule.t_received, *where)),
                 t_start=t_start,
             )
         return inputs
-
-    def _spread(self, values: np.ndarray, batch: int) -> Tensor:
-        tensor = torch.from_numpy(values).to(self.device)
-        return tensor.expand(batch, *values.shape[1:]) if len(values) < batch else tensor
 
     def _merge(self, running: RuntimeState, fresh: RuntimeState, mask: np.ndarray) -> RuntimeState:
         """Take the environments in `mask` from `fresh`, the others from `running`."""
@@ -228,7 +235,7 @@ class BatchedRuntime:
             timing = concatenate(self.graph, [part for part in parts if part.batch])
             row = np.empty(len(mask), dtype=np.int64)
             row[np.concatenate([kept, new])] = timing.row
-            schedule = Schedule(replace(timing, row=row))
+            schedule = Schedule(replace(timing, row=row), self.device)
         where = torch.from_numpy(mask).to(self.device)
         outputs = {}
         for position, node in enumerate(self.graph.nodes):
@@ -252,6 +259,10 @@ class BatchedRuntime:
             },
             outputs=outputs,
         )
+
+
+def _index(places: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(places, dtype=np.int64))
 
 
 def _where(mask: Tensor, new: Tensor, old: Tensor) -> Tensor:

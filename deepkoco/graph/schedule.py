@@ -7,6 +7,7 @@ needs whose message.
 """
 
 import numpy as np
+import torch
 from numba import njit
 
 from deepkoco.graph.computation_graph import ComputationGraph
@@ -22,9 +23,13 @@ class Schedule:
         slots: (L,) node that runs in each slot.
         table: (R, steps + 1, L) seq that a slot runs before supervisor step k of a schedule, -1 for none.
         depth: (N,) how many of its last outputs a node must keep for its receivers.
+        direct: whether environment b runs row b, or all run the only row.
+        t_start: (R, steps of all nodes) float64 [s].
+        seq, t_sent, t_received: (R, windows of all connections) the messages that each step sees, int64
+            and float64 [s], in the columns of `ComputationGraph.windows`.
     """
 
-    def __init__(self, timing: ComputationGraph) -> None:
+    def __init__(self, timing: ComputationGraph, device: torch.device | str = "cpu") -> None:
         self.timing = timing
         layout = timing.layout
         rows, intervals, nodes = timing.boundary.shape
@@ -55,6 +60,28 @@ class Schedule:
         self.table = np.array(table, dtype=np.int32).reshape(len(slots), rows, intervals).transpose(1, 2, 0)
         self.table = np.ascontiguousarray(self.table)
         self.depth = depth
+        self.direct = rows == 1 or np.array_equal(timing.row, np.arange(rows))
+        self.t_start = torch.from_numpy(timing.t_start / timing.resolution).to(device)
+        seq = timing.windows.astype(np.int64)
+        sent, received = _window_times(timing)
+        self.seq = torch.from_numpy(seq).to(device)
+        self.t_sent = torch.from_numpy(sent).to(device)
+        self.t_received = torch.from_numpy(received).to(device)
+
+
+def _window_times(timing: ComputationGraph) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the messages in all windows [s], minus infinity for an initial output."""
+    layout = timing.layout
+    width = np.diff(layout.window_base)
+    step, message = (
+        np.repeat(layout.step_base[layout.sender], width),
+        np.repeat(layout.message_base[:-1], width),
+    )
+    place = np.maximum(timing.windows, 0)
+    initial = timing.windows < 0
+    sent = np.take_along_axis(timing.t_end, step + place, axis=1) / timing.resolution
+    received = np.take_along_axis(timing.t_received, message + place, axis=1) / timing.resolution
+    return np.where(initial, -np.inf, sent), np.where(initial, -np.inf, received)
 
 
 @njit(cache=True)

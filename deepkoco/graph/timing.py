@@ -97,7 +97,7 @@ def draw_timing(
         if capacity.max() > _MOST_STRETCH * planned.max():
             raise TimingError(
                 f'supervisor "{graph.supervisor}" does not come to its step {steps}: delays hold it up, or '
-                "nodes with advance=True and only blocking inputs drive each other without waiting for any tick"
+                "nodes with advance=True and only blocking inputs drive each other without any tick"
             )
 
 

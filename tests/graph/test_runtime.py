@@ -113,7 +113,7 @@ def test_inputs_tell_when_each_message_was_sent_and_received():
     for _ in range(2):
         state, inputs = runtime.step(state, torch.zeros(2, 1, dtype=torch.float64))
     seen = inputs["sensor"]
-    # The agent's step 2 starts at 0.1 s. After 100 ms message 0 has just come; after 30 ms message 1, at 0.08.
+    # The agent's step 2 starts at 0.1 s: message 0, 100 ms old, has just come, or message 1, after 30 ms.
     assert seen.seq.tolist() == [[-1, 0], [0, 1]]
     assert seen.t_sent.tolist() == [[-np.inf, 0.0], [0.0, 0.05]]
     assert seen.t_received.tolist() == [[-np.inf, 0.1], [0.03, 0.08]]
