@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import torch
-
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
-from deepkoco.identify.windows import Windows
+from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem, JointSystem
 from deepkoco.systems.effects import EFFECTS
 
@@ -49,7 +46,7 @@ def start_from(system: JointSystem, windows: Windows) -> Start:
     return Start(extended, values, Prior.of(own))
 
 
-def refit(start: Start, windows: Windows, halves: Windows, free: tuple[str, ...] | None = None) -> Fit:
+def refit(start: Start, windows: Windows, free: tuple[str, ...] | None = None) -> Fit:
     """Fit the baseline's parameters under their prior, first on windows of half the length.
 
     A long window across an unstable equilibrium has many minima; the half windows have fewer, and give
@@ -58,28 +55,14 @@ def refit(start: Start, windows: Windows, halves: Windows, free: tuple[str, ...]
     Args:
         start: Prior and present values.
         windows: The windows to fit.
-        halves: The same logs cut into windows of half the length.
         free: Parameters to free; None frees all that the prior covers.
     """
     names = start.prior.names if free is None else free
+    halves = halved(windows)
     short = FitProblem(start.system, halves)
     state = short.fit_states(start.values, halves.state)
     first = short.fit([Trial("half windows", names, start.prior, start.values, state)])[0]
     problem = FitProblem(start.system, windows)
-    guess = states_from(windows, halves, first.state)
+    guess = first.state[::2]
     state = problem.fit_states(first.values, guess)
     return problem.fit([Trial("refit", names, start.prior, first.values, state, first.zero)])[0]
-
-
-def states_from(windows: Windows, halves: Windows, state: torch.Tensor) -> torch.Tensor:
-    """Initial states of windows from those of the half windows that start at the same time."""
-    at = {
-        (int(log), round(float(t0), 6)): i
-        for i, (log, t0) in enumerate(zip(halves.log, halves.t0, strict=True))
-    }
-    guess = windows.state.clone()
-    for w, (log, t0) in enumerate(zip(windows.log, windows.t0, strict=True)):
-        i = at.get((int(log), round(float(t0), 6)))
-        if i is not None and bool(np.isfinite(state[i].numpy()).all()):
-            guess[w] = state[i]
-    return guess

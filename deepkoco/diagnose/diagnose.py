@@ -19,7 +19,7 @@ from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import hint_for
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
-from deepkoco.diagnose.selection import DETECTION, FURTHER, Candidate, Ranking, pushes_from, rank
+from deepkoco.diagnose.selection import DETECTION, FURTHER, Candidate, Ranking, pushes_from, rank, without_events_first
 from deepkoco.diagnose.unknown import describe, explained_share
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
@@ -36,10 +36,9 @@ EXPLAINED = 0.6
 
 @dataclass(frozen=True)
 class _Data:
-    """Windows of one diagnosis: what is fitted, the same in halves, what is kept back."""
+    """Windows of one diagnosis: what is fitted, what is kept back."""
 
     train: Windows
-    halves: Windows
     held: Windows | None
     resting: int
 
@@ -97,7 +96,7 @@ class _Study:
 
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
         problem, start, data = self.problem, self.start, self.data
-        reference = refit(start, data.train, data.halves)
+        reference = refit(start, data.train)
         missing = missing_torque(problem, reference)
         first, final = self._select(reference, missing)
         chi2 = [fit.chi2 / data.train.samples for fit in (reference, final)]
@@ -161,6 +160,7 @@ class _Study:
         ranking = rank(problem, start, reference, (), hint)
         first, final = ranking, reference
         while ranking.candidates and ranking.best.delta_bic > (FURTHER if self.accepted else self.detection):
+            ranking = without_events_first(problem, start, ranking, self.accepted, hint, self.detection)
             members = equivalent(problem, start, ranking, tuple(self.accepted))
             self.steps.append((ranking, members))
             self.accepted.append(ranking.best.cause)
@@ -217,24 +217,17 @@ def _cut(
     recordings: Sequence[Recording], holdout: Sequence[Recording], system: JointSystem, length: float
 ) -> _Data:
     noise = estimate_channels(recordings, system)
-    windows = cut_windows(recordings, system, length, noise)
+    # With logs of their own to test on, windows may overlap: nothing that is fitted is tested.
+    windows = cut_windows(recordings, system, length, noise, cover=bool(holdout))
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
     order = np.arange(len(windows))
     keep_back = (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & (moves.sum() >= 2 * HELD_OUT)
     train = windows.take(moves & ~keep_back)
     if holdout:
-        held = cut_windows(holdout, system, length, estimate_channels(holdout, system))
-        held = held.take(moving(held)) if len(held) else held
+        held = cut_windows(holdout, system, length, estimate_channels(holdout, system), cover=True)
     else:
         held = windows.take(moves & keep_back) if keep_back.any() else None
-    halves = cut_windows(recordings, system, 0.5 * length, noise)
-    inside = {(int(log), round(float(t), 6)) for log, t in zip(train.log, train.t0, strict=True)}
-    half = round(0.5 * length, 6)
-    mine = [
-        (int(log), round(float(t), 6)) in inside or (int(log), round(float(t) - half, 6)) in inside
-        for log, t in zip(halves.log, halves.t0, strict=True)
-    ]
-    return _Data(train, halves.take(np.array(mine, dtype=bool)), held, int((~moves).sum()))
+    return _Data(train, held, int((~moves).sum()))
 
 
 def _insufficient(

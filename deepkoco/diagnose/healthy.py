@@ -37,11 +37,9 @@ def learn_baseline(recordings: Sequence[Recording], system: JointSystem, length:
     """
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
-    halves = cut_windows(recordings, system, 0.5 * length, windows.noise)
-    halves = halves.take(moving(halves))
     start = start_from(system, windows)
     problem = FitProblem(start.system, windows)
-    fit = refit(start, windows, halves)
+    fit = refit(start, windows)
     accepted: list[str] = []
     for _ in range(LARGEST_EXTENSION):
         hint = hint_for(start.system, windows, pushes_from(missing_torque(problem, fit)))
@@ -74,11 +72,10 @@ def _run_to_run(
     fits = []
     for recording in recordings:
         windows = cut_windows([recording], system, length)
-        halves = cut_windows([recording], system, 0.5 * length, windows.noise)
-        windows, halves = windows.take(moving(windows)), halves.take(moving(halves))
+        windows = windows.take(moving(windows))
         if len(windows) >= 3:
             own = replace(start, values=dict(pooled.values))
-            fits.append(refit(own, windows, halves, start.prior.names))
+            fits.append(refit(own, windows, start.prior.names))
     if len(fits) < 2:
         return np.zeros((size, size))
     result = np.zeros((size, size))

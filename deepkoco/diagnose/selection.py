@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import CAUSES, Cause, Hint
@@ -136,6 +137,49 @@ def rank(
     return _ranked(problem, start, reference, tried, fits)
 
 
+def without_events_first(
+    problem: FitProblem, start: Start, ranking: Ranking, accepted: Sequence[Cause], hint: Hint, detection: float
+) -> Ranking:
+    """Put a lasting cause before an event, if it shows where the event is not.
+
+    One window that a model fits badly can outweigh all others, and a push can mend any single window. So
+    when an event leads, the windows that it touches are masked and the others are ranked again: a cause
+    that is detected there acts all the time and goes first; the event may follow in the next round.
+    """
+    winner = ranking.best
+    if winner.cause.effect != "event":
+        return ranking
+    windows = problem.windows
+    begin = winner.fit.values["event.start"]
+    end = begin + winner.fit.values["event.duration"]
+    touched = (windows.log == winner.fit.values["event.log"]) & (windows.t0 < end)
+    touched &= windows.t0 + windows.length > begin
+    keep = ~touched
+    if keep.sum() < 3:
+        return ranking
+    rest = FitProblem(problem.system, windows.take(keep))
+    pick = torch.from_numpy(np.flatnonzero(keep))
+    before = Trial(
+        "rest",
+        ranking.reference.free,
+        prior_with(problem, start, accepted, ranking.reference.values),
+        {**winner.fit.values, "event.torque": ranking.reference.values["event.torque"]},
+        winner.fit.state[pick],
+        winner.fit.zero,
+    )
+    reference = rest.fit([before])[0]
+    lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event"]
+    there = rank(rest, start, reference, accepted, hint, lasting)
+    if not there.candidates or there.best.delta_bic <= detection:
+        return ranking
+    name = there.best.cause.name
+    first = next(c for c in ranking.candidates if c.cause.name == name)
+    if first.delta_bic <= detection:
+        return ranking
+    others = sorted((c for c in ranking.candidates if c is not first), key=lambda c: c.cause.effect == "event")
+    return replace(ranking, candidates=(first, *others))
+
+
 def _ranked(
     problem: FitProblem, start: Start, reference: Fit, tried: Sequence[Cause], fits: Mapping[str, Fit]
 ) -> Ranking:
@@ -163,8 +207,7 @@ def pushes_from(missing: MissingTorque) -> tuple[dict[str, float], ...]:
     """Starts of a push: the slots (and runs of slots) where an outside torque would help most."""
     found = []
     for width in (1, 3):
-        kernel = np.ones(width)
-        score = np.apply_along_axis(lambda row: np.convolve(row, kernel, "valid"), 1, missing.score)
+        score = np.lib.stride_tricks.sliding_window_view(missing.score, width, axis=1).sum(-1)
         w, k = np.unravel_index(int(np.argmax(score)), score.shape)
         found.append(
             {

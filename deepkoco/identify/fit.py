@@ -143,7 +143,7 @@ class FitProblem:
     def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
         """Fit initial states and zeros only, with every parameter held at ``values``."""
         first = self.fit_states(values, self.windows.state if state is None else state)
-        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12)[0]
+        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.zero_sd > 0 else 1)[0]
 
     def fit_states(self, values: Mapping[str, float], state: Tensor, iterations: int = 15) -> Tensor:
         """Initial states (W, S) that suit held parameters; each window steps and is damped by itself."""

@@ -107,15 +107,20 @@ def window_length(system: System) -> float:
 
 
 def cut_windows(
-    recordings: Sequence[Recording], system: System, length: float, noise: tuple[Noise, ...] | None = None
+    recordings: Sequence[Recording],
+    system: System,
+    length: float,
+    noise: tuple[Noise, ...] | None = None,
+    cover: bool = False,
 ) -> Windows:
-    """Cut logs into back-to-back windows.
+    """Cut logs into windows, back to back.
 
     Args:
         recordings: Logs of the system; each has the command and at least one measurement.
         system: Says which channels there are.
         length: Length of a window [s].
         noise: Noise of each channel; None estimates it from these logs.
+        cover: Let neighbours overlap a little so that they reach the very end of each log.
 
     Raises:
         LogError: A log lacks the command or every measurement.
@@ -126,10 +131,10 @@ def cut_windows(
     for index, recording in enumerate(recordings):
         command, series = _channels(recording, system)
         commands.append(command)
-        start = max(min(t[0] for t, _ in series.values()), command.t[0] + HISTORY)
+        history = 0.0 if cover else HISTORY
+        start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
-        for w in range(int((stop - start) / length + 1e-9)):
-            t0 = start + w * length
+        for t0 in _starts(start, stop, length, cover):
             pieces = {n: _piece(*series[n], t0, t0 + length) for n in names if n in series}
             if any(len(t) >= MIN_SAMPLES for t, _ in pieces.values()):
                 rows.append((index, t0, pieces))
@@ -156,6 +161,33 @@ def cut_windows(
         torch.from_numpy(valid),
         noise,
         torch.from_numpy(state),
+    )
+
+
+def halved(windows: Windows) -> Windows:
+    """Each window as two of half the length, the first half of window w at 2 w."""
+    steps = max(windows.steps // 2, 1)
+    half = 0.5 * windows.length
+    parts = []
+    for w in range(len(windows)):
+        for k in (0, 1):
+            inside = windows.valid[w] & (windows.t[w] >= k * half) & (windows.t[w] < (k + 1) * half)
+            t = torch.where(inside, windows.t[w] - k * half, 0.0)
+            # Samples of the other half stay in the row as padding, behind those of this half.
+            order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
+            pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
+            parts.append((*pick, _first_state(*(x.numpy() for x in pick))))
+    size = int(max((part[2].sum(-1).max() for part in parts), default=0))
+    return replace(
+        windows,
+        log=np.repeat(windows.log, 2),
+        t0=(windows.t0[:, None] + half * np.arange(2)).ravel(),
+        step=half / steps,
+        steps=steps,
+        t=torch.stack([part[0][:, :size] for part in parts]),
+        value=torch.stack([part[1][:, :size] for part in parts]),
+        valid=torch.stack([part[2][:, :size] for part in parts]),
+        state=torch.from_numpy(np.array([part[3] for part in parts])),
     )
 
 
@@ -209,6 +241,16 @@ def _rests(value: np.ndarray, valid: np.ndarray, count: int, reach: float) -> np
     with np.errstate(invalid="ignore"):
         spread = runs.max(-1) - runs.min(-1)
     return (spread < reach).any(-1)
+
+
+def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray:
+    """Starts of the windows between two times; a rest below a fiftieth of a window is not chased."""
+    fit = (stop - start) / length
+    if fit < 1.0 - 1e-9:
+        return np.zeros(0)
+    if cover:
+        return np.linspace(start, stop - length, math.ceil(fit - 0.02))
+    return start + length * np.arange(int(fit + 1e-9))
 
 
 def _channels(
