@@ -3,6 +3,7 @@
 from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.delay import Delay, DelayError, Deterministic, Empirical, Gaussian, Mixture, make_delay
+from deepkoco.graph.episode import Episode, record_episodes, replay_episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
 from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
@@ -17,6 +18,7 @@ __all__ = [
     "DelayError",
     "Deterministic",
     "Empirical",
+    "Episode",
     "Gaussian",
     "Graph",
     "GraphError",
@@ -34,6 +36,8 @@ __all__ = [
     "draw_timing",
     "make_delay",
     "read_log",
+    "record_episodes",
+    "replay_episode",
     "replay_timing",
     "write_log",
 ]

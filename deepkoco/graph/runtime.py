@@ -14,6 +14,8 @@ from deepkoco.graph.node import Input, State
 from deepkoco.graph.schedule import Schedule
 
 NodeParameters = Mapping[str, Mapping[str, Tensor]]
+Trace = list[tuple[int, np.ndarray, Tensor]]
+"""What ran: node, its step in each environment (-1: none; one number if all the same), outputs (B, ...)."""
 
 
 class HorizonError(RuntimeError):
@@ -85,6 +87,7 @@ class BatchedRuntime:
         timing: ComputationGraph | None = None,
         state: RuntimeState | None = None,
         mask: np.ndarray | Tensor | None = None,
+        trace: Trace | None = None,
     ) -> tuple[RuntimeState, dict[str, Input]]:
         """Start episodes and run them up to the supervisor's first step.
 
@@ -96,6 +99,7 @@ class BatchedRuntime:
                 environments in `mask` are used. None: those of the constructor.
             state: a running batch, of which only the environments in `mask` start anew.
             mask: (B,) bool, which environments of `state` start anew; None: all.
+            trace: takes note of every step that runs.
 
         Returns:
             The state and what the supervisor sees, by name of its input.
@@ -107,17 +111,20 @@ class BatchedRuntime:
         if schedule is None:
             raise ValueError("no timing: give one to the runtime or to reset")
         fresh = self._start(schedule, parameters, generator, initial or {})
-        fresh = self._run(fresh)
+        fresh = self._run(fresh, trace)
         if state is not None and mask is not None:
             fresh = self._merge(state, fresh, np.asarray(mask, dtype=np.bool_))
         return fresh, self._inputs(fresh, self.graph.index[self.graph.supervisor], fresh.step)
 
-    def step(self, state: RuntimeState, action: Tensor) -> tuple[RuntimeState, dict[str, Input]]:
+    def step(
+        self, state: RuntimeState, action: Tensor, trace: Trace | None = None
+    ) -> tuple[RuntimeState, dict[str, Input]]:
         """Give the supervisor's output and run everything up to its next step.
 
         Args:
             state: what `reset` or `step` returned.
             action: (B, M) output of the supervisor step that waits.
+            trace: takes note of every step that runs, that of the supervisor included.
 
         Returns:
             The next state and what the supervisor sees then.
@@ -133,7 +140,9 @@ class BatchedRuntime:
             )
         outputs = dict(state.outputs)
         outputs[self.graph.supervisor] = _write(outputs[self.graph.supervisor], action, state.step)
-        state = self._run(replace(state, step=state.step + 1, outputs=outputs))
+        if trace is not None:
+            trace.append((self.graph.index[self.graph.supervisor], state.step, action))
+        state = self._run(replace(state, step=state.step + 1, outputs=outputs), trace)
         return state, self._inputs(state, self.graph.index[self.graph.supervisor], state.step)
 
     def _start(
@@ -162,7 +171,7 @@ class BatchedRuntime:
         row, step = schedule.timing.row, np.zeros(batch, dtype=np.int64)
         return RuntimeState(schedule, row, step, values, nodes, outputs)
 
-    def _run(self, state: RuntimeState) -> RuntimeState:
+    def _run(self, state: RuntimeState, trace: Trace | None) -> RuntimeState:
         """Run the slots before the supervisor step that each environment is at."""
         nodes, outputs = dict(state.nodes), dict(state.outputs)
         state = replace(state, nodes=nodes, outputs=outputs)
@@ -185,6 +194,8 @@ class BatchedRuntime:
                 node_state = {key: _where(mask, value, old[key]) for key, value in node_state.items()}
             nodes[node.name] = node_state
             outputs[node.name] = _write(outputs[node.name], output, seq)
+            if trace is not None:
+                trace.append((position, seq, output))
         return state
 
     def _inputs(self, state: RuntimeState, position: int, step: np.ndarray) -> dict[str, Input]:

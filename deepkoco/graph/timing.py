@@ -269,7 +269,7 @@ def _delays(graph: Graph, overrides: Delays, batch: int) -> tuple[dict[str, Dela
     for key, override in overrides.items():
         if key not in laws:
             raise TimingError(f'delay of "{key}": no such node or connection; known: {", ".join(laws)}')
-        if isinstance(override, (Delay, Mapping, int, float, Fraction)):
+        if isinstance(override, (Delay, Mapping, int, float)):
             laws[key] = make_delay(override)
             continue
         values = np.asarray(override, dtype=np.float64)
@@ -302,6 +302,6 @@ def _ticks(
 
 def _numpy_generator(generator: np.random.Generator | torch.Generator) -> np.random.Generator:
     if isinstance(generator, torch.Generator):
-        seed = torch.randint(2**62, (), generator=generator, device=generator.device)
+        seed = torch.randint(2**62, (), generator=generator)
         return np.random.default_rng(int(seed))
     return generator

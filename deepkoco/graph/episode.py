@@ -1,0 +1,136 @@
+"""Episodes: what ran when, what it sent, who used it; recorded from the runtime and replayed in it."""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.computation_graph import ComputationGraph
+from deepkoco.graph.graph import Graph
+from deepkoco.graph.node import Input, State
+from deepkoco.graph.runtime import BatchedRuntime, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.timing import MeasuredTiming, replay_timing
+
+Policy = Callable[[dict[str, Input]], Tensor]
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One environment's episode; times in seconds, float64.
+
+    Attributes:
+        t_start, t_end: by node name, (K,) of its K steps.
+        outputs: by node name, (K, ...); the supervisor has one step more than outputs.
+        t_sent, t_received: by connection key, (K,) of the sender's messages.
+        windows: by connection key, (K, window) seqs that each step of the receiver saw, oldest first;
+            negative: the initial output.
+    """
+
+    t_start: dict[str, np.ndarray]
+    t_end: dict[str, np.ndarray]
+    outputs: dict[str, np.ndarray]
+    t_sent: dict[str, np.ndarray]
+    t_received: dict[str, np.ndarray]
+    windows: dict[str, np.ndarray]
+
+    @property
+    def measured(self) -> MeasuredTiming:
+        """The times as they enter `replay_timing`."""
+        return MeasuredTiming(self.t_start, self.t_end, self.t_received)
+
+    def save(self, path: str | Path) -> None:
+        """Write the episode as `.npz`, whole or not at all.
+
+        Raises:
+            FileExistsError: the file is there already.
+        """
+        path = Path(path)
+        if path.exists():
+            raise FileExistsError(f"{path}: exists; choose another name or move it away")
+        arrays = {
+            f"{f.name}/{key}": array for f in fields(self) for key, array in getattr(self, f.name).items()
+        }
+        partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        with partial.open("wb") as file:
+            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
+        os.replace(partial, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Episode":
+        """Read an episode that `save` wrote."""
+        parts: dict[str, dict[str, np.ndarray]] = {f.name: {} for f in fields(cls)}
+        with np.load(path, allow_pickle=False) as arrays:
+            for name in arrays.files:
+                part, key = name.split("/", 1)
+                parts[part][key] = arrays[name]
+        return cls(**parts)
+
+
+def record_episodes(
+    runtime: BatchedRuntime,
+    policy: Policy,
+    parameters: NodeParameters,
+    generator: torch.Generator,
+    initial: Mapping[str, State] | None = None,
+    timing: ComputationGraph | None = None,
+) -> tuple[list[Episode], RuntimeState]:
+    """Run the whole timing of a batch and record every step.
+
+    Args:
+        runtime: what runs the graph.
+        policy: from what the supervisor sees to its actions (B, M).
+        parameters, generator, initial, timing: as for `BatchedRuntime.reset`.
+
+    Returns:
+        One episode for each environment, and the last state.
+    """
+    trace: Trace = []
+    state, inputs = runtime.reset(parameters, generator, initial, timing=timing, trace=trace)
+    schedule = state.schedule.timing
+    for _ in range(schedule.steps):
+        state, inputs = runtime.step(state, policy(inputs), trace=trace)
+    return [_episode(runtime.graph, schedule, trace, b) for b in range(schedule.batch)], state
+
+
+def replay_episode(
+    graph: Graph,
+    episode: Episode,
+    parameters: NodeParameters,
+    generator: torch.Generator,
+    initial: Mapping[str, State] | None = None,
+) -> tuple[Episode, RuntimeState]:
+    """Run an episode again: its times instead of drawn delays, its actions instead of a policy.
+
+    With the same parameters and initial state the outputs are the recorded ones, bit for bit; with
+    others they show what another model would have done.
+    """
+    runtime = BatchedRuntime(graph, replay_timing(graph, episode.measured))
+    actions = iter(torch.from_numpy(episode.outputs[graph.supervisor]))
+    episodes, state = record_episodes(runtime, lambda _: next(actions)[None], parameters, generator, initial)
+    return episodes[0], state
+
+
+def _episode(graph: Graph, timing: ComputationGraph, trace: Trace, environment: int) -> Episode:
+    row = int(timing.row[environment])
+    outputs: dict[str, list[np.ndarray]] = {node.name: [] for node in graph.nodes}
+    for position, seq, output in trace:
+        if seq[min(environment, len(seq) - 1)] >= 0:
+            value = output[min(environment, len(output) - 1)]
+            outputs[graph.nodes[position].name].append(value.detach().cpu().numpy())
+    times = [[t / timing.resolution for t in timing.steps_of(n, row)] for n in range(len(graph.nodes))]
+    messages = [
+        [t / timing.resolution for t in timing.messages_of(e, row)] for e in range(len(graph.connections))
+    ]
+    keys = [connection.key for connection in graph.connections]
+    return Episode(
+        t_start={node.name: start for node, (start, _) in zip(graph.nodes, times, strict=True)},
+        t_end={node.name: end for node, (_, end) in zip(graph.nodes, times, strict=True)},
+        outputs={name: np.stack(values) for name, values in outputs.items() if values},
+        t_sent={key: sent for key, (sent, _) in zip(keys, messages, strict=True)},
+        t_received={key: received for key, (_, received) in zip(keys, messages, strict=True)},
+        windows={key: timing.windows_of(e, row) for e, key in enumerate(keys)},
+    )
