@@ -37,11 +37,13 @@ def evaluate(config: EvaluateConfig) -> None:
     envs.close()
     costs = episode_costs(episodes)
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
+    spread = float(costs.std(ddof=1)) if config.episodes > 1 else 0.0
     result = {
         "run": str(folder),
         "n": config.episodes,
         "mean": float(costs.mean()),
-        "sd": float(costs.std(ddof=1)) if config.episodes > 1 else 0.0,
+        "sd": spread,
+        "standard_error": spread / config.episodes**0.5,
         "median": float(np.median(costs)),
         "upright": float((ends <= config.upright_cost).mean()),
         "planner_failures": agent.statistics.failures,
@@ -50,7 +52,8 @@ def evaluate(config: EvaluateConfig) -> None:
         print(json.dumps(result))
     else:
         print(
-            f"{folder}: cost {result['mean']:.1f} (sd {result['sd']:.1f}, median {result['median']:.1f}), "
+            f"{folder}: cost {result['mean']:.1f} +- {result['standard_error']:.1f} "
+            f"(sd {result['sd']:.1f}, median {result['median']:.1f}), "
             f"upright {100 * result['upright']:.0f} % of {config.episodes} noise-free episodes"
         )
 

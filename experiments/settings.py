@@ -51,8 +51,8 @@ class EvaluateConfig:
 
     run: str = MISSING
     """Folder of a finished run."""
-    episodes: int = 50
-    """Noise-free episodes."""
+    episodes: int = 200
+    """Noise-free episodes; the standard error of 50 pendulum episodes is 12, of 200 it is 6."""
     seed: int = 0
     """Which set of start states; never one of training."""
     json: bool = False

@@ -39,7 +39,9 @@ class TrainingConfig:
     chunk_length: int = 40
     """L, consecutive steps of a chunk, which holds L - T overlapping windows."""
     learning_rate: float = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam for the networks."""
+    eigenvalue_learning_rate: float = 1e-2
+    """Step size of Adam for mu [1/s] and omega [rad/s]."""
     cost_weight: float = 10.0
     """alpha_1, weight of cost reconstruction and prediction against the linear loss."""
     weight_penalty: float = 1e-14
@@ -54,7 +56,7 @@ class TrainingConfig:
     """Episode at which the variance has fallen linearly to zero."""
     evaluation_episodes: int = 10
     """Noise-free episodes after every iteration; 0 for none."""
-    final_evaluation_episodes: int = 50
+    final_evaluation_episodes: int = 200
     """Noise-free episodes at the end of the run."""
     checkpoint_updates: int = 1000
     """Updates between two checkpoints inside an iteration."""
@@ -67,7 +69,7 @@ class TrainingConfig:
         """
         positive = (
             "first_episodes first_epochs iteration_episodes iteration_epochs iteration_updates "
-            "total_episodes horizon chunks learning_rate noise_last_episode "
+            "total_episodes horizon chunks learning_rate eigenvalue_learning_rate noise_last_episode "
             "final_evaluation_episodes checkpoint_updates"
         )
         for name in positive.split():

@@ -90,8 +90,10 @@ class Trainer:
         decay = get_ema_multi_avg_fn(config.averaging)
         self._average = AveragedModel(self.model, multi_avg_fn=decay)
         # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
+        networks = [*self.model.encoder.parameters(), *self.model.cost_factor.parameters()]
+        eigenvalues = {"params": self.model.dynamics.parameters(), "lr": config.eigenvalue_learning_rate}
         self._optimiser = torch.optim.Adam(
-            self.model.parameters(),
+            [{"params": networks}, eigenvalues],
             config.learning_rate,
             weight_decay=2.0 * config.weight_penalty,
             fused=True,
