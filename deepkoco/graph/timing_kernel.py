@@ -102,6 +102,10 @@ def run_rows(
                     continue
                 if n < 0 or ready[m] < ready[n]:
                     n = m
+                elif replay and n == supervisor and count[n] == steps and ready[m] == ready[n]:
+                    n = m  # whatever was measured came before the end
+                elif replay and m == supervisor and count[m] == steps:
+                    continue
                 elif ready[m] == ready[n]:
                     waits_m, waits_n = False, False
                     for a in range(nodes):

