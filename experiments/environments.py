@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 from gymnasium.vector import VectorEnv
 
-from deepkoco.agent.collection import VectorEnvFactory
+from deepkoco.agent.collection import VectorEnvFactory, box_sizes
 from deepkoco.envs.distractors import VectorStateDistractors
 from experiments.settings import EnvConfig
 
@@ -41,7 +41,8 @@ def make_factory(config: EnvConfig, distractors: str) -> VectorEnvFactory:
         Makes environments from (count, seed of the run).
 
     Raises:
-        ExperimentError: The id or the distractors are unknown.
+        ExperimentError: The id or the distractors are unknown, or the environment refuses its arguments.
+        SpaceError: A space is not a flat Box.
     """
     if distractors not in DISTRACTORS:
         raise ExperimentError(f'distractors = "{distractors}"; choose one of {", ".join(DISTRACTORS)}')
@@ -57,4 +58,10 @@ def make_factory(config: EnvConfig, distractors: str) -> VectorEnvFactory:
         envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **kwargs)
         return DISTRACTORS[distractors](envs, config, seed)
 
+    try:
+        probe = make(1, 0)
+    except (gymnasium.error.Error, TypeError, ValueError) as error:
+        raise ExperimentError(f"env.kwargs = {kwargs}: {error}") from error
+    box_sizes(probe)
+    probe.close()
     return make

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import yaml
 
+from deepkoco.agent.collection import SpaceError
 from experiments.aggregate import aggregate, learning_curves, mean_with_band, read_runs
 from experiments.environments import ExperimentError, make_factory
 from experiments.planner_benchmark import FRESH, benchmark, random_model
@@ -82,6 +83,13 @@ def test_unknown_environments_and_distractors_are_named():
         make_factory(EnvConfig("nope", "Nope-v7"), "none")
     with pytest.raises(ExperimentError, match="none, copies"):
         make_factory(EnvConfig("pendulum", "Pendulum-v1"), "videos")
+
+
+def test_arguments_and_spaces_that_do_not_fit_are_named_before_work_starts():
+    with pytest.raises(ExperimentError, match="colour"):
+        make_factory(EnvConfig("pendulum", "Pendulum-v1", kwargs={"colour": 1}), "none")
+    with pytest.raises(SpaceError, match="Discrete"):
+        make_factory(EnvConfig("cart", "CartPole-v1"), "none")
 
 
 def test_the_order_of_distractor_entries_belongs_to_the_run_seed():
