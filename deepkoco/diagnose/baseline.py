@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.noise import Noise, quantum_of, residual_noise
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
 from deepkoco.identify.windows import Windows, halved
@@ -66,3 +67,26 @@ def refit(start: Start, windows: Windows, free: tuple[str, ...] | None = None) -
     guess = first.state[::2]
     state = problem.fit_states(first.values, guess)
     return problem.fit([Trial("refit", names, start.prior, first.values, state, first.zero)])[0]
+
+
+def sharpen_noise(windows: Windows, fit: Fit) -> tuple[Noise, ...]:
+    """Noise of each channel from the residuals of a fit, where that is below what the windows hold."""
+    result = []
+    for c, noise in enumerate(windows.noise):
+        valid = windows.valid[:, c].numpy()
+        if valid.sum() < 40:
+            result.append(noise)
+            continue
+        residual = (fit.residual[:, c] * noise.sd).numpy()
+        quantum = quantum_of(windows.value[:, c][windows.valid[:, c]].numpy())
+        result.append(residual_noise(windows.t[:, c].numpy(), residual, valid, quantum, noise))
+    return tuple(result)
+
+
+def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
+    """Refit, estimate the noise from what the refit leaves, and refit once more under that noise."""
+    rough = refit(start, windows)
+    windows = replace(windows, noise=sharpen_noise(windows, rough))
+    problem = FitProblem(start.system, windows)
+    trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.zero)
+    return windows, problem.fit([trial])[0]

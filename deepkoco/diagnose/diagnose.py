@@ -5,12 +5,12 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start, refit, start_from
+from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
 from deepkoco.diagnose.causes import CAUSES, Cause
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
@@ -19,7 +19,15 @@ from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import hint_for
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
-from deepkoco.diagnose.selection import DETECTION, FURTHER, Candidate, Ranking, pushes_from, rank, without_events_first
+from deepkoco.diagnose.selection import (
+    DETECTION,
+    FURTHER,
+    Candidate,
+    Ranking,
+    pushes_from,
+    rank,
+    without_events_first,
+)
 from deepkoco.diagnose.unknown import describe, explained_share
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
@@ -89,14 +97,17 @@ class _Study:
     """One diagnosis under way."""
 
     def __init__(self, system: JointSystem, start: Start, data: _Data, detection: float) -> None:
-        self.system, self.start, self.data, self.detection = system, start, data, detection
-        self.problem = FitProblem(start.system, data.train)
+        self.system, self.start, self.detection = system, start, detection
+        train, self.reference = refit_sharply(start, data.train)
+        held = None if data.held is None else replace(data.held, noise=train.noise)
+        self.data = replace(data, train=train, held=held)
+        self.problem = FitProblem(start.system, train)
         self.accepted: list[Cause] = []
         self.steps: list[tuple[Ranking, tuple[str, ...]]] = []
 
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
         problem, start, data = self.problem, self.start, self.data
-        reference = refit(start, data.train)
+        reference = self.reference
         missing = missing_torque(problem, reference)
         first, final = self._select(reference, missing)
         chi2 = [fit.chi2 / data.train.samples for fit in (reference, final)]
@@ -138,6 +149,7 @@ class _Study:
 
     def _details(self, reference: Fit, final: Fit, missing: MissingTorque) -> Details:
         prior = self.start.prior
+        held = self.data.held is not None and len(self.data.held) > 0
         spread = np.sqrt(np.diag(prior.covariance))
         return Details(
             system=self.start.system,
@@ -147,7 +159,7 @@ class _Study:
                 n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)
             },
             windows=self.data.train,
-            nominal=self.problem.evaluate(self.start.values, "baseline", reference.state),
+            nominal=None if held else self.problem.evaluate(self.start.values, "baseline", reference.state),
             refit=reference,
             final=final,
             missing=missing,

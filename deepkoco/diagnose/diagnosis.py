@@ -84,7 +84,7 @@ class Details:
         command_unit: Unit of the command.
         priors: Baseline parameter -> (mean, standard deviation) of its prior.
         windows: Training windows.
-        nominal: The system as given on them.
+        nominal: The system as given on them; None where there are held-out windows to show.
         refit: The refitted baseline.
         final: With the named causes; the refit itself where none is named.
         missing: Torque that the refitted baseline misses.
@@ -95,7 +95,7 @@ class Details:
     command_unit: str
     priors: dict[str, tuple[float, float]]
     windows: Windows
-    nominal: Fit
+    nominal: Fit | None
     refit: Fit
     final: Fit
     missing: MissingTorque | None

@@ -70,7 +70,7 @@ def replay(diagnosis: Diagnosis, details: Details) -> Picture:
         windows, fits, where = gain.replayed, gain.fits, "held-out"
     else:
         windows, where = details.windows, "training"
-        fits = {"baseline": details.nominal, "refit": details.refit, "extended": details.final}
+        fits = {"baseline": details.nominal or details.refit, "refit": details.refit, "extended": details.final}
     count = min(SHOWN_WINDOWS, len(windows))
     chosen = np.unique(np.linspace(0, len(windows) - 1, count).round().astype(int))
     figure = Figure(figsize=(9.0, 4.2))
@@ -123,15 +123,16 @@ def missing_torque(diagnosis: Diagnosis, details: Details) -> Picture | None:
     grid = figure.subplots(2, 2, sharey=True).ravel()
     reach = float(np.quantile(np.abs(torque), 0.99)) * 1.3 + 1e-12
     for axis, (label, x) in zip(grid, axes_of.items(), strict=True):
-        axis.plot(x, torque, ".", color=COLOURS["refit"], markersize=3.5, alpha=0.45, label="missing torque")
+        axis.plot(x, torque, ".", color=COLOURS["refit"], markersize=3, alpha=0.3, label="missing torque")
         if curve is not None:
-            _binned(axis, x, curve)
+            _binned(axis, x, curve, COLOURS["extended"], "what the named cause would leave")
+        _binned(axis, x, torque, COLOURS["refit"], "mean of the dots")
         axis.set_xlabel(label)
         axis.set_ylim(-reach, reach)
     for axis in (grid[0], grid[2]):
         axis.set_ylabel("missing torque [N m]")
     handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2)
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
     table = pd.DataFrame(
         {
             "time_s": motion.time,
@@ -148,20 +149,19 @@ def missing_torque(diagnosis: Diagnosis, details: Details) -> Picture | None:
         "follow the measurement. Shapeless dots around zero mean that nothing is missing."
     )
     if curve is not None:
-        caption += f" The line is what {_title(diagnosis)} alone would leave behind (mean, with quartiles)."
+        caption += f" The line is what {_title(diagnosis)} alone would leave behind."
     return Picture("missing_torque", "What the refitted simulation misses", caption, figure, table)
 
 
-def _binned(axis: Axes, x: np.ndarray, y: np.ndarray, bins: int = 24) -> None:
+def _binned(axis: Axes, x: np.ndarray, y: np.ndarray, colour: str, label: str, bins: int = 20) -> None:
+    """Mean of y over bins of x that hold equally many points."""
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)))
     which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     parts = [y[which == i] for i in range(len(edges) - 1)]
     kept = [i for i, part in enumerate(parts) if len(part)]
     centre = np.array([x[which == i].mean() for i in kept])
     mean = np.array([parts[i].mean() for i in kept])
-    low, high = (np.array([np.quantile(parts[i], q) for i in kept]) for q in (0.25, 0.75))
-    axis.fill_between(centre, low, high, color=COLOURS["extended"], alpha=0.2, lw=0)
-    axis.plot(centre, mean, color=COLOURS["extended"], lw=2.2, label="the named cause")
+    axis.plot(centre, mean, color=colour, lw=2.2, label=label)
 
 
 def candidates(diagnosis: Diagnosis, details: Details) -> Picture:
@@ -263,6 +263,7 @@ def parameters(diagnosis: Diagnosis, details: Details) -> Picture:
     )
     labels = [f"{r[0]} = {r[3]:.4g} {r[6]}" for r in rows]
     axis.set_yticks(range(len(rows)), labels)
+    axis.set_ylim(-0.6, len(rows) - 0.4)
     axis.invert_yaxis()
     axis.set_xlabel("refitted minus assumed value, in standard deviations of the data sheet")
     caption = "Parameters that the simulation already has, refitted to the log, with 95 % intervals; the band is what the data sheet allows."

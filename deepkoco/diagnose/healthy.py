@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start, refit, start_from
+from deepkoco.diagnose.baseline import Start, refit, refit_sharply, start_from
 from deepkoco.diagnose.causes import CAUSES
 from deepkoco.diagnose.hints import hint_for
 from deepkoco.diagnose.residuals import dispersion, missing_torque
@@ -38,8 +38,8 @@ def learn_baseline(recordings: Sequence[Recording], system: JointSystem, length:
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
     start = start_from(system, windows)
+    windows, fit = refit_sharply(start, windows)
     problem = FitProblem(start.system, windows)
-    fit = refit(start, windows)
     accepted: list[str] = []
     for _ in range(LARGEST_EXTENSION):
         hint = hint_for(start.system, windows, pushes_from(missing_torque(problem, fit)))

@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from deepkoco.identify.fit import Fit, FitProblem
-from deepkoco.identify.push import Push
-from deepkoco.identify.simulate import predict
+from deepkoco.identify.push import Push, push_torque
+from deepkoco.identify.simulate import predict, trajectories
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import ExtendedSystem
 
 SLOTS = 20  # pieces of a window over each of which a missing torque is held constant
+REACH = 1.5  # slots over which missing torques are alike: keeps the deconvolution from ringing
 LONGEST_LAG = 25  # samples over which residuals are correlated
 
 
@@ -56,7 +57,7 @@ def dispersion(fit: Fit, windows: Windows) -> Dispersion:
     # Summed up to the first autocorrelation that chance explains (initial positive sequence).
     inside = rho > 2.0 / math.sqrt(max(samples, 1.0))
     reach = int(np.argmin(inside)) if not inside.all() else len(rho)
-    return Dispersion(power, 1.0 + 2.0 * float(rho[:reach].sum()), float(rho[0]))
+    return Dispersion(float(power), 1.0 + 2.0 * float(rho[:reach].sum()), float(rho[0]))
 
 
 def white_limit(windows: Windows) -> float:
@@ -106,7 +107,7 @@ def missing_torque(problem: FitProblem, fit: Fit) -> MissingTorque:
     """Deconvolve the residuals of a fit into a torque that is constant over slots of the windows.
 
     The response of every window to a unit torque in every slot is simulated; the torques are the
-    posterior mean under independent normal priors whose spread maximises the marginal likelihood.
+    posterior mean under a smooth normal prior whose spread maximises the marginal likelihood.
     """
     windows = problem.windows
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)
@@ -134,7 +135,9 @@ def missing_torque(problem: FitProblem, fit: Fit) -> MissingTorque:
     residual = residual - basis @ (basis.mT @ residual)
     energy = (response**2).sum(1)
     match = (response * residual).sum(1)
-    torque, sd = _posterior(response, residual)
+    distance = torch.arange(SLOTS, dtype=torch.float64)
+    kernel = torch.exp(-0.5 * ((distance[:, None] - distance) / REACH) ** 2)
+    torque, sd = _posterior(response, residual, torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS)))
     at = (edges[:-1] + edges[1:]) // 2
     path = _path(problem, base, named, fit.state)
     return MissingTorque(
@@ -151,20 +154,23 @@ def missing_torque(problem: FitProblem, fit: Fit) -> MissingTorque:
 
 def push_of(problem: FitProblem, theta: np.ndarray) -> Tensor | None:
     """Torque (1, W, n) of the push in a parameter vector (P,), None if there is none."""
-    from deepkoco.identify.push import push_torque
-
     return push_torque(problem.windows, theta[None, -len(Push.NAMES) :])
 
 
 def _path(problem: FitProblem, system: ExtendedSystem, named: dict[str, Tensor], state: Tensor) -> np.ndarray:
-    from deepkoco.identify.simulate import trajectories
-
     states, _, _ = trajectories(system, problem.windows, named, state[None])
     return states[:, 0].numpy()
 
 
-def _posterior(response: Tensor, residual: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Posterior mean and standard deviation (W, K) under the spread of best marginal likelihood."""
+def _posterior(response: Tensor, residual: Tensor, root: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior mean and standard deviation (W, K) under the spread of best marginal likelihood.
+
+    Args:
+        response: (W, NM, K) of the measurements to a unit torque in each slot.
+        residual: (W, NM, 1).
+        root: (K, K) square root of the prior's correlation between slots.
+    """
+    response = response @ root
     gram = response.mT @ response
     values, vectors = torch.linalg.eigh(gram)
     values = values.clamp_min(0.0)
@@ -178,6 +184,6 @@ def _posterior(response: Tensor, residual: Tensor) -> tuple[np.ndarray, np.ndarr
         if evidence > best:
             best, spread = evidence, candidate
     variance = spread**2 / (1.0 + spread**2 * values)
-    mean = (vectors @ (variance * seen)[..., None])[..., 0]
-    covariance = (vectors**2) @ variance[..., None]
+    mean = (root @ vectors @ (variance * seen)[..., None])[..., 0]
+    covariance = ((root @ vectors) ** 2) @ variance[..., None]
     return mean.numpy(), torch.sqrt(covariance[..., 0]).numpy()

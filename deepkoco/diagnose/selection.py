@@ -19,9 +19,10 @@ from deepkoco.systems import Parameter
 
 # Fall of the BIC that a first cause must reach, and each further one. Calibrated on logs of units in
 # which nothing is wrong (results/diagnose/), on other seeds than the tests use.
-DETECTION = 6.0
-FURTHER = 10.0
+DETECTION = 24.0
+FURTHER = 30.0
 SCOUTING = 4  # iterations after which only the best start of each cause goes on
+HOPE = 0.3  # share of the best start's gain that a candidate must have by then to go on
 ITERATIONS = 14
 
 
@@ -67,7 +68,9 @@ class Ranking:
 def penalty(cause: Cause, samples: float, places: int) -> float:
     """What the BIC charges for a cause that was searched for at ``places`` places."""
     charge = cause.size * math.log(max(samples, 2.0))
-    return charge + (2.0 * math.log(max(places, 1)) if cause.searched else 0.0)
+    # Once for the places that were tried, and once more because any one window may be spoiled by model
+    # error, which a push can mend and which the other windows do not speak against.
+    return charge + (4.0 * math.log(max(places, 1)) if cause.searched else 0.0)
 
 
 def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
@@ -118,21 +121,14 @@ def rank(
     for trial, scout in zip(trials, scouts, strict=True):
         if trial.name not in best or scout.cost < best[trial.name][0].cost:
             best[trial.name] = (scout, trial)
-    running = [name for name, (scout, _) in best.items() if not scout.converged]
-    longer = problem.fit(
-        [
-            Trial(
-                name,
-                best[name][1].free,
-                best[name][1].prior,
-                best[name][0].values,
-                best[name][0].state,
-                best[name][0].zero,
-            )
-            for name in running
-        ],
-        ITERATIONS,
-    )
+    won = reference.cost - min(scout.cost for scout, _ in best.values())
+    longer, running = [], []
+    for name, (scout, trial) in best.items():
+        # One that is far behind stays where it is: it would not get to the front.
+        if not scout.converged and reference.cost - scout.cost > HOPE * won:
+            running.append(name)
+            longer.append(replace(trial, values=scout.values, state=scout.state, zero=scout.zero))
+    longer = problem.fit(longer, ITERATIONS)
     fits = {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
     return _ranked(problem, start, reference, tried, fits)
 
@@ -198,7 +194,7 @@ def _ranked(
             # The null value is one of its values: where no start finds better, it stays there.
             fit, ratio = reference, 0.0
         score = ratio / deflation - penalty(cause, samples, places)
-        candidates.append(Candidate(cause, fit, ratio, score))
+        candidates.append(Candidate(cause, fit, ratio, float(score)))
     candidates.sort(key=lambda c: -c.delta_bic)
     return Ranking(reference, tuple(candidates), spread, deflation, samples)
 

@@ -138,7 +138,7 @@ class FitProblem:
 
     def fit(self, trials: Sequence[Trial], iterations: int = 25) -> list[Fit]:
         """Run all trials; every iteration simulates all that have not converged in one batch."""
-        return _Batch(self, trials).run(iterations)
+        return _Batch(self, trials).run(iterations) if trials else []
 
     def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
         """Fit initial states and zeros only, with every parameter held at ``values``."""

@@ -35,7 +35,7 @@ def estimate_noise(t: np.ndarray, value: np.ndarray, fallback: float) -> Noise:
     """
     if len(t) < 40:
         return Noise(fallback, 0.3)
-    quantum = _quantum(value)
+    quantum = quantum_of(value)
     best = math.inf
     for order in ORDERS:
         difference = _normalised_difference(t, value, order)
@@ -43,6 +43,33 @@ def estimate_noise(t: np.ndarray, value: np.ndarray, fallback: float) -> Noise:
     sd = max(best, quantum / math.sqrt(12.0), 1e-12)
     # Neighbouring differences share samples; about one in three is independent of the others.
     return Noise(sd, math.sqrt(3.0 / (2.0 * len(t))))
+
+
+def residual_noise(
+    t: np.ndarray, residual: np.ndarray, valid: np.ndarray, quantum: float, before: Noise
+) -> Noise:
+    """Noise from what a fitted model leaves, by the same differences within each window.
+
+    The motion itself leaks into the differences of a fast motion sampled slowly; what a model leaves of
+    the motion is far smaller, so its differences show the noise better. The estimate only ever falls.
+
+    Args:
+        t: (W, M) time stamps [s].
+        residual: (W, M) measured minus simulated.
+        valid: (W, M) True where there is a sample; valid samples come first in each row.
+        quantum: Step to which the sensor rounds, 0 if it does not.
+        before: Estimate from the measurements.
+    """
+    best = before.sd
+    for order in (2, 3, 4):
+        parts = []
+        for row in range(len(t)):
+            n = int(valid[row].sum())
+            if n > order + 1:
+                parts.append(_normalised_difference(t[row, :n], residual[row, :n], order))
+        if parts and sum(map(len, parts)) >= 40:
+            best = min(best, _clipped_sd(np.concatenate(parts)))
+    return Noise(max(best, quantum / math.sqrt(12.0), 1e-12), before.relative_sd)
 
 
 def _normalised_difference(t: np.ndarray, value: np.ndarray, order: int) -> np.ndarray:
@@ -68,7 +95,7 @@ def _clipped_sd(difference: np.ndarray) -> float:
     return scale
 
 
-def _quantum(value: np.ndarray) -> float:
+def quantum_of(value: np.ndarray) -> float:
     """Step of the grid on which all values lie, 0 if there is none."""
     levels = np.unique(value)
     if len(levels) < 2 or len(levels) > 0.9 * len(value):

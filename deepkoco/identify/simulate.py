@@ -11,6 +11,13 @@ from deepkoco.identify.effort import step_efforts
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import System
 
+# The sign of dry friction is smoothed over at least SHARPEST [rad/s], and over as much speed as the joint
+# gains in CROSSING steps. A fast reversal inside one step would otherwise see the sign at the four stages
+# only; spread over the step it gives the right impulse, since the smoothed sign is odd about the reversal.
+SHARPEST = 0.03
+CROSSING = 0.3
+SMOOTHED = ("coulomb_smoothing", "coulomb.smoothing", "stribeck.smoothing")
+
 
 def trajectories(
     system: System,
@@ -44,7 +51,10 @@ def trajectories(
     states[0] = state
     start, slope = start.movedim(2, 0).contiguous(), slope.movedim(2, 0).contiguous()
     pushes = None if push is None else push.movedim(2, 0).contiguous()
+    width = torch.full((), SHARPEST, dtype=torch.float64)
     for i in range(windows.steps):
+        for name in SMOOTHED:
+            named[name] = width
         if pushes is not None:
             named["external_torque"] = pushes[i]
         middle = start[i] + 0.5 * h * slope[i]
@@ -54,6 +64,7 @@ def trajectories(
         k4 = system.derivative(state + h * k3, start[i] + h * slope[i], named)
         state = state + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
         states[i + 1], left[i], right[i] = state, k1, k4
+        width = (CROSSING * h * k4[..., -1].abs()).clamp_min(SHARPEST)
     return states, left, right
 
 

@@ -12,6 +12,7 @@ from deepkoco.systems.system import Channel, Parameter, Parameters
 
 GRAVITY = 9.81  # [m/s2]
 # Width of the smoothed sign of the Coulomb term [rad/s]: a sharp sign stalls Runge-Kutta and Gauss-Newton.
+# A caller may override it with the parameter "coulomb_smoothing".
 COULOMB_SMOOTHING = 0.1
 
 
@@ -49,7 +50,8 @@ class Pendulum(JointSystem):
         p = parameters
         motor = (effort - omega * p["motor_constant"]) * p["motor_constant"] / p["resistance"]
         gravity = p["mass"] * GRAVITY * p["length"] * torch.sin(theta)
-        friction = p["viscous"] * omega + p["coulomb"] * torch.tanh(omega / COULOMB_SMOOTHING)
+        smoothing = p.get("coulomb_smoothing", COULOMB_SMOOTHING)
+        friction = p["viscous"] * omega + p["coulomb"] * torch.tanh(omega / smoothing)
         return motor + gravity - friction
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:

@@ -1,0 +1,156 @@
+"""What a diagnosis says, writes and refuses."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepkoco.cli import main
+from deepkoco.diagnose import OutputExistsError, diagnose, write_report
+from deepkoco.diagnose.words import headline, lead
+from deepkoco.graph.recording import Series, write_log
+from deepkoco.systems import load_model
+from experiments.hidden_effects import unit_log
+
+HIDDEN = {"coulomb": {"torque": 0.15}}
+KEYS = {
+    "schema", "verdict", "causes", "candidates", "gain", "fit", "localisation", "excitation_advice",
+    "data", "seed", "versions", "seconds",
+}
+
+
+@pytest.fixture(scope="module")
+def log():
+    return unit_log("rod_pendulum", HIDDEN, "steps", 71, 14.0)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(log):
+    return diagnose([log], "rod_pendulum", seed=5)
+
+
+@pytest.fixture(scope="module")
+def report(diagnosis, tmp_path_factory):
+    return write_report(diagnosis, tmp_path_factory.mktemp("reports") / "report").parent
+
+
+def test_json_keeps_its_contract(report):
+    content = json.loads((report / "report.json").read_text())
+    assert KEYS <= set(content)
+    assert content["schema"] == 1
+    assert content["verdict"] == "cause"
+    first = content["causes"][0]
+    assert {"name", "class", "delta_bic", "probability", "parameters", "evidence"} <= set(first)
+    assert first["name"] == "coulomb"
+    torque = first["parameters"]["coulomb.torque"]
+    assert torque["low"] <= 0.15 <= torque["high"]
+    assert torque["unit"] == "N m"
+    assert {"metric", "horizon_s", "channels", "reduction_vs_refit", "low", "high", "windows"} <= set(content["gain"])
+    assert {"baseline", "refit", "extended", "unit"} <= set(content["gain"]["channels"]["theta"])
+    assert len(content["candidates"]) == 15
+
+
+def test_gain_is_large_and_its_interval_holds_it(diagnosis):
+    gain = diagnosis.gain
+    assert gain.low <= gain.reduction <= gain.high
+    assert gain.low > 0.3
+    channel = gain.channels[0]
+    assert channel.extended < channel.refit < channel.baseline
+
+
+def test_every_picture_has_its_table_and_the_page_needs_no_other_file(report):
+    pictures = sorted(p.stem for p in report.glob("*.png"))
+    assert pictures == ["before_after", "candidates", "error_by_horizon", "missing_torque", "parameters", "replay"]
+    assert all((report / f"{name}.csv").stat().st_size > 50 for name in pictures)
+    page = (report / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == len(pictures)
+    assert 'src="http' not in page
+    assert "The simulation lacks: coulomb" in page
+
+
+def test_model_is_a_system_and_diagnosing_from_it_finds_nothing(report):
+    system = load_model(report / "model.yaml")
+    assert system.parameter("coulomb.torque").value == pytest.approx(0.15, rel=0.05)
+    second = unit_log("rod_pendulum", HIDDEN, "chirp", 71, 14.0)
+    assert diagnose([second], system).verdict == "nothing"
+
+
+def test_same_seed_same_content(log, diagnosis):
+    again = diagnose([log], "rod_pendulum", seed=5)
+    assert replace(again, seconds=0.0).to_json() == replace(diagnosis, seconds=0.0).to_json()
+
+
+def test_report_is_never_written_over(diagnosis, tmp_path):
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(OutputExistsError, match="mine: exists"):
+        write_report(diagnosis, tmp_path / "mine")
+    assert list((tmp_path / "mine").iterdir()) == []
+
+
+def test_words_name_the_cause(diagnosis):
+    assert headline(diagnosis) == "The simulation lacks: coulomb"
+    assert "Dry friction" in lead(diagnosis)
+
+
+def test_healthy_log_moves_its_own_effects_into_the_baseline():
+    worn = {"lag": {"time_constant": 0.006}}
+    parameters = 72  # the same unit: same seed, same parameters
+    healthy = unit_log("rod_pendulum", worn, "chirp", parameters, 14.0)
+    broken = unit_log("rod_pendulum", {**worn, "coulomb": {"torque": 0.05}}, "steps", parameters, 14.0)
+    alone = diagnose([broken], "rod_pendulum")
+    assert len(alone.names) == 2
+    result = diagnose([broken], "rod_pendulum", healthy=[healthy])
+    assert result.names == ("coulomb",)
+    assert diagnose([healthy], "rod_pendulum", healthy=[healthy]).verdict == "nothing"
+
+
+def test_holdout_logs_are_used_for_the_gain_only(log):
+    other = unit_log("rod_pendulum", HIDDEN, "chirp", 71, 6.0)
+    result = diagnose([log], "rod_pendulum", holdout=[other])
+    assert result.verdict == "cause"
+    assert result.gain.windows == 4
+    assert set(result.gain.replayed.log) == {0}
+    assert result.windows > diagnose([log], "rod_pendulum").windows
+
+
+def test_command_line_diagnoses(log, tmp_path, capsys):
+    path = write_log(tmp_path / "log.csv", log)
+    assert main(["diagnose", str(path), "--system", "rod_pendulum", "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "cause"
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_still_joint_is_insufficient(log, tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    t = log.channels["theta"].t
+    still = {
+        "theta": Series(t, np.pi + 0.002 * rng.standard_normal(len(t)), "rad", "measurement"),
+        "omega": Series(t, 0.05 * rng.standard_normal(len(t)), "rad/s", "measurement"),
+    }
+    path = write_log(tmp_path / "still.csv", replace(log, channels={**log.channels, **still}))
+    assert main(["diagnose", str(path), "--out", str(tmp_path / "out")]) == 3
+    assert "moves" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == "insufficient"
+    assert not (tmp_path / "out" / "model.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--system", "unicycle"], "unicycle"),
+        (["--out", "{folder}"], "exists"),
+        (["--window", "-1"], "--window"),
+        (["--healthy", "{folder}/none.csv"], "none.csv"),
+        (["--system", "{folder}/none.yaml"], "none.yaml"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(log, tmp_path, capsys, arguments, message):
+    path = write_log(tmp_path / "log.csv", log)
+    before = sorted(tmp_path.iterdir())
+    given = [a.format(folder=tmp_path) for a in arguments]
+    assert main(["diagnose", str(path), *given]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before

@@ -1,0 +1,75 @@
+"""Commands to efforts over the integration steps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.identify.effort import step_efforts
+from deepkoco.identify.windows import CommandSeries, Windows
+from deepkoco.systems import ExtendedSystem, make_system
+
+
+def windows_of(t, value, t0, step, steps) -> Windows:
+    empty = torch.zeros(len(t0), 2, 0, dtype=torch.float64)
+    command = CommandSeries(np.array(t, dtype=float), np.array(value, dtype=float))
+    state = torch.zeros(len(t0), 2, dtype=torch.float64)
+    log = np.zeros(len(t0), dtype=int)
+    return Windows((command,), log, np.array(t0), step, steps, empty, empty, empty.bool(), (), state)
+
+
+def efforts(windows, **values):
+    system = ExtendedSystem(make_system("rod_pendulum"), tuple({n.split("__")[0] for n in values}))
+    named = {n.replace("__", "."): torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
+    start, slope = step_efforts(system, windows, system.default_parameters() | named, 1)
+    return start[0].numpy(), slope[0].numpy()
+
+
+def test_held_command_is_the_effort():
+    windows = windows_of([0.0, 0.5], [1.0, -2.0], [0.1, 0.6], 0.01, 20)
+    start, slope = efforts(windows)
+    assert start == pytest.approx(np.repeat([[1.0], [-2.0]], 20, axis=1), abs=1e-6)
+    assert slope == pytest.approx(0.0, abs=1e-4)
+
+
+def test_jump_inside_a_step_keeps_integral_and_double_integral():
+    # The command jumps from 0 to 1 after 0.004 of a step of 0.01: the integral is 0.006, the double
+    # integral 0.006^2 / 2.
+    windows = windows_of([0.0, 1.004], [0.0, 1.0], [1.0], 0.01, 1)
+    start, slope = efforts(windows)
+    a, b, h = start[0, 0], slope[0, 0], 0.01
+    assert a * h + b * h**2 / 2 == pytest.approx(0.006, abs=1e-9)
+    assert a * h**2 / 2 + b * h**3 / 6 == pytest.approx(0.006**2 / 2, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["actuation_delay__delay", "sensing_delay__delay"])
+def test_delay_shifts_the_effort(name):
+    windows = windows_of([0.0, 1.0], [0.0, 1.0], [0.9], 0.01, 20)
+    start, slope = efforts(windows, **{name: 0.03})
+    middle = (start + 0.5 * 0.01 * slope)[0]
+    assert middle[:13] == pytest.approx(0.0, abs=1e-6)
+    assert middle[13:] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_lag_answers_a_step_exponentially():
+    windows = windows_of([0.0, 1.0], [0.0, 1.0], [1.0], 0.01, 30)
+    start, slope = efforts(windows, lag__time_constant=0.05)
+    mean = (start + 0.5 * 0.01 * slope)[0]
+    edge = 0.01 * np.arange(31)
+    integral = edge - 0.05 * (1.0 - np.exp(-edge / 0.05))
+    assert mean == pytest.approx(np.diff(integral) / 0.01, abs=1e-6)
+
+
+def test_dead_zone_acts_on_the_command():
+    windows = windows_of([0.0, 0.5], [0.2, -1.0], [0.1, 0.6], 0.01, 10)
+    start, _ = efforts(windows, dead_zone__width=0.3)
+    assert start[0] == pytest.approx(0.0, abs=1e-9)
+    assert start[1] == pytest.approx(-0.7, abs=1e-6)
+
+
+def test_delay_far_before_the_log_holds_the_first_command():
+    windows = windows_of([0.0], [1.5], [0.0], 0.01, 5)
+    start, _ = efforts(windows, actuation_delay__delay=0.3)
+    assert start == pytest.approx(1.5, abs=1e-6)
+    assert replace(windows, step=0.02).length == pytest.approx(0.1)
