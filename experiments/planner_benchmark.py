@@ -24,10 +24,11 @@ from deepkoco.koopman.model import KoopmanModel, ModelConfig
 from deepkoco.planning.condensed import CondensedProgram
 from deepkoco.planning.config import PlannerConfig, PlanningProblem
 
+HORIZON = 15  # as published
 PLANNERS = {
-    "condensed, daqp": PlannerConfig(),
-    "condensed, osqp": PlannerConfig(solver="osqp", tolerance=1e-5),
-    "sparse, osqp": PlannerConfig(form="sparse", tolerance=1e-5),
+    "condensed, daqp": PlannerConfig(HORIZON),
+    "condensed, osqp": PlannerConfig(HORIZON, solver="osqp", tolerance=1e-5),
+    "sparse, osqp": PlannerConfig(HORIZON, form="sparse", tolerance=1e-5),
 }
 FRESH = "qpsolvers.solve_problem, osqp, anew each step"
 
@@ -115,7 +116,7 @@ def benchmark(model: ExportedModel, low: Array, high: Array, calls: int) -> dict
         for name, config in PLANNERS.items()
     }
     result[FRESH] = median_microseconds(
-        fresh_controller(model, PlannerConfig(), low, high), observations[: max(50, calls // 10)]
+        fresh_controller(model, PlannerConfig(HORIZON), low, high), observations[: max(50, calls // 10)]
     )
     return result
 

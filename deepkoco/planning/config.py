@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 class PlannerConfig:
     """Settings of the LMPC."""
 
-    horizon: int = 15
-    """H, planned steps; not beyond the training horizon T, for growth rates mu > 0 blow up behind it."""
+    horizon: int = 13
+    """H, planned steps; a little less than the training horizon T, see docs/training.md."""
     increment_weight: float = 0.01
     """R~, weight of a squared action increment."""
     form: str = "condensed"
