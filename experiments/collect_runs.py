@@ -1,4 +1,4 @@
-"""Gather runs into a folder of results: `python -m experiments.collect_runs RUNS --out results/... --episodes 50`.
+"""Gather runs into a folder of results: `python -m experiments.collect_runs RUNS --out results/FOLDER`.
 
 Each run is evaluated anew on noise-free episodes; the CSV of every run, one table of evaluations, the
 learning curves and where it all comes from are written. The weights stay in the runs.
@@ -74,13 +74,9 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description="Gather training runs into a folder of results.")
-    parser.add_argument(
-        "runs", type=Path, metavar="RUNS", help="folder that holds finished runs, at any depth"
-    )
+    parser.add_argument("runs", type=Path, metavar="RUNS", help="folder of finished runs, at any depth")
     parser.add_argument("--out", type=Path, required=True, help="new folder")
-    parser.add_argument(
-        "--episodes", type=int, default=50, help="noise-free episodes for each run (default 50)"
-    )
+    parser.add_argument("--episodes", type=int, default=50, help="noise-free episodes a run (default 50)")
     args = parser.parse_args(arguments)
     try:
         print(collect(args.runs, args.out, args.episodes).to_string(index=False))
