@@ -61,11 +61,11 @@ def refit(start: Start, windows: Windows, free: tuple[str, ...] | None = None) -
     names = start.prior.names if free is None else free
     halves = halved(windows)
     short = FitProblem(start.system, halves)
-    state = short.fit_states(start.values, halves.state)
+    state, _ = short.fit_states(start.values, halves.state)
     first = short.fit([Trial("half windows", names, start.prior, start.values, state)])[0]
     problem = FitProblem(start.system, windows)
     guess = first.state[::2]
-    state = problem.fit_states(first.values, guess)
+    state, _ = problem.fit_states(first.values, guess)
     return problem.fit([Trial("refit", names, start.prior, first.values, state, first.zero)])[0]
 
 

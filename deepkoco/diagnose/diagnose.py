@@ -112,6 +112,7 @@ class _Study:
         first, final = self._select(reference, missing)
         chi2 = [fit.chi2 / data.train.samples for fit in (reference, final)]
         after = dispersion(final, data.train)
+        missing = missing_torque(problem, reference, after.deflation)
         limit = white_limit(data.train) * start.floor
         structure = chi2[1] > limit or after.lag_one > 5.0 / np.sqrt(data.train.samples)
         verdict = self._verdict(chi2[0], chi2[1], limit, structure)
@@ -163,6 +164,7 @@ class _Study:
             refit=reference,
             final=final,
             missing=missing,
+            inflation=dispersion(final, self.data.train).deflation,
         )
 
     def _select(self, reference: Fit, missing: MissingTorque) -> tuple[Ranking, Fit]:

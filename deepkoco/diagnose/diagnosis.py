@@ -88,6 +88,7 @@ class Details:
         refit: The refitted baseline.
         final: With the named causes; the refit itself where none is named.
         missing: Torque that the refitted baseline misses.
+        inflation: Variance of what the final model leaves, in noise variances.
     """
 
     system: ExtendedSystem
@@ -98,7 +99,8 @@ class Details:
     nominal: Fit | None
     refit: Fit
     final: Fit
-    missing: MissingTorque | None
+    missing: MissingTorque
+    inflation: float
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,7 @@ class Diagnosis:
 
 
 def _plain(value: Any) -> Any:
-    """Replace numpy numbers and non-finite values, which JSON does not know."""
+    """Replace numpy numbers and non-finite values, which JSON does not know; round the others."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -210,6 +212,7 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, np.generic):
         value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
+    if isinstance(value, float):
+        # Seven digits: the last bits of a sum depend on where the allocator puts its operands.
+        return float(f"{value:.7g}") if np.isfinite(value) else None
     return value

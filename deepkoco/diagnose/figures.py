@@ -104,11 +104,9 @@ def replay(diagnosis: Diagnosis, details: Details) -> Picture:
     return Picture("replay", "Replay of the log", caption, figure, pd.concat(rows))
 
 
-def missing_torque(diagnosis: Diagnosis, details: Details) -> Picture | None:
+def missing_torque(diagnosis: Diagnosis, details: Details) -> Picture:
     """Torque that the refitted baseline misses, against speed, angle, command and time."""
     missing = details.missing
-    if missing is None:
-        return None
     motion = motion_of(details.windows, missing)
     torque = missing.torque.ravel()
     named = diagnosis.verdict in ("cause", "ambiguous") and details.final is not details.refit

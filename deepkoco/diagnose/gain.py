@@ -74,7 +74,8 @@ def held_out_gain(
     fits: dict[str, Fit] = {}
     for name, values in models.items():
         same = next((other for other in fits if models[other] == values), None)
-        fits[name] = fits[same] if same else problem.evaluate(values, name)
+        before = next(reversed(fits.values())).state if fits else None
+        fits[name] = fits[same] if same else problem.evaluate(values, name, before)
     sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
     error = {name: (fit.residual * sd[:, None]).numpy() for name, fit in fits.items()}
     valid = windows.valid.numpy()

@@ -18,4 +18,4 @@ def expected_missing_torque(details: Details) -> np.ndarray:
     what the refit absorbs of a cause is taken into account.
     """
     clean = replace(details.refit, residual=details.refit.residual - details.final.residual)
-    return missing_torque(FitProblem(details.system, details.windows), clean).torque
+    return missing_torque(FitProblem(details.system, details.windows), clean, details.inflation).torque

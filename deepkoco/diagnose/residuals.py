@@ -103,11 +103,16 @@ class MissingTorque:
         return float(self.time[0, 1] - self.time[0, 0])
 
 
-def missing_torque(problem: FitProblem, fit: Fit) -> MissingTorque:
+def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> MissingTorque:
     """Deconvolve the residuals of a fit into a torque that is constant over slots of the windows.
 
     The response of every window to a unit torque in every slot is simulated; the torques are the
     posterior mean under a smooth normal prior whose spread maximises the marginal likelihood.
+
+    Args:
+        problem: Windows.
+        fit: Model whose residuals are explained.
+        inflation: Factor by which the residuals' variance exceeds that of the sensors.
     """
     windows = problem.windows
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)
@@ -137,7 +142,7 @@ def missing_torque(problem: FitProblem, fit: Fit) -> MissingTorque:
     match = (response * residual).sum(1)
     distance = torch.arange(SLOTS, dtype=torch.float64)
     kernel = torch.exp(-0.5 * ((distance[:, None] - distance) / REACH) ** 2)
-    torque, sd = _posterior(response, residual, torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS)))
+    torque, sd = _posterior(response / inflation**0.5, residual / inflation**0.5, torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS)))
     at = (edges[:-1] + edges[1:]) // 2
     path = _path(problem, base, named, fit.state)
     return MissingTorque(

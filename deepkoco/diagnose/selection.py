@@ -24,6 +24,8 @@ FURTHER = 30.0
 SCOUTING = 4  # iterations after which only the best start of each cause goes on
 HOPE = 0.3  # share of the best start's gain that a candidate must have by then to go on
 ITERATIONS = 14
+PATIENCE = 40  # further iterations for a winner that has not converged
+FAR = 25.0  # prior penalty of a refit that a strong cause has driven away
 
 
 @dataclass(frozen=True)
@@ -109,13 +111,14 @@ def rank(
         causes: Causes to try; None tries the whole catalogue.
     """
     tried = [c for c in (causes or CAUSES.values()) if c not in accepted]
-    trials, owner = [], []
+    footholds = _footholds(problem, start, reference)
+    trials = []
     for cause in tried:
         for place in cause.starts(hint):
-            values = {**reference.values, **place}
-            prior = prior_with(problem, start, [*accepted, cause], values)
-            trials.append(Trial(cause.name, prior.names, prior, values, reference.state, reference.zero))
-            owner.append(cause)
+            for values, state in footholds:
+                values = {**values, **place}
+                prior = prior_with(problem, start, [*accepted, cause], values)
+                trials.append(Trial(cause.name, prior.names, prior, values, state, reference.zero))
     scouts = problem.fit(trials, SCOUTING)
     best: dict[str, tuple[Fit, Trial]] = {}
     for trial, scout in zip(trials, scouts, strict=True):
@@ -130,7 +133,33 @@ def rank(
             longer.append(replace(trial, values=scout.values, state=scout.state, zero=scout.zero))
     longer = problem.fit(longer, ITERATIONS)
     fits = {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
-    return _ranked(problem, start, reference, tried, fits)
+    ranking = _ranked(problem, start, reference, tried, fits)
+    name = ranking.best.cause.name if ranking.candidates else ""
+    if name in fits and not fits[name].converged:
+        # What is left of a winner that has not converged would pass for a further cause.
+        fit = fits[name]
+        trial = replace(best[name][1], values=fit.values, state=fit.state, zero=fit.zero)
+        fits[name] = problem.fit([trial], PATIENCE)[0]
+        ranking = _ranked(problem, start, reference, tried, fits)
+    return ranking
+
+
+def _footholds(
+    problem: FitProblem, start: Start, reference: Fit
+) -> list[tuple[dict[str, float], torch.Tensor]]:
+    """Baseline values and initial states from which candidates start.
+
+    A strong cause drives the refit far from the truth, into a valley that leads back slowly; then the
+    baseline's values before the refit are a second foothold.
+    """
+    footholds = [(reference.values, reference.state)]
+    if reference.penalty > FAR:
+        held = {n: start.values[n] for n in start.prior.names}
+        values = {**reference.values, **held}
+        state, cost = problem.fit_states(values, reference.state)
+        if bool(torch.isfinite(cost).all()):
+            footholds.append((values, state))
+    return footholds
 
 
 def without_events_first(

@@ -12,7 +12,7 @@ from torch import Tensor
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push, push_torque
 from deepkoco.identify.simulate import predict
-from deepkoco.identify.windows import Windows
+from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers chi2 by less
@@ -141,12 +141,26 @@ class FitProblem:
         return _Batch(self, trials).run(iterations) if trials else []
 
     def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
-        """Fit initial states and zeros only, with every parameter held at ``values``."""
-        first = self.fit_states(values, self.windows.state if state is None else state)
+        """Fit initial states and zeros only, with every parameter held at ``values``.
+
+        Each window takes the best of three starts: its own guess, the fit of its first half (a short
+        window has fewer minima), and ``state`` (W, S), where given.
+        """
+        halves = FitProblem(self.system, halved(self.windows))
+        starts = [self.windows.state, halves.fit_states(values, halves.windows.state)[0][::2]]
+        tried = [self.fit_states(values, s) for s in ([*starts, state] if state is not None else starts)]
+        costs = torch.stack([cost for _, cost in tried])
+        pick = costs.argmin(0)[None, :, None].expand(1, -1, self.windows.state.shape[1])
+        first = torch.stack([states for states, _ in tried]).gather(0, pick)[0]
         return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.zero_sd > 0 else 1)[0]
 
-    def fit_states(self, values: Mapping[str, float], state: Tensor, iterations: int = 15) -> Tensor:
-        """Initial states (W, S) that suit held parameters; each window steps and is damped by itself."""
+    def fit_states(
+        self, values: Mapping[str, float], state: Tensor, iterations: int = 15
+    ) -> tuple[Tensor, Tensor]:
+        """Initial states (W, S) that suit held parameters, and the cost (W,) that each window keeps.
+
+        Windows are independent of each other here, so each one steps and is damped by itself.
+        """
         theta = np.repeat(np.array([[float(values[n]) for n in self.names]]), 1 + state.shape[1], axis=0)
         zero = torch.zeros(1 + state.shape[1], self.logs, dtype=torch.float64)
         best, trial = state.clone(), state.clone()
@@ -176,7 +190,7 @@ class FitProblem:
             diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
             matrix = hessian + torch.diag_embed(damping[:, None] * diagonal + 1e-9)
             trial = best + torch.linalg.solve(matrix, gradient)
-        return best
+        return best, cost
 
 
 class _Batch:

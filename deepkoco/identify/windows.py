@@ -15,11 +15,12 @@ from deepkoco.identify.noise import Noise, estimate_noise
 from deepkoco.systems import System
 
 LONGEST_STEP = 0.01  # integration step [s]
+STEPS_PER_PERIOD = 100  # integration steps in a period of the system, at least
 HISTORY = 0.1  # commands that must be known before a window begins, for delays and lags [s]
 MIN_SAMPLES = 6  # of a channel inside a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
 DWELL = 0.15  # share of a window during which a joint may rest
-FEWEST = 6  # windows that leaving out rests must leave
+FEWEST = 4  # windows that leaving out rests must leave
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,11 @@ def window_length(system: System) -> float:
 
     Shorter windows do not show slow effects; in longer ones unstable motion outgrows every fit.
     """
+    return float(np.clip(period(system), 1.0, 2.0))
+
+
+def period(system: System) -> float:
+    """Period of the system's fastest small motion at zero command [s]; 1.5 where it has none."""
     parameters = system.default_parameters()
     eps = 1e-6
     stiffness = 0.0
@@ -102,8 +108,7 @@ def window_length(system: System) -> float:
         state = torch.tensor([[angle, 0.0], [angle + eps, 0.0]], dtype=torch.float64)
         acceleration = system.derivative(state, torch.zeros(2, dtype=torch.float64), parameters)[:, 1]
         stiffness = max(stiffness, float(acceleration[0] - acceleration[1]) / eps)
-    period = 2.0 * math.pi / math.sqrt(stiffness) if stiffness > 0 else 1.5
-    return float(np.clip(period, 1.0, 2.0))
+    return 2.0 * math.pi / math.sqrt(stiffness) if stiffness > 0 else 1.5
 
 
 def cut_windows(
@@ -125,7 +130,8 @@ def cut_windows(
     Raises:
         LogError: A log lacks the command or every measurement.
     """
-    steps = math.ceil(length / LONGEST_STEP - 1e-9)
+    longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
+    steps = math.ceil(length / longest - 1e-9)
     names = [channel.name for channel in system.measurements]
     commands, rows = [], []
     for index, recording in enumerate(recordings):

@@ -11,6 +11,10 @@ def _largest(hint: Hint) -> float:
     return float(np.abs(hint.command).max())
 
 
+def _gain_starts(hint: Hint) -> list[dict[str, float]]:
+    return [{"gain.factor": factor} for factor in (0.6, 1.0, 1.6)]
+
+
 def _dead_zone_starts(hint: Hint) -> list[dict[str, float]]:
     # At width 0 the gradient exists but misses commands that a wide zone swallows whole.
     return [{"dead_zone.width": share * _largest(hint)} for share in (0.0, 0.08, 0.3)]
@@ -29,6 +33,7 @@ GAIN = Cause(
     "Hold the joint at several constant commands and read the static angle: it gives the gain over the weight.",
     "command",
     lambda motion: motion.command,
+    _gain_starts,
 )
 TORQUE_BIAS = Cause(
     "torque_bias",
