@@ -112,14 +112,14 @@ class FitProblem:
 
     def predict(self, theta: np.ndarray, initial: Tensor, zero: Tensor) -> Tensor:
         """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), zeros (L, logs)."""
-        values = torch.from_numpy(theta)
+        values = torch.from_numpy(self._without_null_limits(theta))
         parameters: dict[str, Tensor] = {}
         active = set()
         for j, name in enumerate(self.names[: len(self.names) - len(Push.NAMES)]):
             column = values[:, j]
             same = bool((column == column[0]).all())
             parameters[name] = column[0] if same else column.contiguous()
-            if "." in name and not (same and float(column[0]) == self._null(name)):
+            if "." in name and not (same and float(column[0]) in (self._null(name), np.inf)):
                 active.add(name.split(".")[0])
         # Effects that no lane uses are left out of the equations: they cost time and change nothing.
         system = ExtendedSystem(self.system.base, tuple(active))
@@ -129,6 +129,18 @@ class FitProblem:
         if self.zero_sd > 0:
             result[:, :, 0] += zero[:, self.windows.log][..., None]
         return result
+
+    def _without_null_limits(self, theta: np.ndarray) -> np.ndarray:
+        """Lift a saturation that is at its null value, the largest command.
+
+        It cuts no command, but in one batch with a gain or a bias it would cut their efforts.
+        """
+        if "saturation.limit" not in self.names:
+            return theta
+        column = self.names.index("saturation.limit")
+        lifted = theta.copy()
+        lifted[:, column] = np.where(theta[:, column] >= self.high[column], np.inf, theta[:, column])
+        return lifted
 
     def _null(self, name: str) -> float:
         if not hasattr(self, "_nulls"):

@@ -13,7 +13,7 @@ SECONDS = 20.0
 HIDDEN = {
     "actuation_delay": ("rod_pendulum", "steps", {"actuation_delay": {"delay": 0.004}}),
     "sensing_delay": ("rod_pendulum", "prbs", {"sensing_delay": {"delay": 0.005}}),
-    "lag": ("pendulum", "chirp", {"lag": {"time_constant": 0.002}}),
+    "lag": ("pendulum", "chirp", {"lag": {"time_constant": 0.001}}),
     "viscous": ("rod_pendulum", "chirp", {"viscous": {"change": 0.25}}),
     "coulomb": ("rod_pendulum", "steps", {"coulomb": {"torque": 0.04}}),
     "stribeck": (
@@ -21,14 +21,14 @@ HIDDEN = {
         "steps",
         {"stribeck": {"coulomb": 0.005, "breakaway": 0.12, "speed": 0.7}},
     ),
-    "quadratic": ("rod_pendulum", "steps", {"quadratic": {"drag": 0.001}}),
+    "quadratic": ("rod_pendulum", "prbs", {"quadratic": {"drag": 0.004}}),
     "gain": ("pendulum", "steps", {"gain": {"factor": 0.6}}),
     "torque_bias": ("rod_pendulum", "prbs", {"torque_bias": {"effort": 0.015}}),
     "dead_zone": ("rod_pendulum", "steps", {"dead_zone": {"width": 0.05}}),
-    "saturation": ("rod_pendulum", "chirp", {"saturation": {"limit": 1.9}}),
+    "saturation": ("rod_pendulum", "chirp", {"saturation": {"limit": 1.8}}),
     "payload": ("rod_pendulum", "steps", {"payload": {"mass": 0.26}}),
     "sensor_bias": ("rod_pendulum", "chirp", {"sensor_bias": {"angle": 0.004}}),
-    "sensor_scale": ("rod_pendulum", "steps", {"sensor_scale": {"factor": 1.0004}}),
+    "sensor_scale": ("rod_pendulum", "steps", {"sensor_scale": {"factor": 1.0008}}),
     "event": (
         "rod_pendulum",
         "prbs",
@@ -66,7 +66,7 @@ def test_nothing_is_named_on_a_control(seed):
 
 def test_hidden_effect_is_found_in_wall_clock_time():
     spec = make_unit("rod_pendulum", effects={"coulomb": {"torque": 0.15}}, seed=3)
-    result = diagnose([record(spec, "steps", 10.0, clock="wall", seed=3)], "rod_pendulum")
+    result = diagnose([record(spec, "chirp", 12.0, clock="wall", seed=3)], "rod_pendulum")
     assert result.verdict == "cause"
     assert "coulomb" in result.causes[0].members
     assert result.causes[0].parameters["coulomb.torque"].value == pytest.approx(0.15, rel=0.1)

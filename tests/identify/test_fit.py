@@ -84,6 +84,19 @@ def test_a_batch_gives_what_its_trials_give_alone():
         assert fit.values[trial.name] == pytest.approx(alone.values[trial.name], rel=1e-6, abs=1e-9)
 
 
+def test_a_limit_at_its_null_value_cuts_nothing_in_a_mixed_batch():
+    recording = free_swing()
+    torque = recording.channels["torque"]
+    full = Series(torque.t, np.full(len(torque.t), 2.0), "N m", "command")
+    problem, values = problem_of(Recording({**recording.channels, "torque": full}))
+    lanes = np.array([[values[n] for n in problem.names]] * 2)
+    lanes[0, problem.names.index("torque_bias.effort")] = 0.1
+    state, zero = problem.windows.state.repeat(2, 1, 1), torch.zeros(2, 1, dtype=torch.float64)
+    alone = problem.predict(lanes[:1], state[:1], zero[:1])
+    lanes[1, problem.names.index("saturation.limit")] = 1.5
+    assert torch.equal(problem.predict(lanes, state, zero)[0], alone[0])
+
+
 def test_bounds_hold():
     problem, values = problem_of(free_swing(omega=math.sqrt(14.0)))
     prior = Prior.of([problem.system.parameter("payload.mass")])
