@@ -19,7 +19,8 @@ STEPS_PER_PERIOD = 100  # integration steps in a period of the system, at least
 HISTORY = 0.1  # commands that must be known before a window begins, for delays and lags [s]
 MIN_SAMPLES = 6  # of a channel inside a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
-DWELL = 0.15  # share of a window during which a joint may rest
+DWELL = 0.1  # share of a window during which a joint may rest
+REST = 5.0  # peak-to-peak motion, in noise standard deviations, that counts as rest during that time
 FEWEST = 4  # windows that leaving out rests must leave
 
 
@@ -46,6 +47,7 @@ class Windows:
         valid: (W, N, M) True where there is a sample.
         noise: One per channel.
         state: (W, S) first guess of the initial states.
+        rests: (W,) True where the joint rests for a while inside or across an end of the window.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -58,6 +60,7 @@ class Windows:
     valid: Tensor
     noise: tuple[Noise, ...]
     state: Tensor
+    rests: np.ndarray
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -84,6 +87,7 @@ class Windows:
             value=self.value[pick],
             valid=self.valid[pick],
             state=self.state[pick],
+            rests=self.rests[index],
         )
 
     def with_value(self, value: Tensor) -> Windows:
@@ -133,23 +137,24 @@ def cut_windows(
     longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
     steps = math.ceil(length / longest - 1e-9)
     names = [channel.name for channel in system.measurements]
+    noise = estimate_channels(recordings, system) if noise is None else noise
     commands, rows = [], []
     for index, recording in enumerate(recordings):
         command, series = _channels(recording, system)
         commands.append(command)
+        still = _still(*series[names[0]], DWELL * length, REST * noise[0].sd) if names[0] in series else None
         history = 0.0 if cover else HISTORY
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
         for t0 in _starts(start, stop, length, cover):
             pieces = {n: _piece(*series[n], t0, t0 + length) for n in names if n in series}
             if any(len(t) >= MIN_SAMPLES for t, _ in pieces.values()):
-                rows.append((index, t0, pieces))
-    if noise is None:
-        noise = estimate_channels(recordings, system)
-    size = max((len(t) for _, _, pieces in rows for t, _ in pieces.values()), default=0)
+                inside = still is not None and bool(((still >= t0) & (still < t0 + length)).any())
+                rows.append((index, t0, pieces, inside))
+    size = max((len(t) for _, _, pieces, _ in rows for t, _ in pieces.values()), default=0)
     shape = (len(rows), len(names), size)
     t, value, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=bool)
-    for w, (_, t0, pieces) in enumerate(rows):
+    for w, (_, t0, pieces, _) in enumerate(rows):
         for c, name in enumerate(names):
             stamps, values = pieces.get(name, (np.empty(0), np.empty(0)))
             t[w, c, : len(stamps)] = stamps - t0
@@ -167,6 +172,7 @@ def cut_windows(
         torch.from_numpy(valid),
         noise,
         torch.from_numpy(state),
+        np.array([row[3] for row in rows], dtype=bool),
     )
 
 
@@ -194,6 +200,7 @@ def halved(windows: Windows) -> Windows:
         value=torch.stack([part[1][:, :size] for part in parts]),
         valid=torch.stack([part[2][:, :size] for part in parts]),
         state=torch.from_numpy(np.array([part[3] for part in parts])),
+        rests=np.repeat(windows.rests, 2),
     )
 
 
@@ -226,27 +233,23 @@ def moving(windows: Windows) -> np.ndarray:
     that leaves too few.
     """
     moves = np.zeros(len(windows), dtype=bool)
-    rests = np.zeros(len(windows), dtype=bool)
     for c, noise in enumerate(windows.noise):
         value, valid = windows.value[:, c].numpy(), windows.valid[:, c].numpy()
         high = np.where(valid, value, -math.inf).max(-1, initial=-math.inf)
         low = np.where(valid, value, math.inf).min(-1, initial=math.inf)
         moves |= (high - low) > STANDSTILL * noise.sd
-        if c == 0 and valid.any():
-            count = max(4, math.ceil(DWELL * valid.sum(1).max()))
-            rests = _rests(value, valid, count, STANDSTILL * noise.sd)
-    enough = (moves & ~rests).sum() >= max(FEWEST, 0.3 * moves.sum())
-    return moves & ~rests if enough else moves
+    keep = moves & ~windows.rests
+    return keep if keep.sum() >= max(FEWEST, 0.3 * moves.sum()) else moves
 
 
-def _rests(value: np.ndarray, valid: np.ndarray, count: int, reach: float) -> np.ndarray:
-    """(W,) True where ``count`` samples in a row lie within ``reach`` of each other."""
-    if value.shape[1] < count:
-        return np.zeros(len(value), dtype=bool)
-    runs = np.lib.stride_tricks.sliding_window_view(np.where(valid, value, np.nan), count, axis=1)
-    with np.errstate(invalid="ignore"):
-        spread = runs.max(-1) - runs.min(-1)
-    return (spread < reach).any(-1)
+def _still(t: np.ndarray, value: np.ndarray, seconds: float, reach: float) -> np.ndarray:
+    """Stamps of the samples around which the value stays within ``reach`` for so many seconds."""
+    count = max(4, math.ceil(seconds * (len(t) - 1) / max(t[-1] - t[0], 1e-9)))
+    if len(t) < count:
+        return np.zeros(0)
+    runs = np.lib.stride_tricks.sliding_window_view(value, count)
+    begins = np.flatnonzero(runs.max(-1) - runs.min(-1) < reach)
+    return t[np.unique(begins[:, None] + np.arange(count))]
 
 
 def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray:

@@ -16,7 +16,7 @@ def windows_of(t, value, t0, step, steps) -> Windows:
     command = CommandSeries(np.array(t, dtype=float), np.array(value, dtype=float))
     state = torch.zeros(len(t0), 2, dtype=torch.float64)
     log = np.zeros(len(t0), dtype=int)
-    return Windows((command,), log, np.array(t0), step, steps, empty, empty, empty.bool(), (), state)
+    return Windows((command,), log, np.array(t0), step, steps, empty, empty, empty.bool(), (), state, log > 0)
 
 
 def efforts(windows, **values):
