@@ -15,7 +15,7 @@ import csv
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,8 @@ from deepkoco.diagnose import CAUSES, diagnose
 from deepkoco.diagnose.baseline import refit, start_from
 from deepkoco.graph.recording import Recording
 from deepkoco.identify import Noise, cut_windows, moving, window_length
-from deepkoco.systems import make_system
-from deepkoco.unit import make_unit
+from deepkoco.systems import JointSystem, make_system
+from deepkoco.unit import UnitSpecError, make_unit
 from deepkoco.unit.record import record
 
 SYSTEMS = ("rod_pendulum", "pendulum")
@@ -42,9 +42,15 @@ DOSES: dict[str, Callable[[float, float, float], Hidden]] = {
     "viscous": lambda x, torque, command: {"viscous": {"change": 0.01 * x * torque * _period(torque)}},
     "coulomb": lambda x, torque, command: {"coulomb": {"torque": 0.01 * x * torque}},
     "stribeck": lambda x, torque, command: {
-        "stribeck": {"coulomb": 0.002 * x * torque, "breakaway": 0.03 * x * torque, "speed": 0.2 / _period(torque)}
+        "stribeck": {
+            "coulomb": 0.002 * x * torque,
+            "breakaway": 0.03 * x * torque,
+            "speed": 0.2 / _period(torque),
+        }
     },
-    "quadratic": lambda x, torque, command: {"quadratic": {"drag": 0.003 * x * torque * _period(torque) ** 2}},
+    "quadratic": lambda x, torque, command: {
+        "quadratic": {"drag": 0.003 * x * torque * _period(torque) ** 2}
+    },
     "gain": lambda x, torque, command: {"gain": {"factor": 1.0 / (1.0 + 0.1 * x)}},
     "torque_bias": lambda x, torque, command: {"torque_bias": {"effort": 0.01 * x * command}},
     "dead_zone": lambda x, torque, command: {"dead_zone": {"width": 0.02 * x * command}},
@@ -93,6 +99,7 @@ def unit_log(
 def unexplained(recording: Recording, system: str) -> tuple[float, int]:
     """Cost that the refitted baseline leaves (its distance from its priors included), and samples."""
     base = make_system(system)
+    assert isinstance(base, JointSystem)
     noise = tuple(Noise(c.noise_sd, 0.0) for c in base.measurements)
     windows = cut_windows([recording], base, window_length(base), noise)
     windows = windows.take(moving(windows))
@@ -109,14 +116,20 @@ def strength(system: str, hidden: Hidden, excitation: str, seed: int, seconds: f
     return math.sqrt(max(cost / samples - healthy / other, 0.0))
 
 
-def dosed(cause: str, system: str, excitation: str, seed: int, wanted: float, seconds: float) -> tuple[Hidden, float]:
+def dosed(
+    cause: str, system: str, excitation: str, seed: int, wanted: float, seconds: float
+) -> tuple[Hidden, float]:
     """Dose of a cause at which ES is about what is wanted, and the ES that it really has."""
     base = make_system(system)
     dose, found = 1.0, 0.0
     hidden: Hidden = {}
     for _ in range(5):
-        hidden = DOSES[cause](dose, base.load_scale, base.command.high)
-        found = strength(system, hidden, excitation, seed, seconds)
+        asked = DOSES[cause](dose, base.load_scale, base.command.high)
+        try:
+            found = strength(system, asked, excitation, seed, seconds)
+        except UnitSpecError:
+            break  # the unit cannot carry that much; what was found before is the most
+        hidden = asked
         if 0.8 * wanted < found < 1.25 * wanted:
             break
         dose *= float(np.clip(wanted / max(found, 1e-3), 0.05, 8.0))
@@ -125,11 +138,10 @@ def dosed(cause: str, system: str, excitation: str, seed: int, wanted: float, se
 
 def study(
     strengths: Sequence[float], controls: int, seed: int, seconds: float, progress: Callable[[str], object]
-) -> list[dict[str, Any]]:
+) -> Iterator[dict[str, Any]]:
     """One row per case: what was hidden, how strong, what was named."""
     cases: list[tuple[str, float]] = [("", 0.0)] * controls
     cases += [(cause, wanted) for wanted in strengths for cause in CAUSES]
-    rows = []
     for index, (cause, wanted) in enumerate(cases):
         system = SYSTEMS[index % len(SYSTEMS)]
         excitation = EXCITATIONS[(index // len(SYSTEMS)) % len(EXCITATIONS)]
@@ -138,33 +150,47 @@ def study(
         began = time.process_time()
         result = diagnose([unit_log(system, hidden, excitation, own, seconds)], system, seed=own)
         members = result.causes[0].members if result.causes else ()
-        rows.append(
-            {
-                "seed": own, "system": system, "excitation": excitation, "hidden": cause or "nothing",
-                "ES": round(found, 3), "verdict": result.verdict, "first": members[0] if members else "",
-                "class": " ".join(members), "named": " ".join(result.names), "in_class": cause in members,
-                "cpu_s": round(time.process_time() - began, 2),
-            }
-        )
-        progress(f"{index + 1}/{len(cases)} {rows[-1]}\n")
-    return rows
+        row = {
+            "seed": own,
+            "system": system,
+            "excitation": excitation,
+            "hidden": cause or "nothing",
+            "ES": round(found, 3),
+            "verdict": result.verdict,
+            "first": members[0] if members else "",
+            "class": " ".join(members),
+            "named": " ".join(result.names),
+            "in_class": cause in members,
+            "cpu_s": round(time.process_time() - began, 2),
+        }
+        progress(f"{index + 1}/{len(cases)} {row}\n")
+        yield row
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study and write its table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder for hidden_effects.csv")
     parser.add_argument("--controls", type=int, default=60, help="logs in which nothing is hidden")
     parser.add_argument("--strengths", type=float, nargs="+", default=[0.3, 1.0, 3.0], help="ES of the cases")
     parser.add_argument("--seconds", type=float, default=30.0, help="length of a log [s]")
     parser.add_argument("--seed", type=int, default=1000, help="seed of the first case")
     args = parser.parse_args(arguments)
-    rows = study(args.strengths, args.controls, args.seed, args.seconds, sys.stderr.write)
     args.out.mkdir(parents=True, exist_ok=True)
-    with (args.out / "hidden_effects.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    path = args.out / "hidden_effects.csv"
+    if path.exists():
+        parser.error(f"{path} exists; choose another folder or move it away")
+    with path.open("w", newline="") as file:
+        writer: csv.DictWriter | None = None
+        # Row by row: a study that is stopped keeps what it has.
+        for row in study(args.strengths, args.controls, args.seed, args.seconds, sys.stderr.write):
+            if writer is None:
+                writer = csv.DictWriter(file, row)
+                writer.writeheader()
+            writer.writerow(row)
+            file.flush()
     return 0
 
 

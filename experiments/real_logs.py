@@ -1,6 +1,6 @@
 """Study: diagnose real measured logs and compare held-out errors with the textbook model's.
 
-    python -m experiments.real_logs --data FOLDER --log dfki_pendulum --json
+python -m experiments.real_logs --data FOLDER --log dfki_pendulum --json
 """
 
 from __future__ import annotations
@@ -53,7 +53,9 @@ STUDIES = {"dfki_pendulum": DFKI_PENDULUM}
 
 def run_study(folder: Path, split: Split) -> Diagnosis:
     """Diagnose the training stretches; measure on the test logs."""
-    train, test = ([_stretch(folder, split, *piece) for piece in pieces] for pieces in (split.train, split.test))
+    train, test = (
+        [_stretch(folder, split, *piece) for piece in pieces] for pieces in (split.train, split.test)
+    )
     return diagnose(train, split.system, holdout=test, window=split.window)
 
 
@@ -85,7 +87,9 @@ def _stretch(folder: Path, split: Split, name: str, start: float, stop: float) -
 
 def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] = sys.stdout.write) -> int:
     """Run one study and print its figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--data", type=Path, required=True, help="folder that holds one folder per log")
     parser.add_argument("--log", choices=sorted(STUDIES), required=True, help="which study")
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -70,7 +70,11 @@ def replay(diagnosis: Diagnosis, details: Details) -> Picture:
         windows, fits, where = gain.replayed, gain.fits, "held-out"
     else:
         windows, where = details.windows, "training"
-        fits = {"baseline": details.nominal or details.refit, "refit": details.refit, "extended": details.final}
+        fits = {
+            "baseline": details.nominal or details.refit,
+            "refit": details.refit,
+            "extended": details.final,
+        }
     count = min(SHOWN_WINDOWS, len(windows))
     chosen = np.unique(np.linspace(0, len(windows) - 1, count).round().astype(int))
     figure = Figure(figsize=(9.0, 4.2))
@@ -182,8 +186,8 @@ def candidates(diagnosis: Diagnosis, details: Details) -> Picture:
         {"cause": names, "family": [c.family for c in diagnosis.candidates], "delta_bic": score}
     )
     caption = (
-        "Every cause of the catalogue was fitted to the same windows. Bars to the right explain the data better than "
-        "they cost in extra parameters; coloured bars are the causes that these data do not tell apart."
+        "Every cause of the catalogue was fitted to the same windows. Bars to the right explain the data better "
+        "than they cost in extra parameters; coloured bars are the causes that these data do not tell apart."
     )
     return Picture("candidates", "Which cause explains it", caption, figure, table)
 
@@ -206,7 +210,8 @@ def error_by_horizon(diagnosis: Diagnosis, details: Details) -> Picture | None:
         axis.set_ylabel(f"error of {channel.name} [{channel.unit}]")
     axes[0].legend()
     caption = (
-        f"Root mean square error over {gain.windows} held-out windows that no fit has seen. The start state is fitted on "
+        f"Root mean square error over {gain.windows} held-out windows that no fit has seen. "
+        "The start state is fitted on "
         "each window."
     )
     return Picture("error_by_horizon", "Error by horizon", caption, figure, pd.DataFrame(frame))
@@ -240,7 +245,10 @@ def before_after(diagnosis: Diagnosis, details: Details) -> Picture | None:
     axis.set_xlabel("held-out window")
     axis.set_ylabel(f"error of {gain.channels[0].name} [{gain.channels[0].unit}]")
     figure.legend(loc="outside upper center", ncols=len(models) + 1)
-    caption = "Each group of bars is one held-out window; the dotted line is the sensor's own noise, the best that can be."
+    caption = (
+        "Each group of bars is one held-out window; "
+        "the dotted line is the sensor's own noise, the best that can be."
+    )
     return Picture("before_after", "Before and after, window by window", caption, figure, pd.DataFrame(frame))
 
 
@@ -264,7 +272,10 @@ def parameters(diagnosis: Diagnosis, details: Details) -> Picture:
     axis.set_ylim(-0.6, len(rows) - 0.4)
     axis.invert_yaxis()
     axis.set_xlabel("refitted minus assumed value, in standard deviations of the data sheet")
-    caption = "Parameters that the simulation already has, refitted to the log, with 95 % intervals; the band is what the data sheet allows."
+    caption = (
+        "Parameters that the simulation already has, refitted to the log, with 95 % intervals; "
+        "the band is what the data sheet allows."
+    )
     return Picture("parameters", "The simulation's own parameters", caption, figure, table)
 
 

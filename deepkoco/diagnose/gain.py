@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -99,10 +100,7 @@ def held_out_gain(
         curves[name] = {}
         for c, channel in enumerate(system.measurements):
             if valid[:, c].any():
-                inside = [
-                    valid[:, c] & (t[:, c] >= a) & (t[:, c] < b)
-                    for a, b in zip(edges[:-1], edges[1:], strict=True)
-                ]
+                inside = [valid[:, c] & (t[:, c] >= a) & (t[:, c] < b) for a, b in pairwise(edges)]
                 curves[name][channel.name] = np.array([_rms(e[:, c], m) for m in inside])
     return Gain(
         tuple(channels),

@@ -142,7 +142,11 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> Mis
     match = (response * residual).sum(1)
     distance = torch.arange(SLOTS, dtype=torch.float64)
     kernel = torch.exp(-0.5 * ((distance[:, None] - distance) / REACH) ** 2)
-    torque, sd = _posterior(response / inflation**0.5, residual / inflation**0.5, torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS)))
+    torque, sd = _posterior(
+        response / inflation**0.5,
+        residual / inflation**0.5,
+        torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS)),
+    )
     at = (edges[:-1] + edges[1:]) // 2
     path = _path(problem, base, named, fit.state)
     return MissingTorque(

@@ -163,7 +163,12 @@ def _footholds(
 
 
 def without_events_first(
-    problem: FitProblem, start: Start, ranking: Ranking, accepted: Sequence[Cause], hint: Hint, detection: float
+    problem: FitProblem,
+    start: Start,
+    ranking: Ranking,
+    accepted: Sequence[Cause],
+    hint: Hint,
+    detection: float,
 ) -> Ranking:
     """Put a lasting cause before an event, if it shows where the event is not.
 
@@ -201,7 +206,9 @@ def without_events_first(
     first = next(c for c in ranking.candidates if c.cause.name == name)
     if first.delta_bic <= detection:
         return ranking
-    others = sorted((c for c in ranking.candidates if c is not first), key=lambda c: c.cause.effect == "event")
+    others = sorted(
+        (c for c in ranking.candidates if c is not first), key=lambda c: c.cause.effect == "event"
+    )
     return replace(ranking, candidates=(first, *others))
 
 

@@ -36,8 +36,8 @@ def lead(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict == "unknown":
         return (
-            f"The refitted simulation leaves {diagnosis.chi2_before:.2f} noise variances per sample. The best candidate "
-            f"({spoken(diagnosis.candidates[0].name)}) explains too little of that to be named. "
+            f"The refitted simulation leaves {diagnosis.chi2_before:.2f} noise variances per sample. "
+            f"The best candidate ({spoken(diagnosis.candidates[0].name)}) explains too little of that to be named. "
             "The pictures show where it is missing torque."
         )
     text = " ".join(CAUSES[c.name].summary for c in diagnosis.causes)

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.identify.normal import NormalEquations
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push, push_torque
 from deepkoco.identify.simulate import predict
@@ -230,7 +231,7 @@ class _Batch:
         self.done = np.zeros(count, dtype=bool)
         self.converged = np.zeros(count, dtype=bool)
         self.history: list[list[float]] = [[] for _ in trials]
-        self.normal: list[_Normal | None] = [None] * count
+        self.normal: list[NormalEquations | None] = [None] * count
 
     def run(self, iterations: int) -> list[Fit]:
         trial_theta, trial_initial, trial_zero = self.theta.copy(), self.initial.clone(), self.zero.clone()
@@ -256,7 +257,7 @@ class _Batch:
                     self.converged[k] or self.damping[k] > LARGEST_DAMPING or self.normal[k] is None
                 )
                 if not self.done[k] and iteration < iterations - 1:
-                    step = self._step(k)
+                    step = self._step(int(k))
                     trial_theta[k], trial_initial[k], trial_zero[k], gain = step
                     if gain < 0.25 * TOLERANCE:
                         self.done[k] = self.converged[k] = True
@@ -264,7 +265,7 @@ class _Batch:
 
     def _linearise(
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, zero: Tensor
-    ) -> list[_Normal]:
+    ) -> list[NormalEquations]:
         """Simulate base and perturbed lanes of the active trials at once; form their normal equations."""
         problem = self.problem
         states = initial.shape[-1]
@@ -298,7 +299,18 @@ class _Batch:
             prior = self.precision[k, :p, :p]
             offset = torch.from_numpy(theta[k, self.columns[k]]) - self.mean[k, :p]
             result.append(
-                _Normal.build(problem, residual, slopes[:p], slopes[p:], prior, offset, zero[k], self.zeros)
+                NormalEquations.build(
+                    problem.windows,
+                    problem.weight,
+                    problem.zero_sd,
+                    residual,
+                    slopes[:p],
+                    slopes[p:],
+                    prior,
+                    offset,
+                    zero[k],
+                    self.zeros,
+                )
             )
         return result
 
@@ -349,91 +361,3 @@ class _Batch:
             self.history[k],
             bool(self.converged[k]),
         )
-
-
-@dataclass
-class _Normal:
-    """Normal equations of one trial: parameters (and zeros) coupled to each window's own state."""
-
-    residual: Tensor
-    chi2: float
-    cost: float
-    hpp: Tensor  # (q, q), prior included
-    hps: Tensor  # (W, q, S)
-    hss: Tensor  # (W, S, S)
-    gp: Tensor  # (q,), prior included
-    gs: Tensor  # (W, S)
-
-    @staticmethod
-    def build(
-        problem: FitProblem,
-        residual: Tensor,
-        slopes: Tensor,
-        state_slopes: Tensor,
-        prior: Tensor,
-        offset: Tensor,
-        zero: Tensor,
-        zeros: int,
-    ) -> _Normal:
-        windows, p = len(problem.windows), len(slopes)
-        r = residual.reshape(windows, -1)
-        jp = slopes.reshape(p, windows, r.shape[1])
-        js = state_slopes.reshape(len(state_slopes), windows, -1).permute(1, 2, 0)  # (W, NM, S)
-        if zeros:
-            of_log = torch.from_numpy(problem.windows.log[None] == np.arange(zeros)[:, None])
-            angle = torch.zeros_like(problem.weight)
-            angle[:, 0] = problem.weight[:, 0]
-            jz = angle.reshape(windows, -1)[None] * of_log[..., None]
-            jp = torch.cat([jp, jz])
-        jp = jp.permute(1, 2, 0)  # (W, NM, q)
-        chi2 = float((r * r).sum())
-        hpp = torch.einsum("wmi,wmj->ij", jp, jp)
-        gp = torch.einsum("wmi,wm->i", jp, r)
-        hpp[:p, :p] += prior
-        gp[:p] -= prior @ offset
-        penalty = float(offset @ prior @ offset)
-        if zeros:
-            weight = 1.0 / problem.zero_sd**2
-            hpp[range(p, p + zeros), range(p, p + zeros)] += weight
-            gp[p:] -= weight * zero
-            penalty += weight * float(zero @ zero)
-        hps = torch.einsum("wmi,wms->wis", jp, js)
-        hss = torch.einsum("wms,wmt->wst", js, js)
-        gs = torch.einsum("wms,wm->ws", js, r)
-        return _Normal(residual, chi2, chi2 + penalty, hpp, hps, hss, gp, gs)
-
-    def reduced(self, damping: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Schur complement on the parameters, its right-hand side, and the inverse state blocks."""
-        diagonal = torch.diagonal(self.hss, dim1=-2, dim2=-1)
-        inverse = torch.linalg.inv(self.hss + torch.diag_embed(damping * diagonal + 1e-9))
-        through = self.hps @ inverse  # (W, q, S)
-        matrix = self.hpp + torch.diag(damping * torch.diagonal(self.hpp))
-        matrix = matrix - torch.einsum("wis,wjs->ij", through, self.hps)
-        return matrix, self.gp - torch.einsum("wis,ws->i", through, self.gs), inverse
-
-    def solve(self, damping: float, held: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, Tensor, float]:
-        """Damped step, with some parameters moved by a given amount, and the decrease that it promises.
-
-        Args:
-            damping: Relative addition to the diagonals.
-            held: (p,) True where ``limit`` says how far the parameter moves.
-            limit: (p,) moves of the held parameters.
-
-        Returns:
-            Moves of parameters (and zeros) (q,), of states (W, S), predicted decrease of the cost.
-        """
-        matrix, right, inverse = self.reduced(damping)
-        free = torch.ones(len(right), dtype=torch.bool)
-        free[: len(held)] = torch.from_numpy(~held)
-        move = torch.zeros_like(right)
-        move[: len(held)] = torch.from_numpy(np.where(held, limit, 0.0))
-        if free.any():
-            scale = torch.sqrt(torch.diagonal(matrix)[free].clamp_min(1e-30))
-            scaled = matrix[free][:, free] / scale[:, None] / scale
-            wanted = (right - matrix @ move)[free] / scale
-            move[free] = torch.linalg.lstsq(scaled, wanted[:, None]).solution[:, 0] / scale
-        states = torch.einsum("wst,wt->ws", inverse, self.gs - torch.einsum("wis,i->ws", self.hps, move))
-        curvature = float(move @ self.hpp @ move + torch.einsum("ws,wst,wt->", states, self.hss, states))
-        curvature += 2.0 * float(torch.einsum("i,wis,ws->", move, self.hps, states))
-        gain = 2.0 * float(self.gp @ move + (self.gs * states).sum()) - curvature
-        return move.numpy(), states, gain

@@ -7,7 +7,16 @@ import pytest
 import torch
 
 from deepkoco.graph.recording import LogError, Recording, Series
-from deepkoco.identify import FitProblem, Noise, Prior, Trial, cut_windows, moving, unidentified, window_length
+from deepkoco.identify import (
+    FitProblem,
+    Noise,
+    Prior,
+    Trial,
+    cut_windows,
+    moving,
+    unidentified,
+    window_length,
+)
 from deepkoco.identify.push import Push
 from deepkoco.identify.windows import halved
 from deepkoco.systems import ExtendedSystem, make_system
@@ -16,7 +25,10 @@ from deepkoco.systems.effects import EFFECTS
 NOISE = (Noise(0.002, 0.0), Noise(0.05, 0.0))
 
 
-def free_swing(seconds=8.0, omega=math.sqrt(15.0), amplitude=0.02, noise=0.0, rate=100.0) -> Recording:
+RATE = math.sqrt(15.0)  # of the rod pendulum's small motion [rad/s]
+
+
+def free_swing(seconds=8.0, omega=RATE, amplitude=0.02, noise=0.0, rate=100.0) -> Recording:
     """Small motion of the rod pendulum about hanging, in closed form: theta'' = -omega^2 (theta - pi)."""
     t = np.arange(int(seconds * rate)) / rate
     theta = math.pi + amplitude * np.cos(omega * t)
@@ -139,7 +151,9 @@ def test_rest_is_left_out():
         "theta": Series(theta.t, still, "rad", "measurement"),
         "omega": Series(omega.t, np.where(theta.t < 4.0, 0.0, omega.value), "rad/s", "measurement"),
     }
-    windows = cut_windows([Recording(channels)], make_system("rod_pendulum"), 1.0, (Noise(1e-4, 0.0), Noise(1e-3, 0.0)))
+    windows = cut_windows(
+        [Recording(channels)], make_system("rod_pendulum"), 1.0, (Noise(1e-4, 0.0), Noise(1e-3, 0.0))
+    )
     assert not moving(windows)[:3].any()
     assert moving(windows)[4:].all()
 
@@ -152,5 +166,7 @@ def test_missing_command_is_named():
 
 
 def test_window_is_about_a_period():
-    assert window_length(make_system("rod_pendulum")) == pytest.approx(2 * math.pi / math.sqrt(15.0), rel=1e-3)
+    assert window_length(make_system("rod_pendulum")) == pytest.approx(
+        2 * math.pi / math.sqrt(15.0), rel=1e-3
+    )
     assert window_length(make_system("pendulum")) == 1.0

@@ -1,0 +1,129 @@
+"""Normal equations of multiple shooting: parameters coupled to each window's own initial state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.identify.windows import Windows
+
+
+@dataclass
+class NormalEquations:
+    """Gauss-Newton system of one trial: q parameters (encoder zeros last), S states in each of W windows.
+
+    Each window's states couple to the parameters and to nothing else, so they are eliminated window by
+    window and the reduced system has the size of the parameters.
+
+    Attributes:
+        residual: (W, N, M) whitened.
+        chi2: Sum of its squares.
+        cost: chi2 plus the prior's penalty.
+        hpp: (q, q) curvature of the parameters, prior included.
+        hps: (W, q, S) coupling.
+        hss: (W, S, S) curvature of the states.
+        gp: (q,) descent direction of the parameters, prior included.
+        gs: (W, S) descent direction of the states.
+    """
+
+    residual: Tensor
+    chi2: float
+    cost: float
+    hpp: Tensor  # (q, q), prior included
+    hps: Tensor  # (W, q, S)
+    hss: Tensor  # (W, S, S)
+    gp: Tensor  # (q,), prior included
+    gs: Tensor  # (W, S)
+
+    @staticmethod
+    def build(
+        windows: Windows,
+        weight: Tensor,
+        zero_sd: float,
+        residual: Tensor,
+        slopes: Tensor,
+        state_slopes: Tensor,
+        prior: Tensor,
+        offset: Tensor,
+        zero: Tensor,
+        zeros: int,
+    ) -> NormalEquations:
+        """Form the equations.
+
+        Args:
+            windows: W windows.
+            weight: (W, N, M) one over the noise, 0 where padded.
+            zero_sd: Prior spread of the encoder zeros [rad].
+            residual: (W, N, M) whitened.
+            slopes: (p, W, N, M) whitened derivatives by the parameters.
+            state_slopes: (S, W, N, M) the same by the initial states.
+            prior: (p, p) precision.
+            offset: (p,) parameters minus the prior's mean.
+            zero: Encoder zeros of the logs [rad].
+            zeros: Number of encoder zeros that are free.
+        """
+        count, p = len(windows), len(slopes)
+        r = residual.reshape(count, -1)
+        jp = slopes.reshape(p, count, r.shape[1])
+        js = state_slopes.reshape(len(state_slopes), count, -1).permute(1, 2, 0)  # (W, NM, S)
+        if zeros:
+            of_log = torch.from_numpy(windows.log[None] == np.arange(zeros)[:, None])
+            angle = torch.zeros_like(weight)
+            angle[:, 0] = weight[:, 0]
+            jz = angle.reshape(count, -1)[None] * of_log[..., None]
+            jp = torch.cat([jp, jz])
+        jp = jp.permute(1, 2, 0)  # (W, NM, q)
+        chi2 = float((r * r).sum())
+        hpp = torch.einsum("wmi,wmj->ij", jp, jp)
+        gp = torch.einsum("wmi,wm->i", jp, r)
+        hpp[:p, :p] += prior
+        gp[:p] -= prior @ offset
+        penalty = float(offset @ prior @ offset)
+        if zeros:
+            precision = 1.0 / zero_sd**2
+            hpp[range(p, p + zeros), range(p, p + zeros)] += precision
+            gp[p:] -= precision * zero
+            penalty += precision * float(zero @ zero)
+        hps = torch.einsum("wmi,wms->wis", jp, js)
+        hss = torch.einsum("wms,wmt->wst", js, js)
+        gs = torch.einsum("wms,wm->ws", js, r)
+        return NormalEquations(residual, chi2, chi2 + penalty, hpp, hps, hss, gp, gs)
+
+    def reduced(self, damping: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Schur complement on the parameters, its right-hand side, and the inverse state blocks."""
+        diagonal = torch.diagonal(self.hss, dim1=-2, dim2=-1)
+        inverse = torch.linalg.inv(self.hss + torch.diag_embed(damping * diagonal + 1e-9))
+        through = self.hps @ inverse  # (W, q, S)
+        matrix = self.hpp + torch.diag(damping * torch.diagonal(self.hpp))
+        matrix = matrix - torch.einsum("wis,wjs->ij", through, self.hps)
+        return matrix, self.gp - torch.einsum("wis,ws->i", through, self.gs), inverse
+
+    def solve(self, damping: float, held: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, Tensor, float]:
+        """Damped step, with some parameters moved by a given amount, and the decrease that it promises.
+
+        Args:
+            damping: Relative addition to the diagonals.
+            held: (p,) True where ``limit`` says how far the parameter moves.
+            limit: (p,) moves of the held parameters.
+
+        Returns:
+            Moves of parameters (and zeros) (q,), of states (W, S), predicted decrease of the cost.
+        """
+        matrix, right, inverse = self.reduced(damping)
+        free = torch.ones(len(right), dtype=torch.bool)
+        free[: len(held)] = torch.from_numpy(~held)
+        move = torch.zeros_like(right)
+        move[: len(held)] = torch.from_numpy(np.where(held, limit, 0.0))
+        if free.any():
+            scale = torch.sqrt(torch.diagonal(matrix)[free].clamp_min(1e-30))
+            scaled = matrix[free][:, free] / scale[:, None] / scale
+            wanted = (right - matrix @ move)[free] / scale
+            move[free] = torch.linalg.lstsq(scaled, wanted[:, None]).solution[:, 0] / scale
+        states = torch.einsum("wst,wt->ws", inverse, self.gs - torch.einsum("wis,i->ws", self.hps, move))
+        curvature = float(move @ self.hpp @ move + torch.einsum("ws,wst,wt->", states, self.hss, states))
+        curvature += 2.0 * float(torch.einsum("i,wis,ws->", move, self.hps, states))
+        gain = 2.0 * float(self.gp @ move + (self.gs * states).sum()) - curvature
+        return move.numpy(), states, gain
