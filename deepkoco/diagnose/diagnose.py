@@ -115,7 +115,7 @@ class _Study:
         missing = missing_torque(problem, reference, after.deflation)
         limit = white_limit(data.train) * start.floor
         structure = chi2[1] > limit or after.lag_one > 5.0 / np.sqrt(data.train.samples)
-        verdict = self._verdict(chi2[0], chi2[1], limit, structure)
+        verdict = self._verdict(reference, final, limit, structure)
         named = self._named(missing) if verdict in ("cause", "ambiguous") else ()
         if verdict not in ("cause", "ambiguous"):
             final = reference
@@ -185,10 +185,12 @@ class _Study:
             ranking = rank(problem, start, final, self.accepted, hint)
         return first, final
 
-    def _verdict(self, before: float, after: float, limit: float, structure: bool) -> Verdict:
+    def _verdict(self, before: Fit, after: Fit, limit: float, structure: bool) -> Verdict:
+        train = self.data.train
         if not self.accepted:
-            return "unknown" if before > limit else "nothing"
-        if structure and after > limit and explained_share(before, after, self.start.floor) < EXPLAINED:
+            return "unknown" if before.chi2 / train.samples > limit else "nothing"
+        share = explained_share(before, after, train, self.start.floor)
+        if structure and after.chi2 / train.samples > limit and share < EXPLAINED:
             return "unknown"
         families = {CAUSES[name].family for name in self.steps[0][1]}
         return "ambiguous" if len(families) > 1 else "cause"

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from deepkoco.diagnose.residuals import Dispersion, MissingTorque
+from deepkoco.identify.fit import Fit
+from deepkoco.identify.windows import Windows
 
 # Terms a missing torque is regressed on: name -> function of (theta, omega, load scale).
 TERMS = {
@@ -21,9 +23,19 @@ TERMS = {
 }
 
 
-def explained_share(before: float, after: float, floor: float) -> float:
-    """Share of the excess chi2 per sample that the named causes take away."""
-    return (before - after) / max(before - floor, 1e-12)
+def explained_share(before: Fit, after: Fit, windows: Windows, floor: float) -> float:
+    """Share of the excess chi2 that the named causes take away, in the channel where that is most.
+
+    A channel that glitches (many speed estimates do) keeps its excess whatever is named, and must not
+    hide what another channel shows.
+    """
+    shares = []
+    for c in range(windows.valid.shape[1]):
+        samples = int(windows.valid[:, c].sum())
+        if samples:
+            left = [float((fit.residual[:, c] ** 2).sum()) / samples for fit in (before, after)]
+            shares.append((left[0] - left[1]) / max(left[0] - floor, 1e-12) if left[0] > floor else 0.0)
+    return max(shares, default=0.0)
 
 
 def describe(missing: MissingTorque, spread: Dispersion) -> dict[str, Any]:
