@@ -236,8 +236,9 @@ def _cut(
     # With logs of their own to test on, windows may overlap: nothing that is fitted is tested.
     windows = cut_windows(recordings, system, length, noise, cover=bool(holdout))
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
-    order = np.arange(len(windows))
-    keep_back = (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & (moves.sum() >= 2 * HELD_OUT)
+    order = np.cumsum(moves) - 1  # among the windows that are used
+    enough = moves.sum() >= FEWEST_WINDOWS + 2
+    keep_back = moves & (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & enough
     train = windows.take(moves & ~keep_back)
     if holdout:
         held = cut_windows(holdout, system, length, estimate_channels(holdout, system), cover=True)
