@@ -12,6 +12,8 @@ from scipy import sparse
 
 from deepkoco.planning.config import Array, SolverError
 
+LARGEST_ENTRY = 1e20  # OSQP takes 1e30 for infinity and refuses silently; beyond 1e20 doubles are of no use
+
 
 class UnknownSolverError(ValueError):
     """The named QP solver is not installed."""
@@ -37,11 +39,12 @@ class DaqpSolver:
 
     def solve(self, hessian: Array, gradient: Array) -> Array:
         """See `BoxSolver.solve`."""
-        # daqp calls a problem with NaN solved; the sums find every NaN and infinity.
-        if not np.isfinite(hessian.sum() + gradient.sum()):
-            raise SolverError("daqp: the problem has entries that are not finite")
+        # daqp calls a problem with NaN solved.
+        check_entries("daqp", hessian, gradient)
         if self._ready:
-            self._workspace.update(H=hessian, f=gradient)
+            status = self._workspace.update(H=hessian, f=gradient)
+            if status < 0:
+                raise SolverError(f"daqp: exit flag {status} at update")
         else:
             status, _ = self._workspace.setup(hessian, gradient, self._no_rows, self._high, self._low)
             if status < 0:
@@ -78,8 +81,8 @@ class OsqpSolver:
 
     def solve(self, hessian: Array, gradient: Array) -> Array:
         """See `BoxSolver.solve`."""
-        if not np.isfinite(hessian.sum() + gradient.sum()):
-            raise SolverError("osqp: the problem has entries that are not finite")
+        # osqp keeps the last problem when it refuses an update, and does not say so.
+        check_entries("osqp", hessian, gradient)
         self._solver.update(Px=hessian[self._upper][self._columns], q=gradient)
         return osqp_solution(self._solver)
 
@@ -93,8 +96,7 @@ class QpsolversSolver:
 
     def solve(self, hessian: Array, gradient: Array) -> Array:
         """See `BoxSolver.solve`."""
-        if not np.isfinite(hessian.sum() + gradient.sum()):
-            raise SolverError(f"{self._name}: the problem has entries that are not finite")
+        check_entries(self._name, hessian, gradient)
         try:
             x = qpsolvers.solve_qp(hessian, gradient, lb=self._low, ub=self._high, solver=self._name)
         except qpsolvers.exceptions.QPError as error:
@@ -102,6 +104,22 @@ class QpsolversSolver:
         if x is None:
             raise SolverError(f"{self._name}: no solution found")
         return x
+
+
+def check_entries(solver: str, *arrays: Array) -> None:
+    """Refuse a problem with entries that are not finite or too large for a solver.
+
+    Args:
+        solver: Its name, for the message.
+        *arrays: Any shapes.
+
+    Raises:
+        SolverError: The root of the sum of squares of an array is not below 1e20.
+    """
+    for array in arrays:
+        # One product finds every NaN, infinity and large number, in a third of the time of abs and max.
+        if not np.vdot(array, array) < LARGEST_ENTRY**2:
+            raise SolverError(f"{solver}: the problem has entries that are not finite or above 1e20")
 
 
 def osqp_solution(solver: osqp.OSQP) -> Array:

@@ -96,6 +96,8 @@ class LinearMPC:
         self.statistics.plans += 1
         try:
             planned = self._program.solve(rows, factor, action)
+            if not np.isfinite(planned).all():
+                raise SolverError("the plan is not finite")
         except SolverError as error:
             increment = self._hold(str(error))
         else:

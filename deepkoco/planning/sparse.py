@@ -7,8 +7,8 @@ import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
-from deepkoco.planning.backends import osqp_solution
-from deepkoco.planning.config import Array, PlanningProblem, SolverError
+from deepkoco.planning.backends import check_entries, osqp_solution
+from deepkoco.planning.config import Array, PlanningProblem
 
 
 class SparseProgram:
@@ -105,8 +105,7 @@ class SparseProgram:
         """
         entries = -np.concatenate((rows[1:].T.ravel(), factor))
         start = self._dynamics @ rows[0]
-        if not np.isfinite(entries.sum() + start.sum() + action.sum()):
-            raise SolverError("osqp: the problem has entries that are not finite")
+        check_entries("osqp", entries, start, action)
         for bound in (self._low, self._high):
             bound[self._first_latent] = start
             bound[self._first_action] = action

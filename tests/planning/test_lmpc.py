@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deepkoco.planning import LinearMPC, PlannerConfig, PlannerConfigError
-from deepkoco.planning.backends import UnknownSolverError
+from deepkoco.planning import LinearMPC, PlannerConfig, PlannerConfigError, SolverError
+from deepkoco.planning.backends import DaqpSolver, UnknownSolverError
 
 FORMS = [PlannerConfig(5), PlannerConfig(5, solver="osqp"), PlannerConfig(5, form="sparse", tolerance=1e-9)]
 
@@ -55,6 +55,41 @@ def test_solves_again_after_a_failure(random_state, config, model):
     planner.plan(state[0] * np.nan, *state[1:])
     np.testing.assert_allclose(planner.plan(*state), fresh.plan(*state), atol=1e-5)
     assert planner.statistics.failures == 1
+
+
+@pytest.mark.filterwarnings("ignore:overflow|invalid value")
+@pytest.mark.parametrize("config", FORMS, ids=lambda c: f"{c.form}-{c.solver}")
+@pytest.mark.parametrize("size", [1e20, 1e60, 1e100, 1e200, -1e300])
+def test_huge_numbers_are_a_failure_and_leave_nothing_behind(size, config, model):
+    planner, fresh = make(model, config), make(model, config)
+    action = np.zeros(1)
+    rows, factor = model.linearise(np.array([0.1, 0.2, 0.3]), action)
+    huge_rows, huge_factor = model.linearise(np.array([0.1, size, 0.3]), action)
+    planner.plan(rows, factor, action)
+    held = planner._held[0].copy()
+    increment = planner.plan(huge_rows, huge_factor, action)
+    np.testing.assert_array_equal(increment, np.clip(held, -1.5, 1.5))
+    assert planner.statistics.failures == 1
+    assert planner.statistics.reasons.total() == 1
+    expected = fresh.plan(rows, factor, action)
+    np.testing.assert_allclose(planner.plan(rows, factor, action), expected, atol=1e-5)
+
+
+def test_a_program_that_daqp_refuses_to_update_is_not_solved():
+    solver = DaqpSolver(-np.ones(2), np.ones(2), 1e-6)
+    np.testing.assert_allclose(solver.solve(2.0 * np.eye(2), np.ones(2)), [-0.5, -0.5])
+    with pytest.raises(SolverError, match="at update"):
+        solver.solve(-np.eye(2), np.ones(2))
+    np.testing.assert_allclose(solver.solve(4.0 * np.eye(2), np.ones(2)), [-0.25, -0.25])
+
+
+def test_a_plan_that_is_not_finite_is_a_failure(random_state, model, monkeypatch):
+    planner = make(model, PlannerConfig(5))
+    state = random_state(model, 1)
+    planner.plan(*state)
+    monkeypatch.setattr(planner._program, "solve", lambda *_: np.full((5, 1), np.nan))
+    assert np.isfinite(planner.plan(*state)).all()
+    assert planner.statistics.reasons == {"the plan is not finite": 1}
 
 
 def test_an_infeasible_problem_is_a_failure_not_an_exception(random_state, model):
