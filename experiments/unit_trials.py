@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,14 +17,16 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from gymnasium import spaces
 from scipy.stats import bootstrap
 
 from deepkoco.agent import load_policy
+from deepkoco.agent.policy import ObservationError, load_model
 from deepkoco.envs.distractors import StateDistractors
 from deepkoco.envs.film import write_clip
 from deepkoco.envs.unit_env import UnitEnv
-from deepkoco.koopman.exported import ModelFolderError
 from deepkoco.unit import UnitError, UnitSpec, UnitSpecError, load_unit
+from experiments.commands import BAD_INPUT
 from experiments.environments import ExperimentError
 from experiments.settings import TrainRunConfig
 from experiments.train import load_run_config
@@ -35,7 +39,7 @@ class Trial:
     """One episode of one policy on the unit.
 
     Attributes:
-        policy: Name of the policy's run.
+        policy: Name of the policy, as given by `policy_names`.
         episode: Number of the start state.
         cost: Sum of the step costs.
         upright: Whether it stood at the end.
@@ -51,8 +55,74 @@ class Trial:
     frames: tuple[np.ndarray, ...] = ()
 
 
+def policy_names(runs: Sequence[Path]) -> list[str]:
+    """Short names of runs: the fewest last parts of each path that no other run's path ends with.
+
+    Args:
+        runs: Folders of training runs.
+
+    Returns:
+        One name for each.
+
+    Raises:
+        ExperimentError: A folder is given twice.
+    """
+    resolved = [run.resolve() for run in runs]
+    for i, run in enumerate(runs):
+        if resolved[i] in resolved[:i]:
+            raise ExperimentError(f"{run}: the same run is given twice; name each run once")
+    parts = [Path(os.path.abspath(run)).parts for run in runs]
+    names = []
+    for i, own in enumerate(parts):
+        others = parts[:i] + parts[i + 1 :]
+        length = 1
+        while length < len(own) and any(other[-length:] == own[-length:] for other in others):
+            length += 1
+        names.append("/".join(own[-length:]).lstrip("/"))
+    return names
+
+
+def check_run(run: Path, unit: UnitSpec) -> None:
+    """Check that a trained policy fits the unit before anything moves.
+
+    Args:
+        run: Folder of the training run.
+        unit: The unit.
+
+    Raises:
+        ExperimentError: The system, the number of observation entries or the action limits differ.
+        ModelFolderError: The run holds no readable model.
+    """
+    config = load_run_config(run)
+    if config.env.system != unit.system:
+        raise ExperimentError(
+            f"{run}: trained on env.system {config.env.system}, but the unit is a {unit.system}"
+        )
+    model, _, low, high = load_model(run)
+    env = _environment(config, unit, "simulated", film=False)
+    entries = env.observation_space.shape or (0,)
+    if entries[0] != model.observation_size:
+        raise ExperimentError(
+            f"{run}: the policy takes {model.observation_size} observation entries, the unit gives "
+            f"{entries[0]}; train with the same env.kwargs.action_history and distractors"
+        )
+    space = env.action_space
+    assert isinstance(space, spaces.Box)
+    if not (np.allclose(space.low, low) and np.allclose(space.high, high)):
+        raise ExperimentError(
+            f"{run}: the policy's actions lie in {low.tolist()} to {high.tolist()}, those of the unit in "
+            f"{space.low.tolist()} to {space.high.tolist()}; train with another env.kwargs.action_units"
+        )
+
+
 def run_trial(
-    run: Path, unit: UnitSpec, episode: int, clock: str = "wall", seed: int = 0, film: bool = False
+    run: Path,
+    unit: UnitSpec,
+    episode: int,
+    clock: str = "wall",
+    seed: int = 0,
+    film: bool = False,
+    name: str | None = None,
 ) -> Trial:
     """Run one noise-free episode of a trained policy on the unit.
 
@@ -63,6 +133,7 @@ def run_trial(
         clock: "wall" or "simulated".
         seed: Seed of the set of episodes.
         film: Whether to draw every step.
+        name: Of the policy; by default the last part of the folder.
 
     Returns:
         The trial.
@@ -89,7 +160,7 @@ def run_trial(
     finally:
         env.close()
     upright = float(np.mean(angles[-len(angles) // 4 :])) < UPRIGHT_ANGLE
-    return Trial(run.name, episode, float(np.sum(costs)), upright, overruns, tuple(frames))
+    return Trial(name or run.name, episode, float(np.sum(costs)), upright, overruns, tuple(frames))
 
 
 def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool):
@@ -121,11 +192,23 @@ def run_trials(
 
     Returns:
         The trials, episode by episode.
+
+    Raises:
+        ExperimentError: A run is given twice or does not fit the unit; no trial has begun then.
+        ModelFolderError: A run holds no readable model.
     """
+    names = policy_names(runs)
+    for run in runs:
+        check_run(run, unit)
     # Alternating the policies spreads whatever the machine does to the timing over both of them.
-    jobs = [(run, episode) for episode in range(episodes) for run in runs]
+    jobs = [(*policy, episode) for episode in range(episodes) for policy in zip(runs, names, strict=True)]
+
+    def trial(job: tuple[Path, str, int]) -> Trial:
+        run, name, episode = job
+        return run_trial(run, unit, episode, clock, seed, name=name)
+
     with ThreadPoolExecutor(parallel if clock == "wall" else 1) as pool:
-        return list(pool.map(lambda job: run_trial(job[0], unit, job[1], clock, seed), jobs))
+        return list(pool.map(trial, jobs))
 
 
 def interval(values: np.ndarray, seed: int = 0) -> tuple[float, float, float]:
@@ -134,13 +217,18 @@ def interval(values: np.ndarray, seed: int = 0) -> tuple[float, float, float]:
     Args:
         values: (n,) values.
         seed: Seed of the bootstrap.
+
+    Returns:
+        Mean, lower and upper limit; the limits are NaN for a single value.
     """
-    if len(values) < 2 or np.ptp(values) == 0:
-        mean = float(np.mean(values))
+    mean = float(np.mean(values))
+    if len(values) < 2:
+        return mean, math.nan, math.nan
+    if np.ptp(values) == 0:
         return mean, mean, mean
     result = bootstrap((values,), np.mean, n_resamples=9999, rng=np.random.default_rng(seed))
     low, high = result.confidence_interval
-    return float(np.mean(values)), float(low), float(high)
+    return mean, float(low), float(high)
 
 
 def summarise(trials: Sequence[Trial]) -> dict:
@@ -166,6 +254,17 @@ def summarise(trials: Sequence[Trial]) -> dict:
     return summary
 
 
+def as_json(summary: dict) -> str:
+    """The summary as one line of JSON, with null where an interval is not known."""
+
+    def known(value: object) -> object:
+        if isinstance(value, dict):
+            return {key: known(entry) for key, entry in value.items()}
+        return None if isinstance(value, float) and math.isnan(value) else value
+
+    return json.dumps(known(summary), allow_nan=False)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description="Run trained policies on a unit.")
@@ -189,15 +288,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args.out.mkdir(parents=True)
             rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
             pd.DataFrame(rows).to_csv(args.out / "trials.csv", index=False)
-            for run in args.runs:
+            for run, name in zip(args.runs, policy_names(args.runs), strict=True):
                 film = run_trial(run, unit, 0, args.clock, args.seed, film=True)
-                write_clip(args.out / f"{run.name}.webm", film.frames, 20.0)
-    except (ExperimentError, ModelFolderError, UnitSpecError, UnitError, OSError) as error:
+                path = args.out / f"{name}.webm"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_clip(path, film.frames, 20.0)
+    except (*BAD_INPUT, ObservationError, UnitSpecError, UnitError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     summary = summarise(trials)
     if args.json:
-        print(json.dumps(summary))
+        print(as_json(summary))
         return 0
     for name, row in summary.items():
         print(

@@ -1,0 +1,53 @@
+"""Run folders as training leaves them, with random weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
+from deepkoco.planning import PlannerConfig
+from experiments.settings import EnvConfig, TrainRunConfig
+
+MakeRun = Callable[..., Path]
+METRICS = "episodes,updates,seconds,train/cost,evaluation/cost,evaluation/cost_sd,evaluation/cost_median,"
+
+
+def write_run(
+    folder: Path,
+    env: EnvConfig | None = None,
+    distractors: str = "none",
+    seed: int = 0,
+    entries: int = 3,
+    limit: float = 2.0,
+    finished: bool = True,
+    cost: float = 150.0,
+    **agent: object,
+) -> Path:
+    """Write config.yaml, metrics.csv and a small exported model of the rod pendulum."""
+    if env is None:
+        env = EnvConfig("rod_pendulum", "deepkoco/RodPendulum-v0", kwargs={"action_units": "physical"})
+    config = TrainRunConfig(env=env, distractors=distractors, seed=seed, run=str(folder))
+    for name, value in agent.items():
+        setattr(config.agent, name, value)
+    folder.mkdir(parents=True)
+    OmegaConf.save(OmegaConf.structured(config), folder / "config.yaml", resolve=True)
+    rows = [f"{n},{10 * n},{n}.5,{cost + 400 / n},{cost + 300 / n},20.0,{cost},10" for n in (90, 110)]
+    (folder / "metrics.csv").write_text("\n".join([METRICS + "evaluation/episodes", *rows]) + "\n")
+    if finished:
+        torch.manual_seed(seed)
+        model = export_model(KoopmanModel(entries, 1, ModelConfig(2, 0.05, (8,), (8,))))
+        limits = {"action_low": [-limit], "action_high": [limit]}
+        model.save(folder / "model", {"planner": asdict(PlannerConfig(5)), **limits, "seed": seed})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def make_run() -> MakeRun:
+    """Writes a run folder; see `write_run`."""
+    return write_run

@@ -1,0 +1,150 @@
+"""Trained policies on a unit, in simulated time."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from deepkoco.agent.policy import load_policy
+from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.unit import make_unit
+from experiments.environments import ExperimentError
+from experiments.settings import EnvConfig
+from experiments.unit_trials import (
+    Trial,
+    as_json,
+    check_run,
+    interval,
+    main,
+    policy_names,
+    run_trials,
+    summarise,
+)
+
+UNIT = Path(__file__).resolve().parents[2] / "configs" / "units" / "rod_pendulum_healthy.yaml"
+
+
+@pytest.fixture(scope="module")
+def unit():
+    return make_unit("rod_pendulum", seed=3)
+
+
+@pytest.fixture(scope="module")
+def runs(make_run, tmp_path_factory):
+    """Two policies in folders of the same name."""
+    folder = tmp_path_factory.mktemp("runs")
+    return [make_run(folder / name / "seed_0", seed=i) for i, name in enumerate(("none", "copies"))]
+
+
+def test_runs_with_the_same_folder_name_stay_apart(runs, unit):
+    trials = run_trials(runs, unit, 2, clock="simulated")
+    assert [(t.policy, t.episode) for t in trials] == [
+        ("none/seed_0", 0),
+        ("copies/seed_0", 0),
+        ("none/seed_0", 1),
+        ("copies/seed_0", 1),
+    ]
+    summary = summarise(trials)
+    assert {name: row["episodes"] for name, row in summary.items()} == {"none/seed_0": 2, "copies/seed_0": 2}
+    assert summary["none/seed_0"]["mean"] == pytest.approx((trials[0].cost + trials[2].cost) / 2)
+
+
+def test_a_trial_costs_what_the_policy_costs_in_the_environment(runs, unit):
+    (trial,) = run_trials(runs[:1], unit, 1, clock="simulated", seed=5)
+    env, policy = UnitEnv(unit, "simulated"), load_policy(runs[0])
+    observation, _ = env.reset(seed=int(np.random.SeedSequence([5, 0]).generate_state(1)[0] >> 1))
+    total, ended = 0.0, False
+    while not ended:
+        observation, reward, _, ended, _ = env.step(policy.act(observation))
+        total -= float(reward)
+    env.close()
+    assert trial.cost == pytest.approx(total, rel=1e-12)
+
+
+def test_names_are_the_shortest_that_tell_runs_apart(tmp_path):
+    given = [tmp_path / "a" / "seed_0", tmp_path / "b" / "seed_0", tmp_path / "b" / "seed_1"]
+    assert policy_names(given) == ["a/seed_0", "b/seed_0", "seed_1"]
+    assert policy_names([tmp_path / "x" / "baseline", tmp_path / "x" / "extended"]) == [
+        "baseline",
+        "extended",
+    ]
+
+
+def test_a_run_given_twice_is_refused(tmp_path):
+    with pytest.raises(ExperimentError, match="twice"):
+        policy_names([tmp_path / "a", tmp_path / "b" / ".." / "a"])
+
+
+def test_a_policy_that_does_not_fit_the_unit_is_refused_before_anything_moves(make_run, tmp_path, unit):
+    swapped = make_run(tmp_path / "units", EnvConfig("e", "deepkoco/RodPendulum-v0"))
+    with pytest.raises(ExperimentError, match="action_units"):
+        check_run(swapped, unit)
+    with pytest.raises(ExperimentError, match="5 observation entries, the unit gives 3"):
+        check_run(make_run(tmp_path / "entries", entries=5), unit)
+    other = EnvConfig("e", "deepkoco/Pendulum-v0", "pendulum", {"action_units": "physical"})
+    with pytest.raises(ExperimentError, match="unit is a rod_pendulum"):
+        run_trials([make_run(tmp_path / "system", other)], unit, 1, clock="simulated")
+
+
+def test_the_distractors_of_the_run_belong_to_its_observation(make_run, tmp_path, unit):
+    check_run(make_run(tmp_path / "copies", distractors="copies", entries=15), unit)
+
+
+def trial(policy, episode, cost):
+    return Trial(policy, episode, cost, cost < 100.0, overruns=episode)
+
+
+def test_savings_are_paired_by_episode():
+    trials = [trial("a", 0, 100.0), trial("b", 1, 150.0), trial("b", 0, 90.0), trial("a", 1, 160.0)]
+    summary = summarise(trials)
+    # Both episodes save 10, so the paired interval has no width although the costs differ by 60.
+    assert summary["b"]["saved_against_first"] == {"mean": 10.0, "low": 10.0, "high": 10.0}
+    assert summary["a"]["saved_against_first"]["mean"] == 0.0
+    assert (summary["b"]["mean"], summary["b"]["median"]) == (120.0, 120.0)
+    assert (summary["b"]["upright"], summary["b"]["overruns"]) == (0.5, 1)
+    assert summary["a"]["low"] >= 100.0
+    assert summary["a"]["high"] <= 160.0
+
+
+def test_the_interval_of_one_value_is_not_known():
+    mean, low, high = interval(np.array([7.0]))
+    assert mean == 7.0
+    assert math.isnan(low)
+    assert math.isnan(high)
+    row = json.loads(as_json(summarise([trial("a", 0, 7.0)])))["a"]
+    assert (row["mean"], row["low"], row["high"]) == (7.0, None, None)
+    assert row["saved_against_first"] == {"mean": 0.0, "low": None, "high": None}
+
+
+def test_interval_of_a_mean_is_near_that_of_the_normal_law():
+    values = np.random.default_rng(0).normal(10.0, 2.0, 400)
+    mean, low, high = interval(values)
+    half = 1.96 * values.std(ddof=1) / 20.0
+    assert (low, high) == pytest.approx((mean - half, mean + half), abs=0.03)
+
+
+def test_the_command_writes_trials_and_films(runs, tmp_path, capsys):
+    out = tmp_path / "out"
+    options = ["--unit", str(UNIT), "--episodes", "1", "--clock", "simulated"]
+    assert main([str(runs[0]), str(runs[1]), *options, "--out", str(out), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    table = pd.read_csv(out / "trials.csv")
+    assert table["policy"].tolist() == list(printed) == ["none/seed_0", "copies/seed_0"]
+    assert (out / "none" / "seed_0.webm").stat().st_size > 0
+    assert (out / "copies" / "seed_0.webm").stat().st_size > 0
+    assert main([str(runs[0]), *options, "--out", str(out)]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_bad_input_is_one_line(runs, make_run, tmp_path, capsys):
+    options = ["--unit", str(UNIT), "--clock", "simulated"]
+    assert main([str(runs[0]), *options, "--episodes", "0"]) == 2
+    assert main([str(tmp_path / "nothing"), *options]) == 2
+    assert main([str(make_run(tmp_path / "r", entries=4)), *options]) == 2
+    assert main([str(runs[0]), str(runs[0]), *options]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 4
+    assert all(line.startswith("error: ") for line in errors)
