@@ -16,8 +16,7 @@ from deepkoco.agent.checkpoint import CheckpointError
 from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.exported import ModelFolderError
-from deepkoco.planning.backends import UnknownSolverError
-from deepkoco.planning.lmpc import PlannerConfigError
+from deepkoco.planning import PlannerConfigError, UnknownSolverError
 from experiments.environments import ExperimentError
 from experiments.settings import register
 

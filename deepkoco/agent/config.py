@@ -66,6 +66,8 @@ class TrainingConfig:
 
         Raises:
             TrainingConfigError: Names the first value that is out of range and its remedy.
+            PlannerConfigError: The same for the planner, whose horizon H is at most T.
+            UnknownSolverError: The planner's solver is not installed.
         """
         positive = (
             "first_episodes first_epochs iteration_episodes iteration_epochs iteration_updates "
@@ -88,3 +90,6 @@ class TrainingConfig:
             )
         if self.model.pairs < 1 or not self.model.time_step > 0:
             raise TrainingConfigError("model.pairs and model.time_step must be above 0")
+        if not self.model.action_weight >= 0:
+            raise TrainingConfigError(f"model.action_weight = {self.model.action_weight}; give 0 or more")
+        self.planner.check(self.horizon)

@@ -1,7 +1,13 @@
 """Linear model-predictive control on the latent model."""
 
-from deepkoco.planning.config import PlannerConfig, PlanningProblem, SolverError
-from deepkoco.planning.lmpc import LinearMPC, PlannerConfigError, PlannerStatistics
+from deepkoco.planning.config import (
+    PlannerConfig,
+    PlannerConfigError,
+    PlanningProblem,
+    SolverError,
+    UnknownSolverError,
+)
+from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
 
 __all__ = [
     "LinearMPC",
@@ -10,4 +16,5 @@ __all__ = [
     "PlannerStatistics",
     "PlanningProblem",
     "SolverError",
+    "UnknownSolverError",
 ]

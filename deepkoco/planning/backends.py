@@ -10,13 +10,9 @@ import osqp
 import qpsolvers
 from scipy import sparse
 
-from deepkoco.planning.config import Array, SolverError
+from deepkoco.planning.config import Array, SolverError, check_solver
 
 LARGEST_ENTRY = 1e20  # OSQP takes 1e30 for infinity and refuses silently; beyond 1e20 doubles are of no use
-
-
-class UnknownSolverError(ValueError):
-    """The named QP solver is not installed."""
 
 
 class BoxSolver(Protocol):
@@ -155,12 +151,9 @@ def make_box_solver(name: str, low: Array, high: Array, tolerance: float) -> Box
     Raises:
         UnknownSolverError: No such solver is installed.
     """
-    if name in UPDATED_SOLVERS:
-        return UPDATED_SOLVERS[name](low, high, tolerance)
-    if name in qpsolvers.available_solvers:
-        return QpsolversSolver(name, low, high)
-    known = sorted({*UPDATED_SOLVERS, *qpsolvers.available_solvers})
-    raise UnknownSolverError(f'solver "{name}" is not installed; choose one of {", ".join(known)}')
-
-
-UPDATED_SOLVERS = {"daqp": DaqpSolver, "osqp": OsqpSolver}
+    check_solver(name)
+    if name == "daqp":
+        return DaqpSolver(low, high, tolerance)
+    if name == "osqp":
+        return OsqpSolver(low, high, tolerance)
+    return QpsolversSolver(name, low, high)

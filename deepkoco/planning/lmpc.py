@@ -16,10 +16,6 @@ from deepkoco.planning.sparse import SparseProgram
 logger = logging.getLogger(__name__)
 
 
-class PlannerConfigError(ValueError):
-    """A setting of the planner is out of range."""
-
-
 @dataclass
 class PlannerStatistics:
     """What happened so far.
@@ -55,11 +51,10 @@ class LinearMPC:
             action_high: a_max (M,).
 
         Raises:
-            PlannerConfigError: The form is unknown or the horizon is not positive.
+            PlannerConfigError: A setting is out of range.
             UnknownSolverError: The solver is not installed.
         """
-        if config.horizon < 1:
-            raise PlannerConfigError(f"planner.horizon = {config.horizon}; give at least 1 step")
+        config.check()
         self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
         problem = PlanningProblem(
             model.eigenvalues,
@@ -71,10 +66,8 @@ class LinearMPC:
         )
         if config.form == "condensed":
             self._program = CondensedProgram(problem, config.solver, config.tolerance)
-        elif config.form == "sparse":
-            self._program = SparseProgram(problem, config.tolerance)
         else:
-            raise PlannerConfigError(f'planner.form = "{config.form}"; choose "condensed" or "sparse"')
+            self._program = SparseProgram(problem, config.tolerance)
         self.statistics = PlannerStatistics()
         self._held = np.zeros((0, self._low.size))
 

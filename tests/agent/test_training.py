@@ -14,9 +14,10 @@ import torch
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from deepkoco.agent import Trainer, load_policy
+from deepkoco.agent import Trainer, TrainingConfig, load_policy
 from deepkoco.agent.checkpoint import load_checkpoint
 from deepkoco.agent.config import TrainingConfigError
+from deepkoco.planning import PlannerConfig, PlannerConfigError, UnknownSolverError
 
 sys.path.insert(0, str(Path(__file__).parent))
 from small_run import make_envs, small_config
@@ -131,3 +132,14 @@ def test_hyper_parameters_out_of_range_are_named_before_work_starts(change, mess
     with pytest.raises(TrainingConfigError, match=message):
         Trainer(make_envs, dataclasses.replace(small_config(), **change), 0, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_planner_that_cannot_work_is_refused_before_training():
+    planner = PlannerConfig(5)
+    TrainingConfig(horizon=5, planner=planner).check()
+    with pytest.raises(PlannerConfigError, match="exceeds the training horizon 4"):
+        TrainingConfig(horizon=4, planner=planner).check()
+    with pytest.raises(PlannerConfigError, match="dense"):
+        TrainingConfig(planner=PlannerConfig(5, form="dense")).check()
+    with pytest.raises(UnknownSolverError, match="nope"):
+        TrainingConfig(planner=PlannerConfig(5, solver="nope")).check()

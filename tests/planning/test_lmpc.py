@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deepkoco.planning import LinearMPC, PlannerConfig, PlannerConfigError, SolverError
-from deepkoco.planning.backends import DaqpSolver, UnknownSolverError
+from deepkoco.planning import LinearMPC, PlannerConfig, PlannerConfigError, SolverError, UnknownSolverError
+from deepkoco.planning.backends import DaqpSolver
 
 FORMS = [PlannerConfig(5), PlannerConfig(5, solver="osqp"), PlannerConfig(5, form="sparse", tolerance=1e-9)]
 
@@ -117,6 +117,10 @@ def test_bad_settings_are_named(model):
         make(model, PlannerConfig(5, form="dense"))
     with pytest.raises(PlannerConfigError, match="horizon"):
         make(model, PlannerConfig(0))
+    with pytest.raises(PlannerConfigError, match="increment_weight = -1"):
+        make(model, PlannerConfig(5, increment_weight=-1.0))
+    with pytest.raises(PlannerConfigError, match="tolerance"):
+        make(model, PlannerConfig(5, tolerance=float("nan")))
     with pytest.raises(UnknownSolverError, match="daqp"):
         make(model, PlannerConfig(5, solver="nope"))
 
