@@ -95,7 +95,7 @@ class QpsolversSolver:
         check_entries(self._name, hessian, gradient)
         try:
             x = qpsolvers.solve_qp(hessian, gradient, lb=self._low, ub=self._high, solver=self._name)
-        except qpsolvers.exceptions.QPError as error:
+        except Exception as error:  # each solver has its own classes, and a controller must not end with them
             raise SolverError(f"{self._name}: {error}") from error
         if x is None:
             raise SolverError(f"{self._name}: no solution found")

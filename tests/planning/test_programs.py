@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from deepkoco.koopman import ExportedModel
+from deepkoco.planning.backends import QpsolversSolver
 from deepkoco.planning.condensed import CondensedProgram
-from deepkoco.planning.config import PlanningProblem
+from deepkoco.planning.config import PlanningProblem, SolverError
 from deepkoco.planning.sparse import SparseProgram
 
 LIMIT = 1.5
@@ -76,6 +77,26 @@ def test_backends_give_the_brute_force_answer_after_updates(random_state, solver
         np.testing.assert_allclose(
             program.solve(*state).ravel(), brute_force(model, problem, *state), atol=1e-4
         )
+
+
+@pytest.mark.filterwarnings("ignore:Converted matrix:UserWarning", "ignore:The default value of raise_error")
+def test_a_solver_that_is_made_anew_gives_the_brute_force_answer(random_state, model):
+    problem = make_problem(model, 5)
+    program = CondensedProgram(problem, "daqp", 1e-8)
+    solver = QpsolversSolver("osqp", np.full(5, -LIMIT), np.full(5, LIMIT))
+    for seed in range(4):
+        state = random_state(model, seed)
+        expected = brute_force(model, problem, *state)
+        np.testing.assert_allclose(solver.solve(*program.matrices(*state)), expected, atol=5e-3)
+
+
+@pytest.mark.filterwarnings("ignore:Converted matrix:UserWarning", "ignore:The default value of raise_error")
+def test_what_another_solver_raises_is_a_solver_error():
+    solver = QpsolversSolver("osqp", -np.ones(2), np.ones(2))
+    with pytest.raises(SolverError, match="osqp"):
+        solver.solve(np.diag([-1.0, 1.0]), np.ones(2))
+    with pytest.raises(SolverError, match="not finite"):
+        solver.solve(np.full((2, 2), np.nan), np.ones(2))
 
 
 def test_one_step_by_hand():
