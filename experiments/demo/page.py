@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import io
+import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,7 +83,7 @@ def terminal_table(outcome: Outcome) -> Table:
         "upright at the end", *(f"{100 * row['upright']:.0f} % of {row['episodes']}" for row in rows)
     )
     saved = rows[1]["saved_against_first"]
-    table.add_row("saved, same starts", "", f"{saved['mean']:.0f} [{saved['low']:.0f}, {saved['high']:.0f}]")
+    table.add_row("saved, same starts", "", _interval(saved))
     table.add_row("time", "", f"{outcome.seconds / 60:.1f} min")
     return table
 
@@ -118,13 +120,15 @@ def write_page(outcome: Outcome) -> Path:
             costs={name: _interval(outcome.summary[name]) for name in COLOURS},
             upright={name: f"{100 * outcome.summary[name]['upright']:.0f} %" for name in COLOURS},
             episodes=outcome.summary["extended"]["episodes"],
-            saved=f"{saved['mean']:.0f} [{saved['low']:.0f}, {saved['high']:.0f}]",
+            saved=_interval(saved),
             better=saved["low"] > 0,
             minutes=f"{outcome.seconds / 60:.1f}",
         )
     )
     path = outcome.folder / "index.html"
-    path.write_text(page, encoding="utf-8")
+    partial = path.with_suffix(".html.partial")
+    partial.write_text(page, encoding="utf-8")
+    os.replace(partial, path)
     return path
 
 
@@ -133,6 +137,8 @@ def _parameters(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _interval(row: dict[str, Any]) -> str:
+    if math.isnan(row["low"]):  # a single episode
+        return f"{row['mean']:.0f}"
     return f"{row['mean']:.0f} [{row['low']:.0f}, {row['high']:.0f}]"
 
 
