@@ -32,6 +32,7 @@ from deepkoco.diagnose.unknown import describe, explained_share
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.identifiability import unidentified
+from deepkoco.identify.threads import one_thread
 from deepkoco.identify.windows import Windows, cut_windows, estimate_channels, moving, window_length
 from deepkoco.systems import ExtendedSystem, JointSystem, make_system
 
@@ -86,11 +87,12 @@ def diagnose(
     if not isinstance(base, JointSystem):
         raise TypeError(f"{base.name} is no system with one joint")
     length = window_length(base) if window is None else window
-    data = _cut(recordings, holdout, base, length)
-    if len(data.train) < FEWEST_WINDOWS:
-        return _insufficient(data, base, recordings, length, seed, began)
-    start = learn_baseline(healthy, base, length) if healthy else start_from(base, data.train)
-    return _Study(base, start, data, detection).run(recordings, length, seed, began)
+    with one_thread():
+        data = _cut(recordings, holdout, base, length)
+        if len(data.train) < FEWEST_WINDOWS:
+            return _insufficient(data, base, recordings, length, seed, began)
+        start = learn_baseline(healthy, base, length) if healthy else start_from(base, data.train)
+        return _Study(base, start, data, detection).run(recordings, length, seed, began)
 
 
 class _Study:
