@@ -6,9 +6,13 @@ import torch
 from deepkoco.identify.threads import one_thread
 
 
+def _fail_on_one_thread() -> None:
+    with one_thread():
+        raise ArithmeticError(f"{torch.get_num_threads()} thread")
+
+
 def test_one_thread_inside_and_as_before_outside():
     before = torch.get_num_threads()
-    with pytest.raises(ZeroDivisionError), one_thread():
-        assert torch.get_num_threads() == 1
-        raise ZeroDivisionError
+    with pytest.raises(ArithmeticError, match="^1 thread$"):
+        _fail_on_one_thread()
     assert torch.get_num_threads() == before
