@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,13 +14,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from deepkoco.envs.nodes import Actuator, Sensor, World
-from deepkoco.envs.settings import DELAYS, EnvironmentSettings
+from deepkoco.envs.nodes import Sensor, World
+from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
 from deepkoco.graph import BatchedRuntime, Connection, Graph, HorizonError, Supervisor, draw_timing
 from deepkoco.graph.delay import Delay, Deterministic, make_delay
 
-COMMAND_WINDOW = 4  # commands that may arrive within one tick of the world
-EDGES = {"actuation_delay": "agent->actuator", "sensing_delay": "sensor->agent"}
+EDGES = {"actuation_delay": "agent->world", "sensing_delay": "sensor->agent"}
 
 
 class DelayGraphVectorEnv(VectorEnv):
@@ -89,9 +89,10 @@ class DelayGraphVectorEnv(VectorEnv):
         timing = draw_timing(self.graph, self._generator, self.max_episode_steps, self.num_envs, delays)
         self._runtime = BatchedRuntime(self.graph, timing)
         parameters = {node.name: self._parameters for node in self.graph.nodes}
-        initial = None
+        start = self.task.start(self.system, self.num_envs, self._generator)
         if options and options.get("initial_state") is not None:
-            initial = {"world": {"state": torch.as_tensor(options["initial_state"], dtype=torch.float64)}}
+            start = torch.as_tensor(options["initial_state"], dtype=torch.float64)
+        initial = {"world": {"state": start}, "sensor": {"start": start}}
         self._state, inputs = self._runtime.reset(parameters, self._generator, initial)
         self._history = torch.zeros(self.num_envs, self.settings.action_history, dtype=torch.float64)
         self._command = torch.zeros(self.num_envs, dtype=torch.float64)
@@ -136,24 +137,49 @@ class DelayGraphVectorEnv(VectorEnv):
 
     def _make_graph(self) -> Graph:
         settings, rate = self.settings, self.task.control_rate
-        nominal = self.system.timing(self.system.default_parameters())
+        sensing, actuation = (self._nominal_delay(name) for name in ("sensing_delay", "actuation_delay"))
+        # Samples of the control rate are all that a constant delay lets the agent see; where delays differ
+        # it sees the newest that has arrived, so there is one at every tick of the world.
+        same = sensing.constant and not self._delays_differ("sensing_delay")
+        sensor_rate = rate if same else settings.world_rate
+        samples = math.ceil((self.max_episode_steps + 2) * sensor_rate / rate)
         noise = tuple(c.noise_sd if settings.noise else 0.0 for c in self.system.measurements)
         nodes = [
             World(self.system, self.task, settings.world_rate, settings.integrator),
-            Sensor(self.system, rate, noise, self.max_episode_steps + 2),
+            Sensor(self.system, sensor_rate, noise, samples),
             Supervisor("agent", rate, initial_action=torch.zeros(1, dtype=torch.float64)),
-            Actuator(self.system, rate, self.task.command_limit),
         ]
-        actuation = _shifted(settings.actuation_delay, float(nominal.actuation_delay))
-        sensing = _shifted(settings.sensing_delay, float(nominal.sensing_delay))
+        # Commands under way at a tick of the world may all arrive within it, and the one before them still
+        # holds; with a constant delay they keep their distance.
+        spread = 0.0 if actuation.constant else actuation.highest
+        window = 2 + math.ceil((spread + 1.0 / settings.world_rate) * rate)
         connections = [
             Connection("world", "sensor"),
             Connection("world", "agent", name="truth"),
             Connection("sensor", "agent", delay=sensing),
-            Connection("agent", "actuator", delay=actuation),
-            Connection("actuator", "world", window=COMMAND_WINDOW, skip=True),
+            Connection("agent", "world", delay=actuation, window=window, skip=True),
         ]
         return Graph(nodes, connections)
+
+    def _delays_differ(self, name: str) -> bool:
+        """Whether environments draw a delay of their own from a range."""
+        return name in self.settings.randomize or f"{name}.delay" in self.settings.randomize
+
+    def _nominal_delay(self, name: str) -> Delay:
+        """Delay that the graph is laid out for: of a range the top, so that first messages arrive in time."""
+        parameters, ranges = self.system.default_parameters(), self.settings.randomize
+        parameters |= {
+            key: torch.as_tensor(high, dtype=torch.float64)
+            for key, (_, high) in ranges.items()
+            if key not in DELAYS
+        }
+        own = float(getattr(self.system.timing(parameters), name))
+        law = make_delay(ranges[name][1] if name in ranges else getattr(self.settings, name))
+        if not law.constant and own != 0.0:
+            raise SettingsError(
+                f"{name}: the model has one of {own:g} s and the environment a random one; put both into one law"
+            )
+        return law if own == 0.0 else Deterministic(float(law.mean) + own)
 
     def _draw_parameters(self) -> tuple[dict[str, Tensor], dict[str, np.ndarray]]:
         """Parameters of this episode, and the delays that differ between environments."""
@@ -164,6 +190,7 @@ class DelayGraphVectorEnv(VectorEnv):
             + (high - low) * torch.rand(self.num_envs, generator=self._generator, dtype=torch.float64)
             for name, (low, high) in ranges.items()
         }
+        self._draws = {name: value.numpy() for name, value in drawn.items()}
         parameters |= {name: value for name, value in drawn.items() if name not in DELAYS}
         timing = self.system.timing(parameters)
         delays = {}
@@ -236,15 +263,3 @@ class DelayGraphEnv(gymnasium.Env):
 
 def _first(info: Mapping[str, Any]) -> dict[str, Any]:
     return {name: float(value[0]) for name, value in info.items() if not name.startswith("_")}
-
-
-def _shifted(delay: Any, shift: float) -> Delay:
-    """The delay law plus a constant; a sum of two random laws is not needed here."""
-    law = make_delay(delay)
-    if shift == 0.0:
-        return law
-    if isinstance(law, Deterministic):
-        return Deterministic(float(law.mean) + shift)
-    raise ValueError(
-        f"the model has a delay of {shift:g} s and the environment a random one; put both into one law"
-    )

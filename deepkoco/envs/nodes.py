@@ -1,4 +1,4 @@
-"""The nodes of a one-joint robot: world, sensor, actuator; the agent's node is its supervisor."""
+"""The nodes of a one-joint robot: world and sensor; the agent's node is its supervisor."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ class World(Node):
     """The system's state, one tick of 1/rate [s] at a time; the output (B, S) is the state at the tick.
 
     Tick 0 puts out the start state; tick k integrates over (t_{k-1}, t_k]. The effort over a tick is the
-    time average of the zero-order-hold commands received in it, so a delay may be finer than a tick.
+    time average of the zero-order-hold commands received in it, so a delay may be finer than a tick and
+    need not fit the ticks of anything. Commands are cut to the limits of the task and of the system.
+
+    The start state comes from the environment, through ``initial`` of the runtime's reset.
 
     The joint goes no faster than the task's speed limit, as in Gymnasium's Pendulum-v1: without friction a
     random command would else spin it up without end.
 
     Args:
         system: Dynamics.
-        task: Draws the start state.
+        task: Says the limits of command and speed.
         rate: Ticks per second [Hz].
         integrator: ``rk4``, or ``semi_implicit_euler``, which at the control rate is Gymnasium's own scheme.
     """
@@ -31,11 +34,13 @@ class World(Node):
         super().__init__("world", rate)
         self.period = 1.0 / rate
         self.system, self.task = system, task
+        self.low = max(-task.command_limit, system.command.low)
+        self.high = min(task.command_limit, system.command.high)
         self.advance_by = {"rk4": self._rk4, "semi_implicit_euler": self._semi_implicit_euler}[integrator]
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         return {
-            "state": self.task.start(self.system, batch, generator),
+            "state": torch.zeros(batch, len(self.system.state_names), dtype=torch.float64),
             "effort": torch.zeros(batch, dtype=torch.float64),
             "started": torch.zeros(batch, dtype=torch.bool),
         }
@@ -44,13 +49,14 @@ class World(Node):
         return state["state"]
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
-        commands = inputs["actuator"]
+        commands = inputs["agent"]
         dt, end = self.period, commands.t_start
         # Each command holds from its arrival to the next one's; the oldest has held since before the tick.
         arrival = torch.minimum(torch.maximum(commands.t_received, (end - dt)[:, None]), end[:, None])
         until = torch.cat([arrival[:, 1:], end[:, None]], 1)
         since = torch.cat([(end - dt)[:, None], arrival[:, 1:]], 1)
-        effort = self.system.actuate(commands.data[..., 0].to(torch.float64), parameters)
+        command = commands.data[..., 0].to(torch.float64).clamp(self.low, self.high)
+        effort = self.system.actuate(command, parameters)
         target = (effort * (until - since)).sum(1) / dt
         lag = self.system.timing(parameters).lag
         # Exact first-order response; where the time constant is zero the effort is the target.
@@ -85,6 +91,9 @@ class Sensor(Node):
         rate: Measurements per second [Hz].
         noise: Standard deviation of the noise per channel, in the channel's unit.
         horizon: Longest episode in ticks; the noise is drawn before the episode.
+
+    Before the first message has come a receiver sees a measurement of the start state ``start`` (B, S),
+    which the environment gives through ``initial`` of the runtime's reset.
     """
 
     def __init__(self, system: JointSystem, rate: float, noise: tuple[float, ...], horizon: int) -> None:
@@ -98,31 +107,17 @@ class Sensor(Node):
         if bool((self.noise > 0).any()):
             shape = (batch, self.horizon, channels)
             draws = self.noise * torch.randn(shape, generator=generator, dtype=torch.float64)
-        return {"noise": draws, "tick": torch.zeros(batch, dtype=torch.int64)}
+        return {
+            "start": torch.zeros(batch, len(self.system.state_names), dtype=torch.float64),
+            "noise": draws,
+            "tick": torch.zeros(batch, dtype=torch.int64),
+        }
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
-        return torch.zeros(batch, len(self.system.measurements), dtype=torch.float64)
+        return self.system.measure(state["start"], parameters) + state["noise"][:, 0]
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         clean = self.system.measure(inputs["world"].data[:, -1], parameters)
         index = torch.remainder(state["tick"], state["noise"].shape[1])
         noise = state["noise"][torch.arange(len(index)), index]
-        return {"noise": state["noise"], "tick": state["tick"] + 1}, clean + noise
-
-
-class Actuator(Node):
-    """Passes the last command on, cut to the command's limits; the output is (B, 1)."""
-
-    def __init__(self, system: JointSystem, rate: float, limit: float) -> None:
-        super().__init__("actuator", rate)
-        self.low = max(-limit, system.command.low)
-        self.high = min(limit, system.command.high)
-
-    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
-        return {}
-
-    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
-        return torch.zeros(batch, 1, dtype=torch.float64)
-
-    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
-        return state, inputs["agent"].data[:, -1].clamp(self.low, self.high)
+        return {**state, "tick": state["tick"] + 1}, clean + noise

@@ -31,7 +31,7 @@ class EnvironmentSettings:
         actuation_delay: Delay from the agent to the actuator [s]: a number, a delay law or its
             description; the model's own delay adds to it.
         sensing_delay: Delay from the sensor to the agent [s], likewise.
-        world_rate: Ticks of the simulated physics per second [Hz].
+        world_rate: Ticks of the simulated physics per second [Hz], the control rate or more.
         integrator: ``rk4``, or ``semi_implicit_euler`` for Gymnasium's scheme.
         randomize: Parameter or delay name -> (low, high): drawn uniformly for every episode and
             environment. A range replaces the nominal value.
@@ -62,6 +62,11 @@ class EnvironmentSettings:
             raise SettingsError(f"action_history = {self.action_history}; give 0 or more")
         if not (self.world_rate > 0 and math.isfinite(self.world_rate)):
             raise SettingsError(f"world_rate = {self.world_rate} Hz; give a positive number")
+        if self.system in TASKS and self.world_rate < self.task.control_rate:
+            raise SettingsError(
+                f"world_rate = {self.world_rate:g} Hz is below the control rate of {self.system}; give "
+                f"{self.task.control_rate:g} Hz or more"
+            )
         for name in DELAYS:
             make_delay(getattr(self, name))
         self._check_ranges()
@@ -93,11 +98,19 @@ class EnvironmentSettings:
             if name not in bounds:
                 raise SettingsError(f'randomize: "{name}" is none of {", ".join(bounds)}')
             low, high, unit = bounds[name]
-            if len(tuple(span)) != 2 or not low <= span[0] <= span[1] <= high:
+            if not _is_range(span, low, high):
                 raise SettingsError(
-                    f"randomize: {name} = {tuple(span)} {unit}; give (low, high) inside [{low}, {high}]"
+                    f"randomize: {name} = {span!r} {unit}; give (low, high) inside [{low}, {high}]"
                 )
         if isinstance(system, ExtendedSystem):
             for own, effect in zip(DELAYS, ("actuation_delay.delay", "sensing_delay.delay"), strict=True):
                 if own in self.randomize and effect in bounds:
                     raise SettingsError(f"randomize: {own} is {effect} of the model; randomize that")
+
+
+def _is_range(span: Any, low: float, high: float) -> bool:
+    try:
+        first, last = (float(end) for end in span)
+    except (TypeError, ValueError):
+        return False
+    return low <= first <= last <= high

@@ -28,6 +28,11 @@ class Delay(ABC):
     def mean(self) -> float:
         """Expected delay [s]."""
 
+    @property
+    @abstractmethod
+    def highest(self) -> float:
+        """Bound that no draw exceeds [s]."""
+
     @abstractmethod
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         """Draw independent delays.
@@ -58,6 +63,10 @@ class Deterministic(Delay):
 
     @property
     def mean(self) -> float:
+        return self.value
+
+    @property
+    def highest(self) -> float:
         return self.value
 
     @property
@@ -95,6 +104,13 @@ class Gaussian(Delay):
         a = -self.loc / self.scale
         return self.loc + self.scale * math.exp(-0.5 * a * a) / math.sqrt(2 * math.pi) / float(ndtr(-a))
 
+    @property
+    def highest(self) -> float:
+        if self.scale == 0.0:
+            return self.loc
+        # The smallest tail that `sample` can draw: uniforms are multiples of 2^-53.
+        return self.loc - self.scale * float(ndtri(ndtr(self.loc / self.scale) * 2.0**-53))
+
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         if self.scale == 0.0:
             return np.full(shape, self.loc)
@@ -129,6 +145,10 @@ class Mixture(Delay):
     def mean(self) -> float:
         return sum(w * law.mean for w, law in zip(self.weights, self.components, strict=True))
 
+    @property
+    def highest(self) -> float:
+        return max(law.highest for law in self.components)
+
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         chosen = generator.choice(len(self.components), size=shape, p=self.weights)
         draws = np.stack([law.sample(generator, shape) for law in self.components])
@@ -155,6 +175,10 @@ class Empirical(Delay):
     @property
     def mean(self) -> float:
         return math.fsum(self.samples) / len(self.samples)
+
+    @property
+    def highest(self) -> float:
+        return max(self.samples)
 
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         return np.asarray(self.samples)[generator.integers(len(self.samples), size=shape)]

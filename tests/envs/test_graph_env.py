@@ -105,6 +105,103 @@ def test_random_delays_differ_between_environments_and_repeat_with_the_seed():
     assert np.ptp(first[-1, :, 2]) > 1e-3
 
 
+LAWS = {
+    "range": {"randomize": {"DELAY": (0.003, 0.047)}},
+    "gaussian": {"DELAY": {"law": "gaussian", "loc": 0.02, "scale": 0.005}},
+    # A stall of four control periods, after which five commands come within two ticks of the world.
+    "stalls": {
+        "DELAY": {"law": "mixture", "components": [{"law": "empirical", "samples": [0.012, 0.017]},
+                  {"law": "empirical", "samples": [0.2, 0.156, 0.11]}], "weights": [4, 1]}
+    },
+}  # fmt: skip
+
+
+def with_delay(name: str, law: str, **more) -> DelayGraphVectorEnv:
+    settings = {key.replace("DELAY", name): value for key, value in LAWS[law].items()}
+    if "randomize" in settings:
+        settings["randomize"] = {name: LAWS[law]["randomize"]["DELAY"]}
+    return DelayGraphVectorEnv(4, max_episode_steps=25, **settings, **FLAT, **more)
+
+
+def messages(env: DelayGraphVectorEnv, key: str, environment: int) -> tuple[np.ndarray, np.ndarray]:
+    timing = env._state.schedule.timing
+    edge = timing.layout.connections.index(key)
+    sent, received = timing.messages_of(edge, int(timing.row[environment]))
+    return sent / timing.resolution, received / timing.resolution
+
+
+@pytest.mark.parametrize("law", sorted(LAWS))
+def test_every_command_acts_when_it_arrives(law: str):
+    """Oracle: RK4 under the average of the zero-order hold between the arrivals, tick by tick."""
+    env = with_delay("actuation_delay", law)
+    commands = np.random.default_rng(5).uniform(-2, 2, (25, 4, 1))
+    start = np.random.default_rng(6).normal(size=(4, 2))
+    observations, _ = roll(env, commands, seed=2, initial_state=start)
+    system = make_system("rod_pendulum")
+    for b in range(4):
+        sent, arrival = messages(env, "agent->world", b)
+        np.testing.assert_allclose(sent, 0.05 * np.arange(25), atol=1e-12)
+        if law == "range":
+            drawn = env._draws["actuation_delay"][b]
+            np.testing.assert_allclose(arrival - sent, drawn, atol=1e-9)
+            assert 0.003 <= drawn <= 0.047
+        state = torch.tensor(start[b])
+        for tick in range(1, 101):
+            end, total = 0.01 * tick, 0.0
+            edges = [max(a, end - 0.01) for a in arrival if a < end] + [end]
+            for k in range(len(edges) - 1):
+                total += commands[k, b, 0] * (edges[k + 1] - edges[k])
+            state = rk4_step(system, state, torch.tensor(total / 0.01), 0.01, system.default_parameters())
+            if tick % 5 == 0:
+                expected = system_observation(env, state.numpy())
+                np.testing.assert_allclose(observations[tick // 5, b], expected, atol=2e-6)
+    assert len({messages(env, "agent->world", b)[1].tobytes() for b in range(4)}) == 4
+
+
+@pytest.mark.parametrize("law", sorted(LAWS))
+def test_the_agent_sees_the_newest_sample_that_has_arrived(law: str):
+    env = with_delay("sensing_delay", law)
+    start = np.random.default_rng(6).normal(size=(4, 2)) + np.array([2.0, 0.0])
+    observations, _ = roll(env, np.zeros((25, 4, 1)), seed=2, initial_state=start)
+    system = make_system("rod_pendulum")
+    free = [torch.tensor(start)]  # without commands the motion does not depend on any delay
+    for _ in range(140):
+        free.append(rk4_step(system, free[-1], torch.zeros(4), 0.01, system.default_parameters()))
+    agent = np.array([0.05 * k for k in range(26)]) + float(env.graph.phases[env.graph.index["agent"]])
+    for b in range(4):
+        _, arrival = messages(env, "sensor->agent", b)
+        newest = np.searchsorted(arrival, agent + 1e-9, side="right") - 1
+        for k, tick in enumerate(newest):
+            expected = system_observation(env, free[max(tick, 0)][b].numpy())
+            np.testing.assert_allclose(observations[k, b], expected, atol=2e-6)
+        if law == "range":
+            age = agent - 0.01 * newest
+            assert (age >= env._draws["sensing_delay"][b] - 1e-9).all()
+            assert (age < env._draws["sensing_delay"][b] + 0.01 + 1e-9).all()
+
+
+def test_before_the_first_message_the_agent_sees_the_start():
+    """Half of the messages take 0.2 s; the agent's first tick is at their mean."""
+    law = {"law": "empirical", "samples": [0.0, 0.2]}
+    env = DelayGraphVectorEnv(
+        16, sensing_delay={"law": "mixture", "components": [law], "weights": [1]}, **FLAT
+    )
+    start = np.tile([[2.0, -0.5]], (16, 1))
+    first, _ = env.reset(seed=0, options={"initial_state": start})
+    initial = np.array([messages(env, "sensor->agent", b)[1][0] > 0.1 for b in range(16)])
+    assert initial.any()
+    seen = np.tile(system_observation(env, start[0]), (int(initial.sum()), 1))
+    np.testing.assert_allclose(first[initial], seen, atol=1e-6)
+
+
+def test_a_random_delay_on_top_of_the_models_own_is_refused():
+    late = ExtendedSystem(make_system("rod_pendulum"), ("sensing_delay",), {"sensing_delay.delay": 0.03})
+    with pytest.raises(ValueError, match=r"sensing_delay: the model has one of 0\.03 s"):
+        DelayGraphVectorEnv(
+            1, model=late, sensing_delay={"law": "gaussian", "loc": 0.03, "scale": 0.01}, **FLAT
+        )
+
+
 def test_randomized_parameters_differ_between_environments_and_stay_in_their_range():
     env = DelayGraphVectorEnv(16, randomize={"mass": (0.8, 1.2), "actuation_delay": (0.0, 0.05)}, **FLAT)
     env.reset(seed=0)
@@ -197,9 +294,12 @@ def test_measurement_noise_has_the_declared_spread():
         ({"integrator": "euler"}, "rk4"),
         ({"randomize": {"mas": (1, 2)}}, "mass"),
         ({"randomize": {"mass": (2, 1)}}, "low, high"),
+        ({"randomize": {"mass": 1.0}}, "mass = 1.0 kg; give"),
+        ({"randomize": {"mass": ("light", 1.0)}}, "low, high"),
         ({"actuation_delay": -0.1}, "-0.1"),
         ({"action_history": -1}, "0 or more"),
         ({"world_rate": 0}, "positive"),
+        ({"world_rate": 19.0}, "19 Hz is below the control rate .* 20 Hz"),
         ({"model": "no_such.yaml"}, "no_such.yaml"),
     ],
 )

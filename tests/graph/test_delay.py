@@ -34,7 +34,18 @@ def test_draws_are_delays_and_a_seed_repeats_them(law, seed):
     assert draws.dtype == np.float64
     assert np.isfinite(draws).all()
     assert (draws >= 0).all()
+    assert (draws <= law.highest).all()
     np.testing.assert_array_equal(draws, law.sample(np.random.default_rng(seed), (4, 3)))
+
+
+def test_the_highest_delay_is_that_of_the_rarest_draw():
+    class Rarest:
+        def random(self, shape):
+            return np.full(shape, 1.0 - 2.0**-53)
+
+    for law in (Gaussian(0.03, 0.01), Gaussian(0.0, 0.2)):
+        assert law.sample(Rarest(), (1,))[0] == pytest.approx(law.highest, rel=1e-12)
+    assert Mixture((Deterministic(0.1), Empirical((0.2, 0.4))), (1, 1)).highest == 0.4
 
 
 @given(law=laws)

@@ -23,6 +23,10 @@ class Listed(Delay):
     def mean(self) -> float:
         return sum(self.values) / len(self.values) / 1000
 
+    @property
+    def highest(self) -> float:
+        return max(self.values) / 1000
+
     def at(self, environment: int, index: int) -> Fraction:
         return self.values[(index + environment) % len(self.values)] * MS
 
