@@ -67,23 +67,24 @@ def draw_timing(
         rows = 1 if all(law.constant for law in laws.values()) and not constants else batch
     if constants and rows != batch:
         raise TimingError(f"delays for each of {batch} environments need as many rows, not {rows}")
-    source = _numpy_generator(generator)
+    streams = _streams(generator, tuple(laws))
     resolution = _resolution(graph, laws)
     capacity = planned = _capacity(graph, steps)
+    drawn = {key: np.zeros((rows, 0), dtype=np.int64) for key in laws}
     while True:
         layout = layout_of(graph, capacity)
         sizes = {node.name: int(capacity[n]) for n, node in enumerate(graph.nodes)}
         sizes |= {c.key: int(capacity[graph.index[c.sender]]) for c in graph.connections}
-        drawn = {}
         for key, law in laws.items():
+            # What is drawn stays: to draw anew until the columns suffice would favour short delays.
+            shape = rows, sizes[key] - drawn[key].shape[1]
             if key in constants:
-                ticks = np.repeat(np.rint(constants[key] * resolution)[:, None], sizes[key], axis=1)
+                ticks = np.repeat(np.rint(constants[key] * resolution)[:, None], shape[1], axis=1)
             elif law.constant:
-                value = exact_seconds(law) * resolution
-                ticks = np.full((rows, sizes[key]), round(value))
+                ticks = np.full(shape, round(exact_seconds(law) * resolution))
             else:
-                ticks = np.rint(law.sample(source, (rows, sizes[key])) * resolution)
-            drawn[key] = ticks.astype(np.int64)
+                ticks = np.rint(law.sample(streams[key], shape) * resolution)
+            drawn[key] = np.concatenate([drawn[key], ticks.astype(np.int64)], axis=1)
         nothing = np.zeros((rows, 0), dtype=np.int64)
         computation = np.concatenate([drawn[node.name] for node in graph.nodes], axis=1)
         communication = np.concatenate([nothing, *(drawn[c.key] for c in graph.connections)], axis=1)
@@ -259,7 +260,7 @@ def _resolution(graph: Graph, laws: Mapping[str, Delay]) -> int:
 def _capacity(graph: Graph, steps: int) -> np.ndarray:
     supervisor = graph.index[graph.supervisor]
     seconds = graph.phases[supervisor] + steps / graph.nodes[supervisor].rate
-    slack = 4 + seconds / 50  # overruns and waiting stretch the episode; what exceeds this is drawn anew
+    slack = 4 + seconds / 50  # overruns and waiting stretch the episode; beyond this columns are appended
     return np.array([math.ceil((seconds + slack / 100) * node.rate) + 8 for node in graph.nodes])
 
 
@@ -300,8 +301,13 @@ def _ticks(
     return np.where(lost, _NEVER, np.rint(np.where(lost, 0.0, seconds) * resolution)).astype(np.int64)
 
 
-def _numpy_generator(generator: np.random.Generator | torch.Generator) -> np.random.Generator:
+def _streams(
+    generator: np.random.Generator | torch.Generator, keys: tuple[str, ...]
+) -> dict[str, np.random.Generator]:
+    """A generator for each node and connection, so that further draws of one leave the others as they are."""
     if isinstance(generator, torch.Generator):
-        seed = torch.randint(2**62, (), generator=generator)
-        return np.random.default_rng(int(seed))
-    return generator
+        seed = int(torch.randint(2**62, (), generator=generator))
+    else:
+        seed = int(generator.integers(2**62))
+    children = np.random.SeedSequence(seed).spawn(len(keys))
+    return {key: np.random.default_rng(child) for key, child in zip(keys, children, strict=True)}

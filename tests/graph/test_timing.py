@@ -16,6 +16,7 @@ from deepkoco.graph import (
     Gaussian,
     Graph,
     MeasuredTiming,
+    Mixture,
     Supervisor,
     TimingError,
     draw_timing,
@@ -256,6 +257,20 @@ def test_a_long_stall_only_makes_the_timing_longer():
     # Three stalls of 0.9 s shift the ticks by 0.8 s each: the last start is at 0.9 + 2.4 s.
     assert seconds(timing, "agent")[-1] == 3.3
     assert timing.count(0, 0) == 331
+
+
+def test_stalls_are_as_frequent_as_their_law_says():
+    """One step in ten stalls for 2 s, in which the node at 1000 Hz needs 13 times its planned steps."""
+    stalling = Accumulate("n0", 10, delay=Mixture((Deterministic(0.01), Deterministic(2.0)), (0.9, 0.1)))
+    nodes = [stalling, Accumulate("n1", 1000), agent()]
+    graph = Graph(nodes, [Connection("n0", "agent", blocking=True), Connection("n1", "agent")])
+    generator, stalls = np.random.default_rng(0), []
+    for _ in range(150):
+        timing = draw_timing(graph, generator, 1, 2)
+        for row in range(2):
+            start, end = timing.steps_of(0, row)
+            stalls.append(end[0] - start[0] > timing.resolution)
+    assert 0.05 < np.mean(stalls) < 0.15
 
 
 def test_nodes_that_drive_each_other_without_a_clock_are_refused():

@@ -32,7 +32,11 @@ class Listed(Delay):
 
     def sample(self, generator, shape):
         rows, columns = shape
-        return np.array([[float(self.at(b, i)) for i in range(columns)] for b in range(rows)])
+        # Further columns go on where the last ones ended: the generator's own seed keeps the count.
+        first = generator.bit_generator.seed_seq.n_children_spawned
+        generator.bit_generator.seed_seq.spawn(columns)
+        last = first + columns
+        return np.array([[float(self.at(b, i)) for i in range(first, last)] for b in range(rows)])
 
 
 @dataclass
