@@ -13,6 +13,6 @@ def _fail_on_one_thread() -> None:
 
 def test_one_thread_inside_and_as_before_outside():
     before = torch.get_num_threads()
-    with pytest.raises(ArithmeticError, match="^1 thread$"):
+    with pytest.raises(ArithmeticError, match=r"^1 thread$"):
         _fail_on_one_thread()
     assert torch.get_num_threads() == before
