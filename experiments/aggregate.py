@@ -14,8 +14,7 @@ import pandas as pd
 from scipy import stats
 
 from experiments.commands import run_command
-from experiments.environments import ExperimentError
-from experiments.settings import AggregateConfig
+from experiments.settings import AggregateConfig, ExperimentError
 from experiments.train import load_run_config
 
 CURVES = {"train/cost": "training episodes", "evaluation/cost": "noise-free episodes"}

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.environments import ExperimentError
 from experiments.provenance import as_markdown
+from experiments.settings import ExperimentError
 from experiments.train import load_run_config
 
 

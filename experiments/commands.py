@@ -9,16 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from deepkoco.agent.buffer import ReplayError
 from deepkoco.agent.checkpoint import CheckpointError
 from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.exported import ModelFolderError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
-from experiments.environments import ExperimentError
-from experiments.settings import register
+from experiments.settings import ExperimentError, register
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 BAD_INPUT = (
@@ -27,6 +29,7 @@ BAD_INPUT = (
     ModelFolderError,
     OmegaConfBaseException,
     PlannerConfigError,
+    ReplayError,
     SpaceError,
     TrainingConfigError,
     UnknownSolverError,
@@ -35,13 +38,19 @@ BAD_INPUT = (
 
 @dataclass
 class _Outcome:
-    """How far a command came."""
+    """How far a command came.
+
+    Attributes:
+        started: Whether its settings could be read.
+        refused: Runs of a sweep that were refused.
+    """
 
     started: bool = False
+    refused: int = 0
 
 
 def run_command(name: str, task: Callable[[Any], None]) -> None:
-    """Read a command's settings and run it.
+    """Read a command's settings and run it; a sweep goes on behind a run that is refused.
 
     Args:
         name: File in configs/, without its ending.
@@ -56,7 +65,9 @@ def run_command(name: str, task: Callable[[Any], None]) -> None:
             task(OmegaConf.to_object(config))
         except BAD_INPUT as error:
             print(f"error: {error}", file=sys.stderr)
-            sys.exit(2)
+            if HydraConfig.get().mode != RunMode.MULTIRUN:
+                sys.exit(2)
+            outcome.refused += 1
 
     try:
         hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=name)(entry)()
@@ -65,3 +76,6 @@ def run_command(name: str, task: Callable[[Any], None]) -> None:
         if stop.code == 1 and not outcome.started:
             sys.exit(2)
         raise
+    if outcome.refused:
+        print(f"error: {outcome.refused} runs of the sweep were refused", file=sys.stderr)
+        sys.exit(2)

@@ -10,11 +10,7 @@ from gymnasium.vector import VectorEnv
 
 from deepkoco.agent.collection import VectorEnvFactory, box_sizes
 from deepkoco.envs.distractors import VectorStateDistractors
-from experiments.settings import EnvConfig
-
-
-class ExperimentError(ValueError):
-    """A setting or folder given to an experiment command is wrong."""
+from experiments.settings import EnvConfig, ExperimentError
 
 
 def plain(envs: VectorEnv, config: EnvConfig, seed: int) -> VectorEnv:

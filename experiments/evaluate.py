@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 
 from deepkoco.agent.agent import VectorAgent
-from deepkoco.agent.collection import box_sizes, collect_episodes, episode_costs
+from deepkoco.agent.collection import box_sizes, collect_episodes, cost_spread, episode_costs
 from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
 from experiments.commands import run_command
-from experiments.environments import ExperimentError, make_factory
-from experiments.settings import EvaluateConfig
-from experiments.train import load_run_config
+from experiments.environments import make_factory
+from experiments.settings import EvaluateConfig, ExperimentError
+from experiments.train import check_finished, load_run_config
 
 
 def evaluate(config: EvaluateConfig) -> None:
@@ -25,8 +26,13 @@ def evaluate(config: EvaluateConfig) -> None:
     """
     if config.episodes < 1:
         raise ExperimentError(f"episodes = {config.episodes}; give at least 1")
+    if config.seed < 0:
+        raise ExperimentError(f"seed = {config.seed}; give 0 or more")
+    if config.upright_steps < 1:
+        raise ExperimentError(f"upright_steps = {config.upright_steps}; give at least 1")
     folder = Path(config.run)
     run = load_run_config(folder)
+    check_finished(folder)
     model, planner, low, high = load_model(folder)
     envs = make_factory(run.env, run.distractors)(config.episodes, run.seed)
     box_sizes(envs)
@@ -37,7 +43,7 @@ def evaluate(config: EvaluateConfig) -> None:
     envs.close()
     costs = episode_costs(episodes)
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
-    spread = float(costs.std(ddof=1)) if config.episodes > 1 else 0.0
+    spread = cost_spread(costs)
     result = {
         "run": str(folder),
         "n": config.episodes,
@@ -49,7 +55,8 @@ def evaluate(config: EvaluateConfig) -> None:
         "planner_failures": agent.statistics.failures,
     }
     if config.json:
-        print(json.dumps(result))
+        known = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in result.items()}
+        print(json.dumps(known, allow_nan=False))
     else:
         print(
             f"{folder}: cost {result['mean']:.1f} +- {result['standard_error']:.1f} "

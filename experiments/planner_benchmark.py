@@ -19,7 +19,7 @@ from scipy import sparse
 
 from deepkoco.agent.policy import KoopmanPolicy, load_model
 from deepkoco.koopman.export import export_model
-from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.exported import Array, ExportedModel, ModelFolderError
 from deepkoco.koopman.model import KoopmanModel, ModelConfig
 from deepkoco.planning.condensed import CondensedProgram
 from deepkoco.planning.config import PlannerConfig, PlanningProblem
@@ -133,7 +133,10 @@ def main() -> None:
     if arguments.calls < 20:
         parser.error(f"--calls {arguments.calls}: give at least 20")
     if arguments.model is not None:
-        model, _, low, high = load_model(arguments.model)
+        try:
+            model, _, low, high = load_model(arguments.model)
+        except ModelFolderError as error:
+            parser.error(f"--model {error}")
         cases = {str(arguments.model): (model, low, high)}
     else:
         sizes = ((10, 1), (30, 2))

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.config import TrainingConfig, flatten
+
+EXISTING = ("refuse", "resume")
+OF_THE_CALL = ("run", "resume", "existing", "threads")
+
+
+class ExperimentError(ValueError):
+    """A setting or folder given to an experiment command is wrong."""
 
 
 @dataclass
@@ -41,8 +48,28 @@ class TrainRunConfig:
     """Folder of the run; it must not exist."""
     resume: str | None = None
     """Folder of a run to continue, with the settings stored there."""
+    existing: str = "refuse"
+    """What to do where the folder is there already: "refuse", or "resume": go on with a run of the same
+    settings and leave a finished one as it is, so that an interrupted sweep is started again as it was."""
     threads: int = 1
     """Threads of torch; more than one is slower on networks of this size."""
+
+    def check(self) -> None:
+        """Check what is not a hyper-parameter.
+
+        Raises:
+            ExperimentError: Names the first value that is out of range and its remedy.
+        """
+        if self.seed < 0:
+            raise ExperimentError(f"seed = {self.seed}; give 0 or more")
+        if self.threads < 1:
+            raise ExperimentError(f"threads = {self.threads}; give at least 1")
+        if self.existing not in EXISTING:
+            raise ExperimentError(f'existing = "{self.existing}"; choose one of {", ".join(EXISTING)}')
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the result: dotted setting to value, without the folder and how the run is started."""
+        return {name: value for name, value in flatten(asdict(self)).items() if name not in OF_THE_CALL}
 
 
 @dataclass

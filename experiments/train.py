@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from yaml import YAMLError
 
 from deepkoco.agent.metrics import Row
+from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER, Trainer
 from deepkoco.agent.training import Progress as TrainingProgress
-from deepkoco.agent.training import Trainer
-from experiments.commands import run_command
-from experiments.environments import ExperimentError, make_factory
-from experiments.settings import TrainRunConfig
+from experiments.commands import BAD_INPUT, run_command
+from experiments.environments import make_factory
+from experiments.settings import ExperimentError, TrainRunConfig
 
 CONFIG_FILE = "config.yaml"
 
@@ -30,44 +33,87 @@ def load_run_config(folder: Path) -> TrainRunConfig:
         The settings.
 
     Raises:
-        ExperimentError: There are none.
+        ExperimentError: There are none, or this release cannot read them.
     """
     path = folder / CONFIG_FILE
     if not path.is_file():
         raise ExperimentError(f"{folder}: no {CONFIG_FILE}; give the folder of a training run")
-    merged = OmegaConf.merge(OmegaConf.structured(TrainRunConfig), OmegaConf.load(path))
-    config = OmegaConf.to_object(merged)
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(TrainRunConfig), OmegaConf.load(path))
+        config = OmegaConf.to_object(merged)
+    except (OmegaConfBaseException, YAMLError, OSError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise ExperimentError(f"{path}: not the settings of a run this release reads: {reason}") from error
     assert isinstance(config, TrainRunConfig)
     return config
 
 
-def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path]:
+def is_finished(folder: Path) -> bool:
+    """Whether a run came to its end: its model is there."""
+    return (folder / MODEL_FOLDER).is_dir()
+
+
+def check_finished(folder: Path) -> None:
+    """Check that a run came to its end.
+
+    Args:
+        folder: The run's folder.
+
+    Raises:
+        ExperimentError: It did not.
+    """
+    if not is_finished(folder):
+        raise ExperimentError(
+            f"{folder}: this run is not finished; continue it with "
+            f"python -m experiments.train resume={folder}"
+        )
+
+
+def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
     """Make a new run's folder, or find the one to resume.
 
     Args:
         config: Settings given by the user.
 
     Returns:
-        The settings that hold for the run, and its folder.
+        The settings that hold for the run, its folder, and whether the folder is new.
 
     Raises:
-        ExperimentError: A new run's folder exists, or a run to resume does not.
+        ExperimentError: A setting is wrong, a new run's folder exists, or a run to resume does not.
+        TrainingConfigError: A hyper-parameter is out of range.
+        PlannerConfigError: A setting of the planner is out of range.
     """
+    config.check()
     if config.resume is not None:
         folder = Path(config.resume)
-        return load_run_config(folder), folder
+        return load_run_config(folder), folder, False
     folder = Path(config.run)
     if folder.exists():
-        raise ExperimentError(
-            f"{folder}: exists already; choose another run= or continue it with resume={folder}"
-        )
+        if config.existing == "refuse":
+            raise ExperimentError(
+                f"{folder}: exists already; choose another run= or continue it with resume={folder}"
+            )
+        return _same_settings(config, folder), folder, False
     make_factory(config.env, config.distractors)
     config.agent.check()
-    folder.mkdir(parents=True)
-    partial = folder / f"{CONFIG_FILE}.partial"
-    OmegaConf.save(OmegaConf.structured(config), partial, resolve=True)
-    partial.replace(folder / CONFIG_FILE)
-    return config, folder
+    # The folder appears with its settings inside, so a kill leaves one that can be resumed, or none.
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    OmegaConf.save(OmegaConf.structured(config), partial / CONFIG_FILE, resolve=True)
+    partial.replace(folder)
+    return config, folder, True
+
+
+def _same_settings(config: TrainRunConfig, folder: Path) -> TrainRunConfig:
+    """The settings stored in a folder, which must be those given."""
+    stored = load_run_config(folder)
+    given, there = config.identity(), stored.identity()
+    names = [name for name in given | there if given.get(name) != there.get(name)]
+    if names:
+        texts = ", ".join(f"{name} = {there.get(name)} instead of {given.get(name)}" for name in names)
+        raise ExperimentError(f"{folder}: holds a run with {texts}; choose another run=")
+    return stored
 
 
 def train(given: TrainRunConfig) -> None:
@@ -81,8 +127,21 @@ def train(given: TrainRunConfig) -> None:
     ]
     if given.resume is not None and others:
         raise ExperimentError(f"resume= continues with the stored settings; leave out {' '.join(others)}")
+    config, folder, new = prepare_folder(given)
+    if given.existing == "resume" and not new and is_finished(folder):
+        print(f"{folder}: finished already")
+        return
     torch.set_num_threads(given.threads)
-    config, folder = prepare_folder(given)
+    try:
+        _train(config, folder)
+    except BAD_INPUT:
+        # Without a checkpoint there is nothing to lose, and the folder would block the corrected command.
+        if new and not (folder / CHECKPOINT_FILE).exists():
+            shutil.rmtree(folder)
+        raise
+
+
+def _train(config: TrainRunConfig, folder: Path) -> None:
     trainer = Trainer(make_factory(config.env, config.distractors), config.agent, config.seed, folder)
     columns = (
         TextColumn("{task.description}"),

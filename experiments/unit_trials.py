@@ -27,9 +27,8 @@ from deepkoco.envs.film import write_clip
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.unit import UnitError, UnitSpec, UnitSpecError, load_unit
 from experiments.commands import BAD_INPUT
-from experiments.environments import ExperimentError
-from experiments.settings import TrainRunConfig
-from experiments.train import load_run_config
+from experiments.settings import ExperimentError, TrainRunConfig
+from experiments.train import check_finished, load_run_config
 
 UPRIGHT_ANGLE = 0.5  # mean distance from upright over the last quarter that counts as standing [rad]
 
@@ -90,10 +89,12 @@ def check_run(run: Path, unit: UnitSpec) -> None:
         unit: The unit.
 
     Raises:
-        ExperimentError: The system, the number of observation entries or the action limits differ.
+        ExperimentError: The run is not finished, or its system, the number of its observation entries or
+            its action limits differ from the unit's.
         ModelFolderError: The run holds no readable model.
     """
     config = load_run_config(run)
+    check_finished(run)
     if config.env.system != unit.system:
         raise ExperimentError(
             f"{run}: trained on env.system {config.env.system}, but the unit is a {unit.system}"
@@ -283,6 +284,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise ExperimentError(f"{args.out}: exists already; choose another --out")
         if args.episodes < 1 or args.parallel < 1:
             raise ExperimentError("--episodes and --parallel take 1 or more")
+        if args.seed < 0:
+            raise ExperimentError(f"--seed {args.seed}: give 0 or more")
         trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel)
         if args.out is not None:
             args.out.mkdir(parents=True)

@@ -75,6 +75,21 @@ class EpisodeBuffer:
         """
         return int((self._lengths - horizon).clamp(min=0).sum())
 
+    def check_windows(self, horizon: int) -> None:
+        """Check that there is something to learn from.
+
+        Args:
+            horizon: T.
+
+        Raises:
+            ReplayError: No episode has T + 1 steps.
+        """
+        if self.windows(horizon) == 0:
+            raise ReplayError(
+                f"none of {len(self)} episodes has the {horizon + 1} steps of one training window; "
+                "collect longer episodes or lower horizon"
+            )
+
     def sample(self, chunks: int, chunk_length: int, horizon: int, generator: torch.Generator) -> ChunkBatch:
         """Draw chunks such that every window of every episode is equally likely.
 
@@ -93,15 +108,11 @@ class EpisodeBuffer:
         Raises:
             ReplayError: No episode has T + 1 steps.
         """
+        self.check_windows(horizon)
         width = chunk_length - horizon
         windows = (self._lengths - horizon).clamp(min=0)
         choices = torch.where(windows > 0, windows + width - 1, 0).cumsum(0)
-        total = int(choices[-1]) if len(choices) else 0
-        if total == 0:
-            raise ReplayError(
-                f"none of {len(self)} episodes has the {horizon + 1} steps of one training window; "
-                "collect longer episodes or lower horizon"
-            )
+        total = int(choices[-1])
         draw = torch.randint(total, (chunks,), generator=generator)
         episode = torch.searchsorted(choices, draw, right=True)
         before = choices[episode] - (windows[episode] + width - 1)

@@ -8,6 +8,8 @@ from typing import Any
 
 import torch
 
+from deepkoco.agent.config import flatten
+
 FORMAT_VERSION = 1
 
 
@@ -50,3 +52,25 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
             f"{path}: written by another version of the format; this release reads {FORMAT_VERSION}"
         )
     return state
+
+
+def check_settings(path: Path, state: dict[str, Any], config: dict[str, Any], seed: int) -> None:
+    """Check that a checkpoint was made with the settings it is to go on with.
+
+    Args:
+        path: The checkpoint, for the message.
+        state: As given by `load_checkpoint`; one that holds no settings passes.
+        config: Nested settings of the run.
+        seed: The run's seed.
+
+    Raises:
+        CheckpointError: Names the settings that differ, with both values.
+    """
+    own = flatten({"seed": seed, **config})
+    stored = flatten({"seed": state.get("seed", seed), **state.get("config", {})})
+    differing = [name for name in stored if name not in own or own[name] != stored[name]]
+    if differing:
+        texts = (f"{name} = {stored[name]!r} instead of {own.get(name)!r}" for name in differing)
+        raise CheckpointError(
+            f"{path}: made with {', '.join(texts)}; continue with those settings or choose another folder"
+        )

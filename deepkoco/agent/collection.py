@@ -89,3 +89,15 @@ def episode_costs(episodes: list[Episode]) -> Array:
         Sums of the step costs (n,).
     """
     return np.array([episode.costs.double().sum().item() for episode in episodes])
+
+
+def cost_spread(costs: Array) -> float:
+    """Standard deviation of the costs of episodes.
+
+    Args:
+        costs: (n,).
+
+    Returns:
+        Estimate with n - 1 degrees of freedom; NaN for a single episode.
+    """
+    return float(costs.std(ddof=1)) if costs.size > 1 else float("nan")

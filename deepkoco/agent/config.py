@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from deepkoco.koopman.model import ModelConfig
 from deepkoco.planning.config import PlannerConfig
@@ -10,6 +12,25 @@ from deepkoco.planning.config import PlannerConfig
 
 class TrainingConfigError(ValueError):
     """A hyper-parameter is out of range."""
+
+
+def flatten(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as one level, to compare them.
+
+    Args:
+        settings: Mappings inside mappings, as given by `dataclasses.asdict`.
+        prefix: Put before every name.
+
+    Returns:
+        Dotted name to value; tuples as lists, which is what files make of them.
+    """
+    flat = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = list(value) if isinstance(value, tuple) else value
+    return flat
 
 
 @dataclass

@@ -15,8 +15,14 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import EpisodeBuffer
-from deepkoco.agent.checkpoint import load_checkpoint, save_checkpoint
-from deepkoco.agent.collection import VectorEnvFactory, box_sizes, collect_episodes, episode_costs
+from deepkoco.agent.checkpoint import check_settings, load_checkpoint, save_checkpoint
+from deepkoco.agent.collection import (
+    VectorEnvFactory,
+    box_sizes,
+    collect_episodes,
+    cost_spread,
+    episode_costs,
+)
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
 from deepkoco.agent.metrics import MetricsLog, Row
@@ -78,6 +84,7 @@ class Trainer:
         Raises:
             TrainingConfigError: A hyper-parameter is out of range.
             SpaceError: The environment's spaces do not fit.
+            CheckpointError: The checkpoint belongs to other settings or another seed.
         """
         config.check()
         self.config, self.seed, self.folder = config, seed, folder
@@ -127,6 +134,9 @@ class Trainer:
 
         Returns:
             The last metrics row.
+
+        Raises:
+            ReplayError: No collected episode is as long as a training window.
         """
         started = time.perf_counter() - self.progress.seconds
         while not self.finished:
@@ -168,10 +178,11 @@ class Trainer:
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
         episodes = collect_episodes(self._envs(count), agent, seed, variance)
         self._buffer.add(episodes)
+        self._buffer.check_windows(config.horizon)
         costs = episode_costs(episodes)
         self._collected = {
             "train/cost": float(costs.mean()),
-            "train/cost_sd": float(costs.std()),
+            "train/cost_sd": cost_spread(costs),
             "train/noise_variance": variance,
             "train/planner_failures": float(agent.statistics.failures),
         }
@@ -228,7 +239,7 @@ class Trainer:
                 **losses,
                 "model/largest_growth_rate": float(self.averaged_model.dynamics.mu.detach().max()),
                 "evaluation/cost": float(costs.mean()),
-                "evaluation/cost_sd": float(costs.std()),
+                "evaluation/cost_sd": cost_spread(costs),
                 "evaluation/cost_median": float(np.median(costs)),
                 "evaluation/episodes": count,
                 "evaluation/planner_failures": failures,
@@ -241,6 +252,8 @@ class Trainer:
         save_checkpoint(
             self.folder / CHECKPOINT_FILE,
             {
+                "config": asdict(self.config),
+                "seed": self.seed,
                 "model": self.model.state_dict(),
                 "average": self._average.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
@@ -255,6 +268,7 @@ class Trainer:
         )
 
     def _restore(self, state: dict[str, Any]) -> list[Row]:
+        check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed)
         self.model.load_state_dict(state["model"])
         self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepkoco.agent.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from deepkoco.agent.checkpoint import CheckpointError, check_settings, load_checkpoint, save_checkpoint
 from deepkoco.agent.seeding import Purpose, derive_seed
 
 
@@ -41,3 +41,15 @@ def test_evaluation_never_uses_a_training_seed():
     assert max(training) + 2**20 < 2**30 <= min(evaluation)
     assert max(evaluation) + 2**20 < 2**31
     assert len(training) == 20 * 4 * 20
+
+
+def test_a_checkpoint_of_other_settings_is_refused_by_name(tmp_path):
+    config = {"horizon": 15, "model": {"encoder_hidden": (8, 8)}}
+    state = {"seed": 3, "config": config}
+    path = tmp_path / "c.pt"
+    check_settings(path, state, {"horizon": 15, "model": {"encoder_hidden": [8, 8]}}, 3)
+    with pytest.raises(CheckpointError, match="made with seed = 3 instead of 4;"):
+        check_settings(path, state, config, 4)
+    with pytest.raises(CheckpointError, match=r"model\.encoder_hidden = \[8, 8\] instead of \[8\];"):
+        check_settings(path, state, {"horizon": 15, "model": {"encoder_hidden": (8,)}}, 3)
+    check_settings(path, {}, config, 4)  # written before settings were stored

@@ -47,7 +47,7 @@ def test_recorded_actions_are_those_that_were_applied():
     envs = gymnasium.make_vec("Pendulum-v1", num_envs=2, vectorization_mode="sync")
     recorded = []
     step = envs.step
-    envs.step = lambda action: recorded.append(action.copy()) or step(action)  # listens only
+    envs.step = lambda actions: recorded.append(actions.copy()) or step(actions)  # listens only
     agent = VectorAgent(None, PlannerConfig(), np.array([-2.0]), np.array([2.0]), 2)
     episodes = collect_episodes(envs, agent, seed=1)
     assert [len(e.costs) for e in episodes] == [200, 200]

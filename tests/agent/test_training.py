@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from deepkoco.agent import Trainer, TrainingConfig, load_policy
-from deepkoco.agent.checkpoint import load_checkpoint
+from deepkoco.agent.checkpoint import CheckpointError, load_checkpoint
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.planning import PlannerConfig, PlannerConfigError, UnknownSolverError
 
@@ -143,3 +143,10 @@ def test_a_planner_that_cannot_work_is_refused_before_training():
         TrainingConfig(planner=PlannerConfig(5, form="dense")).check()
     with pytest.raises(UnknownSolverError, match="nope"):
         TrainingConfig(planner=PlannerConfig(5, solver="nope")).check()
+
+
+def test_a_run_is_not_continued_with_another_seed_or_other_settings(finished):
+    with pytest.raises(CheckpointError, match="seed = 7 instead of 8"):
+        Trainer(make_envs, small_config(), 8, finished)
+    with pytest.raises(CheckpointError, match=r"learning_rate = 0\.001 instead of 0\.002"):
+        Trainer(make_envs, dataclasses.replace(small_config(), learning_rate=2e-3), 7, finished)

@@ -17,6 +17,19 @@ from experiments.settings import EnvConfig, TrainRunConfig
 MakeRun = Callable[..., Path]
 METRICS = "episodes,updates,seconds,train/cost,evaluation/cost,evaluation/cost_sd,evaluation/cost_median,"
 
+SMALL = [
+    "env=gymnasium_pendulum",
+    "+env.kwargs.max_episode_steps=45",
+    "agent.model.encoder_hidden=[8]",
+    "agent.model.cost_hidden=[8]",
+    "agent.first_episodes=4",
+    "agent.first_epochs=2",
+    "agent.iteration_episodes=2",
+    "agent.total_episodes=7",
+    "agent.evaluation_episodes=2",
+    "agent.final_evaluation_episodes=3",
+]
+
 
 def write_run(
     folder: Path,
@@ -51,3 +64,9 @@ def write_run(
 def make_run() -> MakeRun:
     """Writes a run folder; see `write_run`."""
     return write_run
+
+
+@pytest.fixture(scope="session")
+def small() -> list[str]:
+    """Arguments of a training that takes a second."""
+    return SMALL

@@ -12,23 +12,11 @@ import yaml
 
 from deepkoco.agent.collection import SpaceError
 from experiments.aggregate import aggregate, learning_curves, mean_with_band, read_runs
-from experiments.environments import ExperimentError, make_factory
+from experiments.environments import make_factory
 from experiments.planner_benchmark import FRESH, benchmark, random_model
-from experiments.settings import AggregateConfig, EnvConfig
+from experiments.settings import AggregateConfig, EnvConfig, ExperimentError
 
 ROOT = Path(__file__).resolve().parents[2]
-SMALL = [
-    "env=gymnasium_pendulum",
-    "+env.kwargs.max_episode_steps=45",
-    "agent.model.encoder_hidden=[8]",
-    "agent.model.cost_hidden=[8]",
-    "agent.first_episodes=4",
-    "agent.first_epochs=2",
-    "agent.iteration_episodes=2",
-    "agent.total_episodes=7",
-    "agent.evaluation_episodes=2",
-    "agent.final_evaluation_episodes=3",
-]
 
 
 def call(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -37,9 +25,9 @@ def call(command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def run(tmp_path_factory, small) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "small" / "seed_3"
-    done = call("train", *SMALL, "distractors=copies", "seed=3", f"run={folder}")
+    done = call("train", *small, "distractors=copies", "seed=3", f"run={folder}")
     assert done.returncode == 0, done.stderr
     assert "noise-free cost" in done.stdout
     return folder
@@ -64,8 +52,8 @@ def test_evaluation_prints_one_json_object(run):
     assert result["planner_failures"] == 0
 
 
-def test_a_run_is_never_overwritten(run):
-    done = call("train", *SMALL, f"run={run}")
+def test_a_run_is_never_overwritten(run, small):
+    done = call("train", *small, f"run={run}")
     assert done.returncode == 2
     assert "exists already" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

@@ -11,8 +11,7 @@ import pytest
 from deepkoco.agent.policy import load_policy
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.unit import make_unit
-from experiments.environments import ExperimentError
-from experiments.settings import EnvConfig
+from experiments.settings import EnvConfig, ExperimentError
 from experiments.unit_trials import (
     Trial,
     as_json,
