@@ -156,33 +156,41 @@ def load_policy_excitation(folder: str | Path, system: str) -> tuple[Excitation,
         The excitation and the rate it was trained at [Hz].
 
     Raises:
-        ExcitationError: The folder holds no policy, or one for other observations.
+        ExcitationError: The folder holds no policy, or one for other observations or commands.
     """
     # Imported here: agent and envs are heavy, and every other excitation does without them.
     import torch
 
-    from deepkoco.agent import load_policy
+    from deepkoco.agent.policy import KoopmanPolicy, load_model
     from deepkoco.envs.tasks import TASKS
 
     physics, task = make_system(system), TASKS[system]
     assert isinstance(physics, JointSystem)
     try:
-        policy = load_policy(folder)
+        model, planner, low, high = load_model(folder)
     except (OSError, ValueError) as error:
         raise ExcitationError(f"{folder}: holds no policy: {error}") from error
     width = len(task.observation_bounds)
-    if policy.model.observation_size != width:
+    if model.observation_size != width:
         raise ExcitationError(
-            f"{folder}: the policy takes {policy.model.observation_size} observations, {system} gives "
+            f"{folder}: the policy takes {model.observation_size} observations, {system} gives "
             f"{width}; give a policy that was trained without distractors"
         )
+
+    limit = min(task.command_limit, physics.command.high)
+    if not (np.array_equal(low, [-limit]) and np.array_equal(high, [limit])):
+        raise ExcitationError(
+            f"{folder}: the policy's actions lie in {low.tolist()} to {high.tolist()}, the commands of {system} "
+            f"in [{-limit:g}] to [{limit:g}] {physics.command.unit}; give a policy that was trained on {system} "
+            'with action_units="physical"'
+        )
+    policy = KoopmanPolicy(model, planner, low, high)
 
     def act(measurement: Sequence[float]) -> float:
         seen = task.observation(physics, torch.tensor(measurement, dtype=torch.float64))
         return float(policy.act(seen.numpy())[0])
 
-    limit = min(task.command_limit, physics.command.high)
-    return policy_excitation(act, (-limit, limit)), task.control_rate
+    return policy_excitation(act, (-limit, limit)), 1.0 / model.time_step
 
 
 def _speed_guard(excitation: Excitation, amplitude: float, frequency: float) -> Excitation:

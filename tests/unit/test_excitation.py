@@ -103,13 +103,13 @@ def test_bad_excitation_is_named(arguments, message):
 
 def test_trained_policy_drives_the_unit_at_its_own_rate(tmp_path):
     torch.manual_seed(0)
-    model = export_model(KoopmanModel(3, 1, ModelConfig(3, 0.05, (8,), (6,))))
+    model = export_model(KoopmanModel(3, 1, ModelConfig(3, 0.04, (8,), (6,))))
     model.save(tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]})
     excitation, rate = load_policy_excitation(tmp_path / "policy", "rod_pendulum")
     recording = record(make_unit("rod_pendulum"), excitation, 2.0, clock="simulated", control_rate=rate)
     torque = recording.channels["torque"].value
-    assert rate == 20.0
-    assert len(torque) == 41
+    assert rate == pytest.approx(25.0)
+    assert len(torque) == 51
     assert np.ptp(torque) > 0.0
     assert np.abs(torque).max() <= 2.0
 
@@ -118,4 +118,12 @@ def test_policy_for_other_observations_is_refused(tmp_path):
     model = export_model(KoopmanModel(15, 1, ModelConfig(3, 0.05, (8,), (6,))))
     model.save(tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]})
     with pytest.raises(ExcitationError, match="takes 15 observations, rod_pendulum gives 3"):
+        load_policy_excitation(tmp_path / "policy", "rod_pendulum")
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 1.0), (-1.5, 1.5), (-2.0, 1.0)])
+def test_policy_in_other_units_or_for_other_limits_is_refused(tmp_path, low, high):
+    model = export_model(KoopmanModel(3, 1, ModelConfig(3, 0.05, (8,), (6,))))
+    model.save(tmp_path / "policy", {"planner": {}, "action_low": [low], "action_high": [high]})
+    with pytest.raises(ExcitationError, match=r"commands of rod_pendulum in \[-2\] to \[2\] N m; .*physical"):
         load_policy_excitation(tmp_path / "policy", "rod_pendulum")
