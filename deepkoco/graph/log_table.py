@@ -23,7 +23,7 @@ def read_table(path: Path) -> pd.DataFrame:
         table = reader(path)
     except LogError:
         raise
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, csv.Error) as error:
         raise LogError(f"{path}: not readable as {path.suffix[1:]}: {error}") from error
     if len(table) == 0:
         raise LogError(f"{path}: has no rows of data")
@@ -68,16 +68,30 @@ def _read_csv(path: Path) -> pd.DataFrame:
     if twice:
         raise LogError(f'{path}: column "{twice[0]}" is there {header.count(twice[0])} times; rename one')
     # As text: pandas' own float parser may be off by an ulp, and a written log must read back bit for bit.
-    return pd.read_csv(
+    table = pd.read_csv(
         path,
         sep=delimiter,
         encoding="utf-8-sig",
         dtype=str,
         header=None,
         skiprows=1,
-        names=header,
+        names=range(_widest(path, delimiter, len(header))),
         index_col=False,
     )
+    beyond = table.iloc[:, len(header) :].notna().any(axis=1)
+    if beyond.any():
+        raise LogError(
+            f"{path}: data row {int(np.flatnonzero(beyond)[0]) + 1} has more cells than the header has names "
+            f"({len(header)}); a decimal comma or a comma in a text does that"
+        )
+    table = table.iloc[:, : len(header)]
+    table.columns = header
+    return table
+
+
+def _widest(path: Path, delimiter: str, least: int) -> int:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        return max(least, max(line.count(delimiter) for line in file) + 1)
 
 
 READERS: dict[str, Callable[[Path], pd.DataFrame]] = {

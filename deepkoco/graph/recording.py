@@ -139,6 +139,8 @@ def read_log(
     path = Path(path)
     if fill is not None and fill not in FILLS:
         raise LogError(f'fill "{fill}" is none of {", ".join(FILLS)}')
+    if path.is_dir():
+        raise LogError(f"{path}: is a folder; give the log file in it")
     if not path.is_file():
         raise LogError(f"{path}: no such file")
     sidecar = load_sidecar(path, mapping)
@@ -185,8 +187,8 @@ def write_log(path: str | Path, recording: Recording) -> Path:
         described[name] = ChannelColumn(Column(name, series.unit), series.kind, Column(time, "s"))
     frame = pd.DataFrame({name: pd.Series(values) for name, values in columns.items()})
     path.parent.mkdir(parents=True, exist_ok=True)
-    _write_whole(sidecar_path(path), dump_sidecar(recording.system, described, recording.meta))
-    _write_whole(path, frame.to_csv(index=False, lineterminator="\n"))
+    sidecar = dump_sidecar(recording.system, described, recording.meta)
+    _write_whole({sidecar_path(path): sidecar, path: frame.to_csv(index=False, lineterminator="\n")})
     return path
 
 
@@ -196,10 +198,20 @@ def _free(name: str, taken: Iterable[str]) -> str:
     return name
 
 
-def _write_whole(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+def _write_whole(texts: Mapping[Path, str]) -> None:
+    """Write files that do not exist yet, all or none."""
+    partial = {target: target.with_name(f".{target.name}.{os.getpid()}.tmp") for target in texts}
+    placed: list[Path] = []
+    try:
+        for target, text in texts.items():
+            partial[target].write_text(text, encoding="utf-8")
+        for target in texts:
+            os.replace(partial[target], target)
+            placed.append(target)
+    except BaseException:
+        for left in (*partial.values(), *placed):
+            left.unlink(missing_ok=True)
+        raise
 
 
 def _check_system(sidecar: Sidecar, system: str | None, systems: Sequence[str]) -> str | None:
@@ -241,17 +253,8 @@ def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None)
 def _read_series(
     path: Path, table: pd.DataFrame, column: ChannelColumn, target: str, fill: str | None, own_time: bool
 ) -> Series:
-    header = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.value.name)
-    if header:
-        try:
-            stated = parse_unit(header.group(1))
-        except UnitError:
-            stated = None  # brackets in a header need not hold a unit
-        if stated is not None and stated != parse_unit(column.value.unit):
-            raise LogError(
-                f'{path}: column "{column.value.name}": mixed units, the header says {header.group(1)}, the '
-                f"mapping says {column.value.unit}; correct the mapping"
-            )
+    for part in (column.value, column.time):
+        _check_header(path, part)
     time = column_values(path, table, column.time.name) * factor_between(column.time.unit, "s")
     value = column_values(path, table, column.value.name) * factor_between(column.value.unit, target)
     row = np.flatnonzero(~(np.isnan(time) & np.isnan(value)))
@@ -268,6 +271,21 @@ def _read_series(
     _refuse(path, column.time.name, row, step < 0, "earlier than the row before", "sort or split the log")
     _refuse(path, column.time.name, row, step == 0, "with a duplicate time stamp", "keep one row per stamp")
     return Series(time, value, target, column.kind)
+
+
+def _check_header(path: Path, column: Column) -> None:
+    header = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.name)
+    if header is None:
+        return
+    try:
+        stated = parse_unit(header.group(1))
+    except UnitError:
+        return  # brackets in a header need not hold a unit
+    if stated != parse_unit(column.unit):
+        raise LogError(
+            f'{path}: column "{column.name}": mixed units, the header says {header.group(1)}, the '
+            f"mapping says {column.unit}; correct the mapping"
+        )
 
 
 def _fill(value: np.ndarray, fill: str | None) -> tuple[np.ndarray, np.ndarray]:

@@ -232,6 +232,15 @@ def test_a_header_that_contradicts_the_mapping_is_refused(tmp_path):
         read_log(path)
 
 
+def test_a_time_header_that_contradicts_the_mapping_is_refused(tmp_path):
+    frame = table().rename(columns={"t": "t [ms]"})
+    path = save(tmp_path, frame, sidecar(time={"column": "t [ms]", "unit": "s"}))
+    with pytest.raises(
+        LogError, match=r'column "t \[ms\]": mixed units, the header says ms, the mapping says s'
+    ):
+        read_log(path)
+
+
 def test_times_in_two_units_are_noticed(tmp_path):
     frame = table()
     frame["t_command"] = frame["t"] * 1000 + 1e6
@@ -245,6 +254,12 @@ def test_times_in_two_units_are_noticed(tmp_path):
     [
         ("log.csv", "", "first row is empty"),
         ("log.csv", "t,theta,theta\n0,1,2\n", 'column "theta" is there 2 times'),
+        ("log.csv", '"' + 200_000 * "x" + "\n", "not readable as csv: field larger"),
+        (
+            "log.csv",
+            "t,command,theta,omega\n0,1,2,3\n1,5,2,3,4\n",
+            "data row 2 has more cells than .* names .4.",
+        ),
         ("log.bag", "#ROSBAG", 'format ".bag" is not known; known: .csv'),
         ("log.parquet", "nonsense", "not readable as parquet"),
     ],
@@ -261,3 +276,33 @@ def test_a_missing_file_or_sidecar_is_told(tmp_path):
     table().to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(LogError, match=r"no sidecar .*log.yaml"):
         read_log(tmp_path / "log.csv")
+
+
+def test_a_folder_in_place_of_a_log_is_told(tmp_path):
+    with pytest.raises(LogError, match=r"is a folder; give the log file in it"):
+        read_log(tmp_path)
+
+
+def test_a_failed_write_leaves_nothing_behind(tmp_path):
+    """The disk takes the small sidecar, then no more than the first 4 kB of the log."""
+    resource = pytest.importorskip("resource")
+    t = np.arange(2000) / 7
+    recording = Recording({"theta": Series(t, np.sin(t), "rad", "measurement")})
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            write_log(tmp_path / "log.csv", recording)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+    write_log(tmp_path / "log.csv", recording)
+
+
+def test_empty_cells_at_the_end_of_rows_are_accepted(tmp_path):
+    path = save(tmp_path, table())
+    header, *rows = path.read_text().splitlines()
+    plain = read_log(path)
+    path.write_text("\n".join([header, *(row + ",," for row in rows)]))
+    trailing = read_log(path)
+    np.testing.assert_array_equal(trailing.channels["omega"].value, plain.channels["omega"].value)
