@@ -90,6 +90,9 @@ def test_same_command_same_bytes(unit, tmp_path):
         (UNIT, ["--policy", "here"], ["--policy"]),
         (UNIT, ["--excitation", "policy", "--policy", "nowhere"], ["nowhere"]),
         (UNIT, ["--seed", "-1"], ["seed", "-1"]),
+        (UNIT, ["--excitation", "policy", "--policy", "p", "--amplitude", "1"], ["--amplitude"]),
+        (UNIT, ["--out", ""], ["--out", "names no file"]),
+        ("system: [a]", [], ["UNIT.yaml", "system", "a", "rod_pendulum"]),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, unit_text, more, parts):
@@ -111,6 +114,36 @@ def test_existing_output_is_kept(unit, tmp_path, capsys, name):
     assert f"{name}: exists; choose another name" in capsys.readouterr().err
     assert (tmp_path / name).read_text() == "mine"
     assert files(tmp_path) == {"UNIT.yaml", name}
+
+
+@pytest.mark.parametrize("more", [[], ["--rate", "1000"]])
+def test_an_unwritable_place_is_told_before_recording(unit, tmp_path, capsys, more):
+    """What is wrong with the recording itself comes later: the place is tried first."""
+    (tmp_path / "afile").write_text("mine")
+    assert simulate(unit, tmp_path / "afile" / "log.csv", *more) == 2
+    error = capsys.readouterr().err
+    assert "afile/log.csv: cannot be written" in error
+    assert error.count("\n") == 1
+
+
+def test_names_with_brackets_are_shown_as_they_are(unit, tmp_path, capsys):
+    folder = tmp_path / "[red]x[" / "[/bold]"
+    assert simulate(unit, folder / "a.csv") == 0
+    assert main(["inspect", str(folder / "a.csv")]) == 0
+    shown = "".join(capsys.readouterr().out.split())
+    assert shown.count("[red]x[/[/bold]/a.csv") == 2
+    text = (folder / "a.yaml").read_text()
+    (folder / "a.yaml").write_text(text.replace("excitation: chirp", 'excitation: "[/blue] [green]chirp"'))
+    assert main(["inspect", str(folder / "a.csv")]) == 0
+    assert "[/blue][green]chirp" in "".join(capsys.readouterr().out.split())
+
+
+def test_a_diagnosis_that_cannot_be_written_is_told_at_once(tmp_path, capsys):
+    (tmp_path / "afile").write_text("mine")
+    assert main(["diagnose", str(tmp_path / "none.csv"), "--out", str(tmp_path / "afile" / "x" / "y")]) == 2
+    error = capsys.readouterr().err
+    assert "afile is no folder" in error
+    assert error.count("\n") == 1
 
 
 def test_other_formats_are_refused_before_recording(unit, tmp_path, capsys):

@@ -93,6 +93,8 @@ def run(args: argparse.Namespace) -> int:
         page = write_report(result, out)
     except (LogError, OutputExistsError) as error:
         raise InputError(str(error)) from error
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
     if args.json:
         sys.stdout.write(json.dumps(result.to_json(), indent=2) + "\n")
     else:

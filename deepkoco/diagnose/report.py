@@ -70,11 +70,14 @@ def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
 
 
 def check_free(out: Path) -> None:
-    """Refuse a folder that exists.
+    """Refuse a folder that exists, or that a file on its path keeps from being made.
 
     Raises:
-        OutputExistsError: It exists.
+        OutputExistsError: It exists, or cannot be made.
     """
+    blocked = next((parent for parent in out.parents if parent.exists() and not parent.is_dir()), None)
+    if blocked is not None:
+        raise OutputExistsError(f"{out}: {blocked} is no folder; choose another place")
     if out.exists():
         raise OutputExistsError(f"{out}: exists; choose another folder or move it away")
 

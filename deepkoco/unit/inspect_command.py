@@ -59,21 +59,22 @@ def run(args: argparse.Namespace) -> int:
     console = Console()
     console.print(table(args.log, recording))
     if recording.meta:
-        console.print(", ".join(f"{key}: {value}" for key, value in recording.meta.items()), highlight=False)
+        facts = ", ".join(f"{key}: {value}" for key, value in recording.meta.items())
+        console.print(facts, highlight=False, markup=False)
     return 0
 
 
 def table(path: Path, recording: Recording) -> Table:
     """Summary of a log as a table for the terminal."""
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
     from deepkoco.unit.log_summary import summarise
 
     summaries = summarise(recording)
     seconds = max(s.stop for s in summaries) - min(s.start for s in summaries)
     result = Table(
-        title=f"{path} · {recording.system or 'unknown system'} · {seconds:.2f} s",
+        title=Text(f"{path} · {recording.system or 'unknown system'} · {seconds:.2f} s"),
         title_justify="left",
         box=None,
         padding=(0, 1, 0, 0),
@@ -84,7 +85,7 @@ def table(path: Path, recording: Recording) -> Table:
         result.add_column(heading, justify="right", no_wrap=True)
     for s in summaries:
         result.add_row(
-            escape(f"{s.name} [{s.unit}]"),
+            Text(f"{s.name} [{s.unit}]"),
             s.kind,
             str(s.samples),
             _shown(s.rate_hz, ".1f"),

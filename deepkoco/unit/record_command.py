@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING
 
 from deepkoco.command_line import InputError
@@ -52,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: An argument or a file is wrong.
         UnitError: The unit died on the way.
     """
+    if not args.out.name:
+        raise InputError(f'--out "{args.out}": names no file; give one that ends in .csv')
     out: Path = args.out if args.out.suffix else args.out.with_suffix(".csv")
     if out.suffix != ".csv":
         raise InputError(f"{out}: logs are written as CSV; give a name that ends in .csv")
@@ -60,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"{target}: exists; choose another name or move it away")
     if (args.policy is None) != (args.excitation != "policy"):
         raise InputError("--policy: goes with --excitation policy; give both, or neither")
+    if args.policy is not None and args.amplitude is not None:
+        raise InputError("--amplitude: a policy chooses its own commands; leave it out")
 
     from deepkoco.graph.recording import LogError, write_log
     from deepkoco.unit.excitation import ExcitationError, load_policy_excitation
@@ -70,9 +75,10 @@ def run(args: argparse.Namespace) -> int:
     try:
         spec = load_unit(args.unit, args.system)
         excitation, rate = args.excitation, args.rate
-        if excitation == "policy":
+        if args.policy is not None:
             excitation, trained_rate = load_policy_excitation(args.policy, spec.system)
-            rate = rate or trained_rate
+            rate = trained_rate if rate is None else rate
+        _probe(out)
         with _progress(args.seconds, wanted=clock == "wall") as progress:
             recording = record(
                 spec,
@@ -92,6 +98,17 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
     _report(out, recording)
     return 0
+
+
+def _probe(out: Path) -> None:
+    """Write and remove a file where the log is to be, so that no recording is made in vain.
+
+    Raises:
+        OSError: The folder cannot be made or takes no file.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}."):
+        pass
 
 
 def _report(out: Path, recording: Recording) -> None:

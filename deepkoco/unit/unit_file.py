@@ -102,7 +102,7 @@ def make_unit(
     Raises:
         UnitSpecError: A name is unknown or a value is out of bounds.
     """
-    if system not in SYSTEMS:
+    if not isinstance(system, str) or system not in SYSTEMS:
         raise UnitSpecError(
             f'{source}: system: unknown system "{system}"; known: {", ".join(sorted(SYSTEMS))}'
         )
