@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import logging
+import os
+import shutil
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -14,32 +20,93 @@ import pandas as pd
 from scipy import stats
 
 from experiments.commands import run_command
-from experiments.settings import AggregateConfig, ExperimentError
-from experiments.train import load_run_config
+from experiments.settings import AggregateConfig, ExperimentError, TrainRunConfig
+from experiments.train import is_finished, load_run_config
+
+logger = logging.getLogger(__name__)
 
 CURVES = {"train/cost": "training episodes", "evaluation/cost": "noise-free episodes"}
 
 
-def read_runs(folder: Path) -> pd.DataFrame:
-    """Read the metrics of all runs below a folder.
+def finished_runs(folder: Path) -> list[Path]:
+    """Find the finished runs below a folder.
 
     Args:
         folder: Searched at any depth.
 
     Returns:
-        All rows with the added columns `condition` (environment and distractors), `seed` and `run`.
+        Folders of the runs, sorted.
 
     Raises:
-        ExperimentError: There is no run.
+        ExperimentError: There is none.
     """
-    frames = []
-    for path in sorted(folder.rglob("metrics.csv")):
-        config = load_run_config(path.parent)
-        frame = pd.read_csv(path)
-        condition = f"{config.env.name}, distractors {config.distractors}"
-        frames.append(frame.assign(condition=condition, seed=config.seed, run=str(path.parent)))
-    if not frames:
-        raise ExperimentError(f"{folder}: no metrics.csv below it; give a folder that holds training runs")
+    found = sorted(path.parent for path in folder.rglob("metrics.csv"))
+    runs = [run for run in found if is_finished(run) or _has_all_episodes(run)]
+    if len(runs) < len(found):
+        logger.warning("%s: left out %d runs that are not finished", folder, len(found) - len(runs))
+    if not runs:
+        raise ExperimentError(f"{folder}: no finished run below it; give a folder that holds training runs")
+    return runs
+
+
+def _has_all_episodes(run: Path) -> bool:
+    """Whether the metrics go to the end, as those of a collected run that is kept without its weights."""
+    return pd.read_csv(run / "metrics.csv")["episodes"].max() >= load_run_config(run).agent.total_episodes
+
+
+def conditions(configs: Mapping[Path, TrainRunConfig]) -> dict[Path, str]:
+    """Name the group of runs that each run belongs to: those that differ in nothing but the seed.
+
+    Args:
+        configs: Settings of every run.
+
+    Returns:
+        Label of each run: environment and distractors, and where groups share these, the settings that
+        tell them apart.
+
+    Raises:
+        ExperimentError: Two runs of a group have the same seed.
+    """
+    groups: dict[str, dict[str, Any]] = {}
+    member, seen = {}, {}
+    for run, config in configs.items():
+        settings = config.identity()
+        seed = settings.pop("seed")
+        key = json.dumps(settings, sort_keys=True)
+        groups[key], member[run] = settings, key
+        if (key, seed) in seen:
+            raise ExperimentError(
+                f"{run}: same settings and seed as {seen[key, seed]}; move one of them elsewhere"
+            )
+        seen[key, seed] = run
+    plain = {key: f"{s['env.name']}, distractors {s['distractors']}" for key, s in groups.items()}
+    labels = {}
+    for key, settings in groups.items():
+        same = [groups[other] for other in groups if plain[other] == plain[key]]
+        names = sorted({name for other in same for name in other})
+        apart = [n for n in names if any(other.get(n) != settings.get(n) for other in same)]
+        labels[key] = ", ".join([plain[key], *(f"{n} = {settings.get(n)}" for n in apart)])
+    return {run: labels[key] for run, key in member.items()}
+
+
+def read_runs(folder: Path) -> pd.DataFrame:
+    """Read the metrics of all finished runs below a folder.
+
+    Args:
+        folder: Searched at any depth.
+
+    Returns:
+        All rows with the added columns `condition` (see `conditions`), `seed` and `run`.
+
+    Raises:
+        ExperimentError: There is no finished run, or two of one group have the same seed.
+    """
+    configs = {run: load_run_config(run) for run in finished_runs(folder)}
+    labels = conditions(configs)
+    frames = [
+        pd.read_csv(run / "metrics.csv").assign(condition=labels[run], seed=config.seed, run=str(run))
+        for run, config in configs.items()
+    ]
     return pd.concat(frames, ignore_index=True)
 
 
@@ -115,7 +182,29 @@ def aggregate(config: AggregateConfig) -> None:
     out = Path(config.out)
     if out.exists():
         raise ExperimentError(f"{out}: exists already; choose another out=")
-    rows = read_runs(Path(config.runs))
+    partial = out.with_name(f"{out.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    final = write_aggregate(Path(config.runs), partial)
+    os.replace(partial, out)
+    for condition, group in final.groupby("condition"):
+        costs = group["evaluation/cost"]
+        print(f"{condition}: {len(group)} seeds, median {costs.median():.1f}, worst {costs.max():.1f}")
+
+
+def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
+    """Write the three files into a new folder.
+
+    Args:
+        runs: Folder that holds runs, at any depth.
+        out: Folder to make.
+
+    Returns:
+        The last row of every run.
+
+    Raises:
+        ExperimentError: See `read_runs`; the folder is not made then.
+    """
+    rows = read_runs(runs)
     curves = learning_curves(rows)
     final = rows.sort_values("episodes").groupby("run").tail(1).sort_values(["condition", "seed"])
     kept = ["episodes", "updates", "evaluation/cost", "evaluation/cost_sd", "evaluation/cost_median"]
@@ -125,9 +214,7 @@ def aggregate(config: AggregateConfig) -> None:
         out / "final.csv", index=False
     )
     draw(curves, out / "learning_curve.png")
-    for condition, group in final.groupby("condition"):
-        costs = group["evaluation/cost"]
-        print(f"{condition}: {len(group)} seeds, median {costs.median():.1f}, worst {costs.max():.1f}")
+    return final
 
 
 if __name__ == "__main__":

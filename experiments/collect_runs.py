@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -16,13 +17,25 @@ from pathlib import Path
 
 import pandas as pd
 
+from experiments.aggregate import finished_runs, write_aggregate
 from experiments.provenance import as_markdown
 from experiments.settings import ExperimentError
 from experiments.train import load_run_config
 
 
 def evaluate_run(run: Path, episodes: int) -> dict:
-    """Evaluate one run in a process of its own, as a user would."""
+    """Evaluate one run in a process of its own, as a user would.
+
+    Args:
+        run: The run's folder.
+        episodes: Noise-free episodes.
+
+    Returns:
+        What `experiments.evaluate` prints.
+
+    Raises:
+        ExperimentError: The run cannot be evaluated.
+    """
     command = [
         sys.executable,
         "-m",
@@ -38,12 +51,27 @@ def evaluate_run(run: Path, episodes: int) -> dict:
 
 
 def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
-    """Write CSVs, evaluations and learning curves of all runs below a folder into a new one."""
+    """Write CSVs, evaluations and learning curves of all finished runs below a folder into a new one.
+
+    Args:
+        runs: Folder that holds runs, at any depth; unfinished ones are left out.
+        out: Folder to make, all or nothing.
+        episodes: Noise-free episodes a run.
+
+    Returns:
+        One row per run: its evaluation.
+
+    Raises:
+        ExperimentError: The new folder exists, there is no finished run, or one cannot be evaluated.
+    """
     if out.exists():
         raise ExperimentError(f"{out}: exists already; choose another --out")
-    folders = sorted(path.parent for path in runs.rglob("model") if path.is_dir())
-    if not folders:
-        raise ExperimentError(f"{runs}: no finished run below it")
+    if episodes < 1:
+        raise ExperimentError(f"--episodes {episodes}: give at least 1")
+    folders = finished_runs(runs)
+    partial = out.with_name(f"{out.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    write_aggregate(runs, partial)  # first, for it refuses what cannot be averaged
     rows = []
     for folder in folders:
         config = load_run_config(folder)
@@ -59,15 +87,15 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
                 "train_seconds": last["seconds"],
             }
         )
-    subprocess.run([sys.executable, "-m", "experiments.aggregate", f"runs={runs}", f"out={out}"], check=True)
     table = pd.DataFrame(rows).sort_values(["env", "distractors", "seed"])
-    table.to_csv(out / "evaluations.csv", index=False, float_format="%.6g")
+    table.to_csv(partial / "evaluations.csv", index=False, float_format="%.6g")
     for folder in folders:
-        kept = out / "runs" / folder.relative_to(runs)
+        kept = partial / "runs" / folder.relative_to(runs)
         kept.mkdir(parents=True)
         for name in ("metrics.csv", "config.yaml"):
             shutil.copy(folder / name, kept / name)
-    (out / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
+    (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
+    os.replace(partial, out)
     return table
 
 

@@ -1,0 +1,88 @@
+"""Which runs are averaged, under which name, and how they are collected."""
+
+import pandas as pd
+import pytest
+
+from deepkoco.planning import PlannerConfig
+from experiments.aggregate import aggregate, conditions, read_runs
+from experiments.collect_runs import collect, main
+from experiments.settings import AggregateConfig, ExperimentError
+from experiments.train import load_run_config
+
+
+def labels(*runs):
+    named = conditions({run: load_run_config(run) for run in runs})
+    return [named[run] for run in runs]
+
+
+def test_seeds_of_the_same_settings_are_one_condition(make_run, tmp_path):
+    runs = [make_run(tmp_path / f"seed_{seed}", seed=seed) for seed in (0, 1)]
+    assert labels(*runs) == ["rod_pendulum, distractors none"] * 2
+    runs.append(make_run(tmp_path / "copies", distractors="copies"))
+    assert labels(*runs)[2] == "rod_pendulum, distractors copies"
+
+
+def test_runs_of_other_settings_are_told_apart_by_what_differs(make_run, tmp_path):
+    one, two = make_run(tmp_path / "a", cost=100.0), make_run(tmp_path / "b", horizon=20, cost=300.0)
+    third = make_run(tmp_path / "c", horizon=20, planner=PlannerConfig(20))
+    assert labels(one, two) == [f"rod_pendulum, distractors none, agent.horizon = {t}" for t in (15, 20)]
+    assert labels(one, two, third)[2].endswith("agent.horizon = 20, agent.planner.horizon = 20")
+    aggregate(AggregateConfig(str(tmp_path), str(tmp_path / "out")))
+    final = pd.read_csv(tmp_path / "out" / "final.csv")
+    assert len(set(final["condition"])) == 3
+    curves = pd.read_csv(tmp_path / "out" / "curves.csv")
+    assert set(curves["seeds"]) == {1}
+
+
+def test_the_same_seed_twice_is_refused(make_run, tmp_path):
+    one = make_run(tmp_path / "a")
+    make_run(tmp_path / "b")
+    with pytest.raises(ExperimentError, match=rf"same settings and seed as {one}"):
+        read_runs(tmp_path)
+
+
+def test_unfinished_runs_are_left_out_with_a_warning(make_run, tmp_path, caplog):
+    make_run(tmp_path / "a", seed=0)
+    make_run(tmp_path / "b", seed=1, finished=False)
+    assert set(read_runs(tmp_path)["seed"]) == {0}
+    assert "left out 1 runs that are not finished" in caplog.text
+    with pytest.raises(ExperimentError, match="no finished run"):
+        read_runs(tmp_path / "b")
+
+
+def test_a_collected_run_without_its_weights_is_still_averaged(make_run, tmp_path):
+    make_run(tmp_path / "a", finished=False, total_episodes=110)
+    assert len(read_runs(tmp_path)) == 2
+
+
+def test_collection_keeps_everything_but_the_weights(make_run, tmp_path, capsys):
+    runs = tmp_path / "runs"
+    make_run(runs / "none" / "seed_1", seed=1)
+    make_run(runs / "none" / "seed_2", seed=2, finished=False)
+    out = tmp_path / "out"
+    assert main([str(runs), "--out", str(out), "--episodes", "2"]) == 0
+    assert {path.name for path in out.iterdir()} == {
+        *("curves.csv", "final.csv", "learning_curve.png", "evaluations.csv", "PROVENANCE.md", "runs")
+    }
+    assert sorted(p.relative_to(out).as_posix() for p in (out / "runs").rglob("*.*")) == [
+        "runs/none/seed_1/config.yaml",
+        "runs/none/seed_1/metrics.csv",
+    ]
+    row = pd.read_csv(out / "evaluations.csv").iloc[0]
+    assert (row["env"], row["seed"], row["n"], row["train_seconds"]) == ("rod_pendulum", 1, 2, 110.5)
+    assert row["mean"] > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "runs"]
+    assert main([str(runs), "--out", str(out)]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_collection_that_fails_leaves_no_folder(make_run, tmp_path):
+    runs = tmp_path / "runs"
+    run = make_run(runs / "seed_1")
+    (run / "model" / "config.json").write_text("{")
+    with pytest.raises(ExperimentError, match="seed_1"):
+        collect(runs, tmp_path / "out", 1)
+    assert not (tmp_path / "out").exists()
+    with (run / "config.yaml").open("a") as file:
+        file.write("colour: red\n")
+    assert main([str(runs), "--out", str(tmp_path / "out")]) == 2
