@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from gymnasium.vector import VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorWrapper
 from torch import Tensor
 
 from deepkoco.envs.tasks import TASKS
@@ -52,9 +53,9 @@ class WanderingCopies:
         """Symmetric bounds (width,) of the entries."""
         return np.tile(np.array(self.task.observation_bounds, np.float32), self.copies)
 
-    def seed(self, seed: int) -> None:
-        """Start the generator anew from a seed."""
-        words = np.random.SeedSequence([_STREAM, seed]).generate_state(2, np.uint32)
+    def seed(self, seed: int | Sequence[int]) -> None:
+        """Start the generator anew from a seed, or from one for each environment."""
+        words = np.random.SeedSequence([_STREAM, *np.atleast_1d(seed).tolist()]).generate_state(2, np.uint32)
         self.generator.manual_seed(int(words[0]) << 31 ^ int(words[1]))
 
     def restart(self, where: np.ndarray | None = None) -> None:
@@ -102,10 +103,15 @@ class _Mixer:
         self.order = np.random.default_rng([_STREAM, shuffle_seed]).permutation(low.size)
         self.space = spaces.Box(low[self.order], high[self.order], dtype=np.float32)
 
-    def reset(self, seed: int | None) -> None:
+        self._seeded = False
+
+    def reset(self, seed: int | Sequence[int] | None, where: np.ndarray | None = None) -> None:
+        if seed is None and not self._seeded:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
         if seed is not None:
             self.copies.seed(seed)
-        self.copies.restart()
+            self._seeded = True
+        self.copies.restart(where)
 
     def draw(self, frame: np.ndarray, environment: int) -> np.ndarray:
         """The task's frame with the copies in a strip below it."""
@@ -156,7 +162,11 @@ class StateDistractors(gymnasium.Wrapper):
 
 
 class VectorStateDistractors(VectorWrapper):
-    """:class:`StateDistractors` for a vector environment; copies restart with their environment."""
+    """:class:`StateDistractors` for a vector environment; copies restart with their environment.
+
+    That is one step after the end of an episode, at once, or at a reset with ``reset_mask``, by the
+    environment's ``autoreset_mode``.
+    """
 
     def __init__(
         self,
@@ -171,21 +181,38 @@ class VectorStateDistractors(VectorWrapper):
         self.mixer = _Mixer(single, system, copies, env.num_envs, shuffle_seed)
         self.single_observation_space = self.mixer.space
         self.observation_space = gymnasium.vector.utils.batch_space(self.mixer.space, env.num_envs)
+        self._mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
         self._ended = np.zeros(env.num_envs, bool)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        observation, info = self.env.reset(seed=seed, options=options)
-        self.mixer.reset(seed)
+    def reset(self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
+        mask = None if options is None else options.get("reset_mask")  # Gymnasium takes it out of options
+        observation, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
+        self.mixer.reset(seed, mask)
         self._ended[:] = False
         return self.mixer.mix(observation), info
 
     def step(self, actions):
         observation, reward, terminated, truncated, info = self.env.step(actions)
         self.mixer.copies.step()
-        if self._ended.any():  # next-step autoreset: this step was a reset
+        ended = np.logical_or(terminated, truncated)
+        if self._mode == AutoresetMode.SAME_STEP and ended.any():
+            if "final_obs" in info:
+                info = {**info, "final_obs": self._mix_some(info["final_obs"], ended)}
+            self.mixer.copies.restart(ended)
+        elif self._mode == AutoresetMode.NEXT_STEP and self._ended.any():  # this step was a reset
             self.mixer.copies.restart(self._ended)
-        self._ended = np.logical_or(terminated, truncated)
+        self._ended = ended
         return self.mixer.mix(observation), reward, terminated, truncated, info
+
+    def _mix_some(self, observations: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """Last observations of the environments ``where``, an array of objects, with their copies."""
+        width = self.mixer.order.size - self.mixer.copies.width
+        rows = [o if there else np.zeros(width) for o, there in zip(observations, where, strict=True)]
+        mixed = self.mixer.mix(np.array(rows, np.float32))
+        result = np.empty(len(where), dtype=object)
+        for i in np.flatnonzero(where):
+            result[i] = mixed[i]
+        return result
 
     def render(self):
         """The frames of all environments, each with its distractors in a strip below it."""

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
+from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import TASKS
 from deepkoco.systems import JointSystem, make_system
 from deepkoco.unit import ControlLoop, SimulatedUnit, Unit, UnitSpec, load_unit
@@ -30,6 +31,9 @@ class UnitEnv(gymnasium.Env):
         action_history: How many past actions are appended to the observation, newest first.
         render_mode: None or ``rgb_array``, drawn from the last measurement.
         render_size: Side of the picture [pixels].
+
+    Raises:
+        SettingsError: The clock or the units of the actions are unknown.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - Gymnasium declares it so
@@ -44,6 +48,10 @@ class UnitEnv(gymnasium.Env):
         render_mode: str | None = None,
         render_size: int = 256,
     ) -> None:
+        clocks = {"wall": Unit, "simulated": SimulatedUnit}
+        for what, value, known in (("clock", clock, clocks), ("action_units", action_units, ACTION_UNITS)):
+            if value not in known:
+                raise SettingsError(f'{what} "{value}" is none of {", ".join(known)}')
         spec = unit if isinstance(unit, UnitSpec) else load_unit(unit)
         system = make_system(spec.system)
         assert isinstance(system, JointSystem)
@@ -57,9 +65,6 @@ class UnitEnv(gymnasium.Env):
         entries = np.concatenate([entries, np.tile(bound, action_history)])
         self._history = np.zeros(action_history, np.float32)
         self.observation_space = spaces.Box(-entries, entries, dtype=np.float32)
-        clocks = {"wall": Unit, "simulated": SimulatedUnit}
-        if clock not in clocks:
-            raise ValueError(f'clock "{clock}" is none of {", ".join(clocks)}')
         self._unit = clocks[clock](spec)
         self._loop: ControlLoop | None = None
 
@@ -69,8 +74,13 @@ class UnitEnv(gymnasium.Env):
         return {} if self._loop is None else dict(vars(self._loop.stats))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Put the unit into ``options["initial_state"]`` (S,) or a start state drawn from the seed."""
+        """Put the unit into ``options["initial_state"]`` (S,) or a start state drawn from the seed.
+
+        In simulated time the seed also starts the unit's noise and jitter.
+        """
         super().reset(seed=seed)
+        if seed is not None and isinstance(self._unit, SimulatedUnit):
+            self._unit.seed_noise(seed)
         if options and options.get("initial_state") is not None:
             state = np.asarray(options["initial_state"], np.float64)
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from random import Random
 from types import TracebackType
 
 from deepkoco.unit.messages import SensorMessage, UnitError
@@ -84,6 +85,10 @@ class SimulatedUnit:
             for seq, values in plant.take():
                 self._received.append(SensorMessage(values, seq, plant.time, plant.stops))
         return self._received.popleft()
+
+    def seed_noise(self, seed: int) -> None:
+        """Let noise and jitter of the next resets follow from a seed, not from how many there were."""
+        self._stream = Random(f"stream {seed}").getrandbits(62)
 
     def reset(self, state: tuple[float, float] | None = None) -> SensorMessage:
         """Put the unit into a state, at zero command and time 0; returns the first measurement."""

@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from deepkoco.envs.distractors import StateDistractors, VectorStateDistractors
 
@@ -72,6 +73,46 @@ def test_the_vector_form_restarts_copies_with_their_environment():
         before = after
     assert np.argmax(jumps) == 4  # steps 2..5 end the episode, the sixth is the reset
     assert jumps[4] > 2 * max(jumps[:4])
+
+
+def vector(mode: AutoresetMode) -> VectorStateDistractors:
+    def make() -> gymnasium.Env:
+        return gymnasium.make("Pendulum-v1", max_episode_steps=4)
+
+    return VectorStateDistractors(SyncVectorEnv([make, make], autoreset_mode=mode))
+
+
+def test_copies_restart_at_once_with_same_step_autoreset():
+    env = vector(AutoresetMode.SAME_STEP)
+    columns = np.argsort(env.mixer.order)
+    rows, nothing = [env.reset(seed=0)[0]], np.zeros((2, 1), np.float32)
+    for _ in range(4):
+        row, _, _, truncated, info = env.step(nothing)
+        rows.append(row)
+    assert truncated.all()
+    jumps = np.abs(np.diff(np.array(rows)[..., columns[3:]], axis=0)).max(axis=(1, 2))
+    assert jumps[3] > 2 * jumps[:3].max()
+    # The last observation is that of the episode that ended, copies included.
+    last = np.stack(info["final_obs"])[:, columns]
+    assert last.shape == (2, 15)
+    assert np.abs(last[:, 3:] - rows[3][:, columns[3:]]).max() < 2 * jumps[:3].max()
+    np.testing.assert_allclose(last[:, 0] ** 2 + last[:, 1] ** 2, 1.0, atol=1e-6)
+
+
+def test_a_masked_reset_restarts_its_copies_alone():
+    env = vector(AutoresetMode.DISABLED)
+    columns = np.argsort(env.mixer.order)[3:]
+    env.reset(seed=0)
+    before = [env.step(np.zeros((2, 1), np.float32))[0] for _ in range(4)][-1][:, columns]
+    after = env.reset(options={"reset_mask": np.array([False, True])})[0][:, columns]
+    assert np.array_equal(after[0], before[0])
+    assert np.abs(after[1] - before[1]).max() > 0.1
+
+
+def test_environments_without_a_seed_have_distractors_of_their_own():
+    columns = np.argsort(wrapped().mixer.order)[3:]
+    first, other = (wrapped().reset()[0][columns] for _ in range(2))
+    assert np.abs(first - other).max() > 1e-3
 
 
 def test_the_picture_shows_the_distractors():

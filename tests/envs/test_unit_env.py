@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deepkoco.envs.graph_env import DelayGraphEnv
+from deepkoco.envs.settings import SettingsError
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.unit import make_unit
 
@@ -57,11 +58,34 @@ def test_past_actions_and_the_end_of_the_episode():
 
 
 def test_same_seed_same_start():
-    env = UnitEnv(unit(), clock="simulated")
-    first, again, other = (env.reset(seed=s)[0] for s in (1, 1, 2))
+    """With noise and jitter, and for the episodes that follow without a seed."""
+    late = {"sensing_delay": {"delay": {"mean": 0.03, "sd": 0.01}}}
+    env = UnitEnv(make_unit("rod_pendulum", effects=late), clock="simulated")
+
+    def episode(seed):
+        rows = [env.reset(seed=seed)[0]] + [env.step(np.array([1.0]))[0] for _ in range(5)]
+        rows += [env.reset()[0]]
+        return np.array(rows)
+
+    first, again, other = (episode(s) for s in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+    assert not np.array_equal(first[0], first[-1])
     env.close()
+
+
+def test_noise_differs_between_episodes_of_one_seed():
+    env = UnitEnv(make_unit("rod_pendulum"), clock="simulated")
+    still = {"initial_state": np.array([2.0, 0.0])}
+    rows = [env.reset(seed=1, options=still)[0], env.reset(options=still)[0], env.reset(options=still)[0]]
+    assert len({row.tobytes() for row in rows}) == 3
+    env.close()
+
+
+@pytest.mark.parametrize("wrong", ["normalised", ""])
+def test_unknown_units_of_actions_are_refused(wrong):
+    with pytest.raises(SettingsError, match=r"action_units .* none of normalized, physical"):
+        UnitEnv(unit(), clock="simulated", action_units=wrong)
 
 
 @pytest.mark.parametrize("wrong", ["later", ""])
