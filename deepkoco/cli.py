@@ -84,8 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status, text = 2, str(error)
     except UnitError as error:
         status, text = 1, str(error)
-    except KeyboardInterrupt:
-        status, text = 130, "interrupted; nothing is written"
+    except KeyboardInterrupt as interrupt:
+        status, text = 130, "; ".join(("interrupted", *map(str, interrupt.args)))
     sys.stderr.write(f"deepkoco {args.command}: {' '.join(text.split())}\n")
     return status
 

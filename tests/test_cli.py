@@ -1,5 +1,6 @@
 """The command line: help, exit statuses, one line per mistake, nothing overwritten."""
 
+import io
 import json
 import os
 import signal
@@ -62,7 +63,8 @@ def test_record_then_inspect(unit, tmp_path, capsys):
 
 
 def test_log_does_not_tell_what_is_hidden(unit, tmp_path):
-    assert simulate(unit, tmp_path / "log.csv") == 0
+    telling = unit.rename(tmp_path / "rod_pendulum_coulomb.yaml")
+    assert simulate(telling, tmp_path / "log.csv") == 0
     text = (tmp_path / "log.csv").read_text() + (tmp_path / "log.yaml").read_text()
     assert "coulomb" not in text
 
@@ -185,6 +187,17 @@ def test_unknown_subcommand_is_status_2(capsys):
         main(["recrod"])
     assert end.value.code == 2
     assert "recrod" in capsys.readouterr().err
+
+
+def test_interrupt_after_the_log_is_written_does_not_deny_it(unit, tmp_path, capsys, monkeypatch):
+    class Interrupting(io.StringIO):
+        def write(self, text):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys, "stdout", Interrupting())
+    assert simulate(unit, tmp_path / "log.csv") == 130
+    assert capsys.readouterr().err == "deepkoco record: interrupted\n"
+    assert files(tmp_path) == {"UNIT.yaml", "log.csv", "log.yaml"}
 
 
 def test_interrupted_recording_writes_nothing(unit, tmp_path):

@@ -88,7 +88,6 @@ def record(
             f"{spec.heartbeat:g} s, so the log would be wrong; free the machine or raise the heartbeat"
         )
     facts = {
-        "unit": spec.name,
         "clock": clock,
         "excitation": named,
         "seed": seed,

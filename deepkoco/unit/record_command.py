@@ -94,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
         write_log(out, recording)
     except (UnitSpecError, ExcitationError, RecordError, LogError) as error:
         raise InputError(str(error)) from error
+    except KeyboardInterrupt as interrupt:
+        raise KeyboardInterrupt(f"{out} is written" if out.exists() else "nothing is written") from interrupt
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
     _report(out, recording)
