@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.exported import Array, ExportedModel, ModelFolderError
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
 
@@ -74,7 +76,7 @@ class KoopmanPolicy:
         return action.astype(np.float32)
 
 
-def load_model(folder: str | Path, **planner: object) -> tuple[ExportedModel, PlannerConfig, Array, Array]:
+def load_model(folder: str | Path, **planner: Any) -> tuple[ExportedModel, PlannerConfig, Array, Array]:
     """Load what a controller is made of.
 
     Args:
@@ -92,12 +94,19 @@ def load_model(folder: str | Path, **planner: object) -> tuple[ExportedModel, Pl
     if (folder / "model").is_dir():
         folder = folder / "model"
     model, config = ExportedModel.load(folder)
-    settings = PlannerConfig(**{**config["planner"], **planner})
-    low, high = (np.array(config[name], dtype=np.float64) for name in ("action_low", "action_high"))
-    return model, settings, low, high
+    try:
+        settings = PlannerConfig(**config["planner"])
+        low, high = (np.array(config[name], dtype=np.float64) for name in ("action_low", "action_high"))
+    except KeyError as error:
+        raise ModelFolderError(f"{folder}: entry {error} of config.json is missing") from error
+    except (TypeError, ValueError) as error:
+        raise ModelFolderError(f"{folder}: config.json holds no planner of this release: {error}") from error
+    if low.shape != (model.action_size,) or high.shape != (model.action_size,):
+        raise ModelFolderError(f"{folder}: config.json needs {model.action_size} limits of either kind")
+    return model, replace(settings, **planner), low, high
 
 
-def load_policy(folder: str | Path, **planner: object) -> KoopmanPolicy:
+def load_policy(folder: str | Path, **planner: Any) -> KoopmanPolicy:
     """Load a trained controller.
 
     Args:

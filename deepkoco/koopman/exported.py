@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 Array = NDArray[np.float64]
@@ -141,30 +142,60 @@ class ExportedModel:
             The model and the whole of config.json.
 
         Raises:
-            ModelFolderError: A file is missing, or was written by another format or version.
+            ModelFolderError: A file is missing, damaged, or was written by another format or version.
         """
         for name in (CONFIG_FILE, WEIGHTS_FILE):
             if not (folder / name).is_file():
                 raise ModelFolderError(f"{folder}: no {name}; give the folder of an exported model")
-        config = json.loads((folder / CONFIG_FILE).read_text())
+        try:
+            config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ModelFolderError(f"{folder / CONFIG_FILE}: damaged, it is not JSON: {error}") from error
+        if not isinstance(config, dict):
+            raise ModelFolderError(f"{folder / CONFIG_FILE}: damaged, it does not hold named entries")
         if config.get("format") != "deepkoco-model" or config.get("version") != FORMAT_VERSION:
             raise ModelFolderError(
                 f"{folder / CONFIG_FILE}: format {config.get('format')!r} version {config.get('version')!r}; "
                 f"this release reads 'deepkoco-model' version {FORMAT_VERSION}"
             )
-        arrays = load_file(folder / WEIGHTS_FILE)
+        try:
+            arrays = load_file(folder / WEIGHTS_FILE)
+        except SafetensorError as error:
+            raise ModelFolderError(f"{folder / WEIGHTS_FILE}: damaged: {error}") from error
 
         def layers(name: str) -> tuple[tuple[Array, Array], ...]:
-            count = config["layers"][name]
+            count = int(config["layers"][name])
             return tuple((arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(count))
 
-        model = cls(
-            layers("encoder"),
-            layers("cost_factor"),
-            arrays["mu"],
-            arrays["omega"],
-            config["time_step"],
-            config["action_weight"],
-            config["action_size"],
-        )
+        try:
+            model = cls(
+                layers("encoder"),
+                layers("cost_factor"),
+                arrays["mu"],
+                arrays["omega"],
+                float(config["time_step"]),
+                float(config["action_weight"]),
+                int(config["action_size"]),
+            )
+        except KeyError as error:
+            raise ModelFolderError(f"{folder}: damaged, entry {error} is missing") from error
+        except (TypeError, ValueError) as error:
+            raise ModelFolderError(f"{folder / CONFIG_FILE}: damaged: {error}") from error
+        model._check_shapes(folder)
         return model, config
+
+    def _check_shapes(self, folder: Path) -> None:
+        """Check that the layers fit each other and the sizes."""
+        latents = 2 * self.mu.size
+        for name, layers in (("encoder", self.encoder), ("cost_factor", self.cost_factor)):
+            size = layers[0][0].shape[-1] if layers and name == "encoder" else latents
+            for i, (weight, bias) in enumerate(layers):
+                if weight.shape != (bias.size, size) or bias.ndim != 1:
+                    raise ModelFolderError(
+                        f"{folder / WEIGHTS_FILE}: damaged, {name}.{i}.weight has shape {weight.shape}"
+                    )
+                size = bias.size
+            if not layers or size != latents:
+                raise ModelFolderError(f"{folder}: damaged, {name} does not end in {latents} entries")
+        if self.omega.shape != self.mu.shape or not 1 <= self.action_size < self.encoder[0][0].shape[1]:
+            raise ModelFolderError(f"{folder}: damaged, omega or action_size does not fit the other entries")

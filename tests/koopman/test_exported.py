@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from deepkoco.agent import load_policy
 from deepkoco.koopman import ExportedModel, KoopmanModel, ModelConfig, export_model
 from deepkoco.koopman.exported import ModelFolderError
 
@@ -61,6 +62,57 @@ def test_a_missing_file_and_another_version_are_named(model, tmp_path):
     path.write_text(json.dumps({**json.loads(path.read_text()), "version": 99}))
     with pytest.raises(ModelFolderError, match="99"):
         ExportedModel.load(tmp_path / "m")
+
+
+def config_without(*names):
+    return lambda config: json.dumps({k: v for k, v in config.items() if k not in names})
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda _: "{", "not JSON"),
+        (lambda _: "[1]", "named entries"),
+        (config_without("layers"), "'layers' is missing"),
+        (config_without("time_step"), "'time_step' is missing"),
+        (lambda c: json.dumps({**c, "time_step": None}), "damaged"),
+        (lambda c: json.dumps({**c, "layers": {"encoder": 9, "cost_factor": 2}}), r"encoder\.3\.weight"),
+        (
+            lambda c: json.dumps({**c, "layers": {"encoder": 1, "cost_factor": 2}}),
+            "encoder does not end in 6",
+        ),
+        (lambda c: json.dumps({**c, "action_size": 5}), "action_size"),
+    ],
+)
+def test_damaged_settings_of_a_model_are_named(damage, message, model, tmp_path):
+    export_model(model).save(tmp_path / "m", {})
+    path = tmp_path / "m" / "config.json"
+    path.write_text(damage(json.loads(path.read_text())))
+    with pytest.raises(ModelFolderError, match=message):
+        ExportedModel.load(tmp_path / "m")
+
+
+def test_damaged_weights_are_named(model, tmp_path):
+    export_model(model).save(tmp_path / "m", {})
+    path = tmp_path / "m" / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ModelFolderError, match="damaged"):
+        ExportedModel.load(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ({}, "'planner'"),
+        ({"planner": {"horizon": 5}}, "'action_low'"),
+        ({"planner": {"colour": 5}}, "colour"),
+        ({"planner": {}, "action_low": [-1.0], "action_high": [1.0]}, "2 limits"),
+    ],
+)
+def test_a_model_without_its_planner_is_named(extra, message, model, tmp_path):
+    export_model(model).save(tmp_path / "m", extra)
+    with pytest.raises(ModelFolderError, match=message):
+        load_policy(tmp_path / "m")
 
 
 def test_control_runs_without_torch(model, tmp_path):
