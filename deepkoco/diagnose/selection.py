@@ -111,14 +111,22 @@ def rank(
         causes: Causes to try; None tries the whole catalogue.
     """
     tried = [c for c in (causes or CAUSES.values()) if c not in accepted]
-    footholds = _footholds(problem, start, reference)
-    trials = []
-    for cause in tried:
-        for place in cause.starts(hint):
-            for values, state in footholds:
-                values = {**values, **place}
-                prior = prior_with(problem, start, [*accepted, cause], values)
-                trials.append(Trial(cause.name, prior.names, prior, values, state, reference.zero))
+    starts = [(cause, place) for cause in tried for place in cause.starts(hint)]
+    trials = [
+        _trial(problem, start, accepted, cause, {**reference.values, **place}, reference.state, reference)
+        for cause, place in starts
+    ]
+    if reference.penalty > FAR:
+        # A strong cause drives the refit far from the truth, into a valley that leads back slowly. The
+        # baseline's values before the refit are a second foothold, with states that suit each start.
+        before = {n: start.values[n] for n in start.prior.names}
+        values = [{**reference.values, **before, **place} for _, place in starts]
+        states, costs = problem.fit_states_each(values, reference.state.repeat(len(starts), 1, 1))
+        trials += [
+            _trial(problem, start, accepted, cause, values[k], states[k], reference)
+            for k, (cause, _) in enumerate(starts)
+            if bool(torch.isfinite(costs[k]).all())
+        ]
     scouts = problem.fit(trials, SCOUTING)
     best: dict[str, tuple[Fit, Trial]] = {}
     for trial, scout in zip(trials, scouts, strict=True):
@@ -144,22 +152,17 @@ def rank(
     return ranking
 
 
-def _footholds(
-    problem: FitProblem, start: Start, reference: Fit
-) -> list[tuple[dict[str, float], torch.Tensor]]:
-    """Baseline values and initial states from which candidates start.
-
-    A strong cause drives the refit far from the truth, into a valley that leads back slowly; then the
-    baseline's values before the refit are a second foothold.
-    """
-    footholds = [(reference.values, reference.state)]
-    if reference.penalty > FAR:
-        held = {n: start.values[n] for n in start.prior.names}
-        values = {**reference.values, **held}
-        state, cost = problem.fit_states(values, reference.state)
-        if bool(torch.isfinite(cost).all()):
-            footholds.append((values, state))
-    return footholds
+def _trial(
+    problem: FitProblem,
+    start: Start,
+    accepted: Sequence[Cause],
+    cause: Cause,
+    values: Mapping[str, float],
+    state: torch.Tensor,
+    reference: Fit,
+) -> Trial:
+    prior = prior_with(problem, start, [*accepted, cause], values)
+    return Trial(cause.name, prior.names, prior, values, state, reference.zero)
 
 
 def without_events_first(

@@ -161,47 +161,60 @@ class FitProblem:
         """
         halves = FitProblem(self.system, halved(self.windows))
         starts = [self.windows.state, halves.fit_states(values, halves.windows.state)[0][::2]]
-        tried = [self.fit_states(values, s) for s in ([*starts, state] if state is not None else starts)]
-        costs = torch.stack([cost for _, cost in tried])
+        starts += [] if state is None else [state]
+        states, costs = self.fit_states_each([values] * len(starts), torch.stack(starts))
         pick = costs.argmin(0)[None, :, None].expand(1, -1, self.windows.state.shape[1])
-        first = torch.stack([states for states, _ in tried]).gather(0, pick)[0]
+        first = states.gather(0, pick)[0]
         return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.zero_sd > 0 else 1)[0]
 
     def fit_states(
         self, values: Mapping[str, float], state: Tensor, iterations: int = 15
     ) -> tuple[Tensor, Tensor]:
-        """Initial states (W, S) that suit held parameters, and the cost (W,) that each window keeps.
+        """Initial states (W, S) that suit held parameters, and the cost (W,) that each window keeps."""
+        states, costs = self.fit_states_each([values], state[None], iterations)
+        return states[0], costs[0]
+
+    def fit_states_each(
+        self, values: Sequence[Mapping[str, float]], state: Tensor, iterations: int = 15
+    ) -> tuple[Tensor, Tensor]:
+        """As :meth:`fit_states` for K sets of parameters and start states (K, W, S) in one batch.
 
         Windows are independent of each other here, so each one steps and is damped by itself.
+
+        Returns:
+            States (K, W, S), costs (K, W).
         """
-        theta = np.repeat(np.array([[float(values[n]) for n in self.names]]), 1 + state.shape[1], axis=0)
-        zero = torch.zeros(1 + state.shape[1], self.logs, dtype=torch.float64)
+        sets, count, size = state.shape
+        theta = np.array([[float(v[n]) for n in self.names] for v in values])
+        theta = np.tile(theta, (1 + size, 1))
+        zero = torch.zeros(len(theta), self.logs, dtype=torch.float64)
         best, trial = state.clone(), state.clone()
-        count, size = len(self.windows), state.shape[1]
-        cost = torch.full((count,), torch.inf, dtype=torch.float64)
-        damping = torch.full((count,), 1e-3, dtype=torch.float64)
-        hessian = torch.eye(size, dtype=torch.float64).repeat(count, 1, 1)
-        gradient = torch.zeros(count, size, dtype=torch.float64)
+        cost = torch.full((sets, count), torch.inf, dtype=torch.float64)
+        damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
+        hessian = torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1)
+        gradient = torch.zeros(sets, count, size, dtype=torch.float64)
+        step = torch.tensor(STATE_STEP[:size], dtype=torch.float64)[:, None, None, None, None]
         for _ in range(iterations):
-            lanes = trial.repeat(1 + size, 1, 1)
+            lanes = trial.repeat(1 + size, 1, 1, 1)
             for s in range(size):
-                lanes[1 + s, :, s] += STATE_STEP[s]
-            predicted = self.predict(theta, lanes, zero)
-            residual = ((self.windows.value - predicted[0]) * self.weight).reshape(count, -1)
-            step = torch.tensor(STATE_STEP[:size], dtype=torch.float64)[:, None, None, None]
-            slope = ((predicted[1:] - predicted[0]) / step * self.weight).reshape(size, count, -1)
-            now = (residual**2).sum(1)
+                lanes[1 + s, :, :, s] += STATE_STEP[s]
+            predicted = self.predict(theta, lanes.flatten(0, 1), zero).unflatten(0, (1 + size, sets))
+            residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
+            slope = ((predicted[1:] - predicted[0]) / step * self.weight).flatten(3)
+            now = (residual**2).sum(-1)
             better = torch.isfinite(now) & (now <= cost)
             moved = bool((better & (cost - now > TOLERANCE / count)).any())
-            hessian = torch.where(better[:, None, None], torch.einsum("swm,twm->wst", slope, slope), hessian)
-            gradient = torch.where(better[:, None], torch.einsum("swm,wm->ws", slope, residual), gradient)
-            best = torch.where(better[:, None], trial, best)
+            curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
+            hessian = torch.where(better[..., None, None], curvature, hessian)
+            downhill = torch.einsum("skwm,kwm->kws", slope, residual)
+            gradient = torch.where(better[..., None], downhill, gradient)
+            best = torch.where(better[..., None], trial, best)
             cost = torch.where(better, now, cost)
             damping = torch.where(better, damping * 0.1, damping * 20.0).clamp(1e-9, 1e9)
             if not moved and bool((better | (damping > 1e6)).all()):
                 break
             diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
-            matrix = hessian + torch.diag_embed(damping[:, None] * diagonal + 1e-9)
+            matrix = hessian + torch.diag_embed(damping[..., None] * diagonal + 1e-9)
             trial = best + torch.linalg.solve(matrix, gradient)
         return best, cost
 
