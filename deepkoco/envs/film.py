@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -34,13 +36,29 @@ def write_clip(path: str | Path, frames: Sequence[np.ndarray], fps: float) -> No
     height, width = frames[0].shape[:2]
     partial = path.with_suffix(".partial.webm")
     code = cv2.VideoWriter.fourcc(*"VP90")
-    writer = cv2.VideoWriter(str(partial), code, fps, (width, height))
+    with _quiet_stderr():
+        writer = cv2.VideoWriter(str(partial), code, fps, (width, height))
     if not writer.isOpened():
         raise FilmError(f"{path}: this build of OpenCV has no VP9 encoder")
     for frame in frames:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
     writer.release()
     os.replace(partial, path)
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    # OpenCV's FFmpeg prints a notice about the tag of every .webm straight to the descriptor.
+    sys.stderr.flush()
+    kept = os.dup(2)
+    silent = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(silent, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(silent)
 
 
 def film_strip(frames: Sequence[np.ndarray], count: int = 8, gap: int = 6) -> np.ndarray:

@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, default=Path("demo_out"), help="folder (a number is added if it exists)"
     )
-    parser.add_argument("--episodes", type=int, default=300, help="training episodes (default 300)")
+    parser.add_argument("--episodes", type=int, default=400, help="training episodes (default 400)")
     parser.add_argument(
         "--unit-episodes", type=int, default=20, help="episodes on the unit for each (default 20)"
     )

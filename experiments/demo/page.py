@@ -67,7 +67,7 @@ def terminal_table(outcome: Outcome) -> Table:
     table.add_column("before")
     table.add_column("after")
     for name, estimate in _parameters(outcome.diagnosis).items():
-        text = f"{estimate.value:.3g} [{estimate.low:.3g}, {estimate.high:.3g}] {estimate.unit}"
+        text = f"{estimate.value:.4g} [{estimate.low:.4g}, {estimate.high:.4g}] {estimate.unit}"
         table.add_row(name.replace("_", " ").replace(".", ": "), "not in the simulator", text)
     gain = outcome.diagnosis.gain
     if gain is not None:
