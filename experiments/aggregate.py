@@ -51,7 +51,8 @@ def finished_runs(folder: Path) -> list[Path]:
 
 def _has_all_episodes(run: Path) -> bool:
     """Whether the metrics go to the end, as those of a collected run that is kept without its weights."""
-    return pd.read_csv(run / "metrics.csv")["episodes"].max() >= load_run_config(run).agent.total_episodes
+    episodes = pd.read_csv(run / "metrics.csv")["episodes"].to_numpy()
+    return int(episodes.max(initial=0)) >= load_run_config(run).agent.total_episodes
 
 
 def conditions(configs: Mapping[Path, TrainRunConfig]) -> dict[Path, str]:

@@ -64,7 +64,7 @@ def run_command(name: str, task: Callable[[Any], None]) -> None:
         try:
             task(OmegaConf.to_object(config))
         except BAD_INPUT as error:
-            print(f"error: {error}", file=sys.stderr)
+            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
             if HydraConfig.get().mode != RunMode.MULTIRUN:
                 sys.exit(2)
             outcome.refused += 1

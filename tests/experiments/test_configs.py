@@ -1,0 +1,50 @@
+"""The files of configs/env fit the environments they name."""
+
+import gymnasium
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from omegaconf.errors import MissingMandatoryValue
+
+from deepkoco.envs.tasks import TASKS
+from experiments.commands import CONFIGS
+from experiments.environments import make_factory
+from experiments.settings import TrainRunConfig, register
+
+OWN = sorted({path.stem for path in (CONFIGS / "env").glob("*.yaml")} - {"gymnasium"})
+
+
+def read(*overrides: str) -> TrainRunConfig:
+    register()
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        config = OmegaConf.to_object(compose("train", list(overrides)))
+    assert isinstance(config, TrainRunConfig)
+    return config
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_every_environment_steps_in_the_time_that_the_model_takes_for_a_step(name):
+    config = read(f"env={name}")
+    assert config.env.name == name
+    assert config.agent.model.time_step * TASKS[config.env.system].control_rate == pytest.approx(1.0)
+    config.agent.check()
+    envs = make_factory(config.env, "copies")(2, 0)
+    observation, _ = envs.reset(seed=0)
+    assert envs.step(envs.action_space.sample() * 0.0)[0].shape == observation.shape
+    space = envs.single_action_space
+    assert isinstance(space, gymnasium.spaces.Box)
+    assert space.high[0] == pytest.approx(TASKS[config.env.system].command_limit)
+    envs.close()
+
+
+def test_any_gymnasium_id_is_taken_without_arguments_of_ours():
+    config = read("env=gymnasium", "env.id=MountainCarContinuous-v0", "agent.model.time_step=1")
+    envs = make_factory(config.env, config.distractors)(2, 0)
+    assert envs.reset(seed=0)[0].shape == (2, 2)
+    assert config.agent.model.time_step == 1
+    with pytest.raises(MissingMandatoryValue, match="id"):
+        read("env=gymnasium")
+
+
+def test_settings_given_by_the_user_win_over_those_of_the_environment():
+    assert read("env=pendulum", "agent.model.time_step=0.04").agent.model.time_step == 0.04
