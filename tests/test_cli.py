@@ -94,6 +94,7 @@ def test_same_command_same_bytes(unit, tmp_path):
         (UNIT, ["--seed", "-1"], ["seed", "-1"]),
         (UNIT, ["--excitation", "policy", "--policy", "p", "--amplitude", "1"], ["--amplitude"]),
         (UNIT, ["--out", ""], ["--out", "names no file"]),
+        (UNIT, ["--out", ".."], ["--out", "names no file"]),
         ("system: [a]", [], ["UNIT.yaml", "system", "a", "rod_pendulum"]),
     ],
 )

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: An argument or a file is wrong.
         UnitError: The unit died on the way.
     """
-    if not args.out.name:
+    if args.out.name in ("", ".."):
         raise InputError(f'--out "{args.out}": names no file; give one that ends in .csv')
     out: Path = args.out if args.out.suffix else args.out.with_suffix(".csv")
     if out.suffix != ".csv":
