@@ -7,7 +7,7 @@ import pytest
 
 import deepkoco.envs  # noqa: F401 - registers the ids
 
-pytestmark = pytest.mark.bench
+pytestmark = [pytest.mark.bench, pytest.mark.timeout(900)]
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the bench extra: make bench")
 
 
