@@ -121,7 +121,9 @@ class NormalEquations:
             scale = torch.sqrt(torch.diagonal(matrix)[free].clamp_min(1e-30))
             scaled = matrix[free][:, free] / scale[:, None] / scale
             wanted = (right - matrix @ move)[free] / scale
-            move[free] = torch.linalg.lstsq(scaled, wanted[:, None]).solution[:, 0] / scale
+            # NumPy's solver repeats to the last bit; torch's (gelsy) does not on a singular matrix.
+            solution = np.linalg.lstsq(scaled.numpy(), wanted.numpy(), rcond=None)[0]
+            move[free] = torch.from_numpy(solution) / scale
         states = torch.einsum("wst,wt->ws", inverse, self.gs - torch.einsum("wis,i->ws", self.hps, move))
         curvature = float(move @ self.hpp @ move + torch.einsum("ws,wst,wt->", states, self.hss, states))
         curvature += 2.0 * float(torch.einsum("i,wis,ws->", move, self.hps, states))
