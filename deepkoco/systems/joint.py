@@ -48,8 +48,3 @@ class JointSystem(System):
         theta, omega = state.unbind(-1)
         acceleration = self.torque(theta, omega, effort, parameters) / self.inertia(parameters)
         return torch.stack(torch.broadcast_tensors(omega, acceleration), -1)
-
-    def load_derivative(self, state: Tensor, effort: Tensor, load: Tensor, parameters: Parameters) -> Tensor:
-        theta, omega = state.unbind(-1)
-        torque = self.torque(theta, omega, effort, parameters) + load
-        return torch.stack(torch.broadcast_tensors(omega, torque / self.inertia(parameters)), -1)

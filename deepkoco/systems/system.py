@@ -113,13 +113,9 @@ class System(ABC):
             (..., S), units of the state per second.
         """
 
-    def load_derivative(self, state: Tensor, effort: Tensor, load: Tensor, parameters: Parameters) -> Tensor:
-        """As :meth:`derivative` with an extra generalised force ``load`` (...) [N m] on the joint."""
-        raise NotImplementedError(f"{self.name} has no joint on which an extra load could act")
-
+    @abstractmethod
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
-        """Parameters after a point mass ``mass`` [kg] is fixed to the tip."""
-        raise NotImplementedError(f"{self.name} does not say where a payload would sit")
+        """Parameters after a point mass ``mass`` (...) [kg] is fixed to the tip."""
 
     def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
         """Effort that answers a command (...), without dynamics: the command itself for a plain system."""
