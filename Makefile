@@ -2,6 +2,7 @@
 .PHONY: help setup demo test lint bench docs clean
 
 help:
+	@echo "make setup  install into .venv; then: source .venv/bin/activate"
 	@echo "make demo   diagnose a log, extend the simulator, train in both, run on the unit; writes demo_out/index.html"
 	@echo "make test   run the tests"
 	@echo "make lint   ruff and basedpyright"

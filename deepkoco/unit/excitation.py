@@ -174,7 +174,7 @@ def load_policy_excitation(folder: str | Path, system: str) -> tuple[Excitation,
     if model.observation_size != width:
         raise ExcitationError(
             f"{folder}: the policy takes {model.observation_size} observations, {system} gives "
-            f"{width}; give a policy that was trained without distractors"
+            f"{width}; give a policy that was trained without distractors and without past actions"
         )
 
     limit = min(task.command_limit, physics.command.high)
