@@ -34,6 +34,7 @@ class DelayGraphVectorEnv(VectorEnv):
         num_envs: Environments B.
         max_episode_steps: Steps of an episode.
         render_mode: None or ``rgb_array``.
+        render_size: Side of the pictures [pixels].
         **settings: Fields of :class:`EnvironmentSettings`.
 
     Raises:

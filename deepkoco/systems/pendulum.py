@@ -19,7 +19,10 @@ COULOMB_SMOOTHING = 0.1
 class Pendulum(JointSystem):
     """J theta'' = u K/R + m g l sin(theta) - b theta' - theta' K^2/R - c sign(theta'), theta = 0 upright.
 
-    Source: thesis app. 4.C.1.
+    The sign is smoothed; a parameter ``coulomb_smoothing`` [rad/s], where a caller gives it, sets the width.
+
+    Source: thesis app. 4.C.1; nominal values as published with the disk pendulum of REX and EAGERx,
+        rounded.
     """
 
     name = "pendulum"

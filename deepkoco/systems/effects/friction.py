@@ -1,4 +1,8 @@
-"""Friction effects: extra torques against the motion of the joint."""
+"""Friction effects: extra torques [N m] against the motion of the joint, from its speed (...) [rad/s].
+
+Source: Armstrong-Helouvry, Dupont, Canudas de Wit, A survey of models, analysis tools and compensation
+    methods for the control of machines with friction, Automatica 30(7), 1994.
+"""
 
 from __future__ import annotations
 
