@@ -58,6 +58,10 @@ class Node(ABC):
     inputs: ClassVar[tuple[str, ...] | None] = None
     """Names of the inputs that `step` reads; each must be connected. None: takes whatever is connected."""
 
+    pure: ClassVar[bool] = True
+    """Whether `init` and `step` are functions of their arguments alone and take any batch. A node that holds
+    something else (a physics engine, a connection to a robot) says False and runs in one environment."""
+
     def __init__(
         self,
         name: str,
@@ -101,9 +105,18 @@ class Node(ABC):
             The next state (same keys and shapes) and the output (B, ...).
         """
 
+    def open(self) -> None:  # noqa: B027 - most nodes have nothing to acquire
+        """Acquire what `step` needs beyond its arguments, in the thread or process that will step."""
+
+    def close(self) -> None:  # noqa: B027
+        """Release it and leave hardware safe; called once after `open`, also when a node has failed."""
+
 
 class Supervisor(Node):
     """The node whose output is the action given from outside: the seat of the agent.
+
+    At each of its steps the action for that step comes from outside, decided on what it sees then. A subclass
+    that overrides `observe` works out there what leaves the graph: observation, reward, end of the episode.
 
     Args:
         name: unique in the graph.
@@ -122,6 +135,24 @@ class Supervisor(Node):
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
         return self.initial_action.expand(batch, *self.initial_action.shape)
+
+    def observe(
+        self, parameters: Parameters, state: State, inputs: Mapping[str, Input], action: Tensor
+    ) -> tuple[State, dict[str, Tensor]]:
+        """Work out the readings of one of its steps, before the action of that step is known.
+
+        Pure like `step`, so that every executor can run it with the nodes.
+
+        Args:
+            parameters: this node's parameters, each a scalar or (B, ...).
+            state: what the last `observe` returned; at the first step what `init` returned.
+            inputs: what it sees at this step, by name of the connection.
+            action: (B, M) action of the step before; at the first step the initial action.
+
+        Returns:
+            The next state and the readings (B, ...) by name; none unless overridden.
+        """
+        return state, {}
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         raise GraphError(f'supervisor "{self.name}" does not step: its action comes from outside')

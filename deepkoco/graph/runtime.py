@@ -10,7 +10,7 @@ from torch import Tensor
 
 from deepkoco.graph.computation_graph import ComputationGraph, concatenate
 from deepkoco.graph.graph import Graph
-from deepkoco.graph.node import Input, State
+from deepkoco.graph.node import Input, State, Supervisor
 from deepkoco.graph.schedule import Schedule
 
 NodeParameters = Mapping[str, Mapping[str, Tensor]]
@@ -33,6 +33,7 @@ class RuntimeState:
         parameters: by node name and parameter name, scalars or (B, ...).
         nodes: by node name, its state, (B, ...) each.
         outputs: by node name, its last outputs, (B, ...) each: that of step k is outputs[k % len(outputs)].
+        readings: what the supervisor's `observe` returned last, (B, ...) by name.
     """
 
     schedule: Schedule
@@ -41,6 +42,7 @@ class RuntimeState:
     parameters: dict[str, dict[str, Tensor]]
     nodes: dict[str, State]
     outputs: dict[str, tuple[Tensor, ...]]
+    readings: dict[str, Tensor]
 
     @property
     def steps_left(self) -> np.ndarray:
@@ -112,9 +114,12 @@ class BatchedRuntime:
             raise ValueError("no timing: give one to the runtime or to reset")
         fresh = self._start(schedule, parameters, generator, initial or {})
         fresh = self._run(fresh, trace)
+        supervisor = self.graph.supervisor
+        fresh, inputs = self._observe(fresh, fresh.outputs[supervisor][0])
         if state is not None and mask is not None:
             fresh = self._merge(state, fresh, np.asarray(mask, dtype=np.bool_))
-        return fresh, self._inputs(fresh, self.graph.index[self.graph.supervisor], fresh.step)
+            inputs = self._inputs(fresh, self.graph.index[supervisor], fresh.step)
+        return fresh, inputs
 
     def step(
         self, state: RuntimeState, action: Tensor, trace: Trace | None = None
@@ -143,7 +148,17 @@ class BatchedRuntime:
         if trace is not None:
             trace.append((self.graph.index[self.graph.supervisor], state.step, action))
         state = self._run(replace(state, step=state.step + 1, outputs=outputs), trace)
-        return state, self._inputs(state, self.graph.index[self.graph.supervisor], state.step)
+        return self._observe(state, action)
+
+    def _observe(self, state: RuntimeState, action: Tensor) -> tuple[RuntimeState, dict[str, Input]]:
+        """Let the supervisor see its inputs at the step that waits for an action."""
+        name = self.graph.supervisor
+        inputs = self._inputs(state, self.graph.index[name], state.step)
+        supervisor = self.graph.node(name)
+        if not isinstance(supervisor, Supervisor):
+            return state, inputs
+        own, readings = supervisor.observe(state.parameters[name], state.nodes[name], inputs, action)
+        return replace(state, nodes=state.nodes | {name: own}, readings=readings), inputs
 
     def _start(
         self,
@@ -169,7 +184,7 @@ class BatchedRuntime:
             output = node.initial_output(values[node.name], node_state, batch)
             outputs[node.name] = (output,) * int(schedule.depth[position])
         row, step = schedule.timing.row, np.zeros(batch, dtype=np.int64)
-        return RuntimeState(schedule, row, step, values, nodes, outputs)
+        return RuntimeState(schedule, row, step, values, nodes, outputs, {})
 
     def _run(self, state: RuntimeState, trace: Trace | None) -> RuntimeState:
         """Run the slots before the supervisor step that each environment is at."""
@@ -269,6 +284,9 @@ class BatchedRuntime:
                 for name, values in fresh.nodes.items()
             },
             outputs=outputs,
+            readings={
+                key: _where(where, value, running.readings[key]) for key, value in fresh.readings.items()
+            },
         )
 
 

@@ -1,22 +1,14 @@
-"""Schedules: one sequence of slots in which the steps of all environments run under masks.
-
-Between two steps of the supervisor, every environment runs its own steps in its own order. A slot runs
-one node for all environments that have a step of it ready; the sequence of slots is chosen so that the
-steps of every environment, between any two supervisor steps, fit into it in an order that respects who
-needs whose message.
-"""
+"""Schedules: the slots of a computation graph and its tables, where the runtime looks them up."""
 
 import numpy as np
 import torch
-from numba import njit
 
 from deepkoco.graph.computation_graph import ComputationGraph
+from deepkoco.graph.supergraph import merge_slots
 
 
 class Schedule:
     """The slots of a computation graph.
-
-    Slots are chosen greedily: the node for which most intervals have a step ready comes next.
 
     Attributes:
         timing: the computation graph.
@@ -31,35 +23,8 @@ class Schedule:
 
     def __init__(self, timing: ComputationGraph, device: torch.device | str = "cpu") -> None:
         self.timing = timing
-        layout = timing.layout
-        rows, intervals, nodes = timing.boundary.shape
-        begin = np.zeros_like(timing.boundary)
-        begin[:, 1:] = timing.boundary[:, :-1]
-        begin[:, :, layout.supervisor] = timing.boundary[:, :, layout.supervisor]  # acts from outside
-        at = begin.reshape(-1, nodes).astype(np.int64)
-        limit = timing.boundary.reshape(-1, nodes).astype(np.int64)
-        columns = (
-            layout.sender,
-            layout.receiver,
-            layout.window,
-            layout.window_base,
-            timing.windows,
-            intervals,
-        )
-        depth = np.ones(nodes, dtype=np.int64)
-        slots, table = [], []
-        ready = count_ready(at, limit, *columns)
-        while ready.any():
-            slots.append(int(ready.argmax()))
-            table.append(run_slot(slots[-1], at, limit, depth, *columns))
-            ready = count_ready(at, limit, *columns)
-        if (at < limit).any():
-            raise RuntimeError("a step needs a message that is sent later: the computation graph has a cycle")
-        read_by_supervisor(layout.supervisor, at, depth, *columns)
-        self.slots = np.array(slots, dtype=np.int64)
-        self.table = np.array(table, dtype=np.int32).reshape(len(slots), rows, intervals).transpose(1, 2, 0)
-        self.table = np.ascontiguousarray(self.table)
-        self.depth = depth
+        self.slots, self.table, self.depth = merge_slots(timing)
+        rows = len(timing.boundary)
         self.direct = rows == 1 or np.array_equal(timing.row, np.arange(rows))
         self.t_start = torch.from_numpy(timing.t_start / timing.resolution).to(device)
         seq = timing.windows.astype(np.int64)
@@ -82,62 +47,3 @@ def _window_times(timing: ComputationGraph) -> tuple[np.ndarray, np.ndarray]:
     sent = np.take_along_axis(timing.t_end, step + place, axis=1) / timing.resolution
     received = np.take_along_axis(timing.t_received, message + place, axis=1) / timing.resolution
     return np.where(initial, -np.inf, sent), np.where(initial, -np.inf, received)
-
-
-@njit(cache=True)
-def _is_ready(node, interval, at, limit, sender, receiver, window, window_base, windows, intervals):
-    step = at[interval, node]
-    if step >= limit[interval, node]:
-        return False
-    row = interval // intervals
-    for e in range(len(sender)):
-        if receiver[e] == node:
-            for i in range(window[e]):
-                if windows[row, window_base[e] + step * window[e] + i] >= at[interval, sender[e]]:
-                    return False
-    return True
-
-
-@njit(cache=True)
-def _needed_depth(node, interval, at, depth, sender, receiver, window, window_base, windows, intervals):
-    row, step = interval // intervals, at[interval, node]
-    for e in range(len(sender)):
-        if receiver[e] == node:
-            for i in range(window[e]):
-                age = at[interval, sender[e]] - windows[row, window_base[e] + step * window[e] + i]
-                depth[sender[e]] = max(depth[sender[e]], age)
-
-
-@njit(cache=True)
-def count_ready(at, limit, sender, receiver, window, window_base, windows, intervals):
-    """Count for each node the intervals in which its next step has all its messages, (N,)."""
-    ready = np.zeros(at.shape[1], np.int64)
-    for interval in range(at.shape[0]):
-        for node in range(at.shape[1]):
-            ready[node] += _is_ready(
-                node, interval, at, limit, sender, receiver, window, window_base, windows, intervals
-            )
-    return ready
-
-
-@njit(cache=True)
-def run_slot(node, at, limit, depth, sender, receiver, window, window_base, windows, intervals):
-    """Run a node's next step wherever it is ready; return its seq in each interval, -1 where it is not."""
-    column = np.full(at.shape[0], -1, np.int32)
-    for interval in range(at.shape[0]):
-        if _is_ready(node, interval, at, limit, sender, receiver, window, window_base, windows, intervals):
-            _needed_depth(
-                node, interval, at, depth, sender, receiver, window, window_base, windows, intervals
-            )
-            column[interval] = at[interval, node]
-            at[interval, node] += 1
-    return column
-
-
-@njit(cache=True)
-def read_by_supervisor(supervisor, at, depth, sender, receiver, window, window_base, windows, intervals):
-    """Account for the messages that the supervisor sees at the end of each interval."""
-    for interval in range(at.shape[0]):
-        _needed_depth(
-            supervisor, interval, at, depth, sender, receiver, window, window_base, windows, intervals
-        )
