@@ -3,11 +3,12 @@
 from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.delay import Delay, DelayError, Deterministic, Empirical, Gaussian, Mixture, make_delay
-from deepkoco.graph.episode import Episode, record_episodes, replay_episode
+from deepkoco.graph.episode import Episode, Note, record_episodes, replay_episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
 from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
 from deepkoco.graph.runtime import BatchedRuntime, HorizonError, RuntimeState
+from deepkoco.graph.storage import EpisodeFileError, EpisodeWriter, RecordedRun, read_episodes, write_episodes
 from deepkoco.graph.timing import MeasuredTiming, TimingError, draw_timing, replay_timing
 
 __all__ = [
@@ -19,6 +20,8 @@ __all__ = [
     "Deterministic",
     "Empirical",
     "Episode",
+    "EpisodeFileError",
+    "EpisodeWriter",
     "Gaussian",
     "Graph",
     "GraphError",
@@ -28,6 +31,8 @@ __all__ = [
     "MeasuredTiming",
     "Mixture",
     "Node",
+    "Note",
+    "RecordedRun",
     "Recording",
     "RuntimeState",
     "Series",
@@ -35,9 +40,11 @@ __all__ = [
     "TimingError",
     "draw_timing",
     "make_delay",
+    "read_episodes",
     "read_log",
     "record_episodes",
     "replay_episode",
     "replay_timing",
+    "write_episodes",
     "write_log",
 ]

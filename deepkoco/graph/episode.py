@@ -1,9 +1,8 @@
 """Episodes: what ran when, what it sent, who used it; recorded from the runtime and replayed in it."""
 
-import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +14,17 @@ from deepkoco.graph.node import Input, State
 from deepkoco.graph.runtime import BatchedRuntime, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.timing import MeasuredTiming, replay_timing
 
+_NEVER = np.iinfo(np.int64).max // 8  # ticks: an arrival after this is none
 Policy = Callable[[dict[str, Input]], Tensor]
+
+
+class Note(NamedTuple):
+    """A remark about a run: when [s], "debug" to "fatal", about which node (empty: the run), what happened."""
+
+    t: float
+    level: str
+    node: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -25,9 +34,11 @@ class Episode:
     Attributes:
         t_start, t_end: by node name, (K,) of its K steps.
         outputs: by node name, (K, ...); the supervisor has one step more than outputs.
-        t_sent, t_received: by connection key, (K,) of the sender's messages.
+        t_sent, t_received: by connection key, (K,) of the sender's messages; a message that never arrived
+            has t_received infinity.
         windows: by connection key, (K, window) seqs that each step of the receiver saw, oldest first;
-            negative: the initial output.
+            negative: the initial output. A connection is missing if its windows were not recorded.
+        notes: remarks in the order in which they were made.
     """
 
     t_start: dict[str, np.ndarray]
@@ -36,38 +47,12 @@ class Episode:
     t_sent: dict[str, np.ndarray]
     t_received: dict[str, np.ndarray]
     windows: dict[str, np.ndarray]
+    notes: tuple[Note, ...] = ()
 
     @property
     def measured(self) -> MeasuredTiming:
         """The times as they enter `replay_timing`."""
         return MeasuredTiming(self.t_start, self.t_end, self.t_received)
-
-    def save(self, path: str | Path) -> None:
-        """Write the episode as `.npz`, whole or not at all.
-
-        Raises:
-            FileExistsError: the file is there already.
-        """
-        path = Path(path)
-        if path.exists():
-            raise FileExistsError(f"{path}: exists; choose another name or move it away")
-        arrays = {
-            f"{f.name}/{key}": array for f in fields(self) for key, array in getattr(self, f.name).items()
-        }
-        partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        with partial.open("wb") as file:
-            np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
-        os.replace(partial, path)
-
-    @classmethod
-    def load(cls, path: str | Path) -> "Episode":
-        """Read an episode that `save` wrote."""
-        parts: dict[str, dict[str, np.ndarray]] = {f.name: {} for f in fields(cls)}
-        with np.load(path, allow_pickle=False) as arrays:
-            for name in arrays.files:
-                part, key = name.split("/", 1)
-                parts[part][key] = arrays[name]
-        return cls(**parts)
 
 
 def record_episodes(
@@ -121,10 +106,12 @@ def _episode(graph: Graph, timing: ComputationGraph, trace: Trace, environment: 
         if seq[min(environment, len(seq) - 1)] >= 0:
             value = output[min(environment, len(output) - 1)]
             outputs[graph.nodes[position].name].append(value.detach().cpu().numpy())
-    times = [[t / timing.resolution for t in timing.steps_of(n, row)] for n in range(len(graph.nodes))]
-    messages = [
-        [t / timing.resolution for t in timing.messages_of(e, row)] for e in range(len(graph.connections))
-    ]
+
+    def seconds(ticks: np.ndarray) -> np.ndarray:
+        return np.where(ticks < _NEVER, ticks / timing.resolution, np.inf)
+
+    times = [[seconds(t) for t in timing.steps_of(n, row)] for n in range(len(graph.nodes))]
+    messages = [[seconds(t) for t in timing.messages_of(e, row)] for e in range(len(graph.connections))]
     keys = [connection.key for connection in graph.connections]
     return Episode(
         t_start={node.name: start for node, (start, _) in zip(graph.nodes, times, strict=True)},

@@ -1,7 +1,6 @@
 """Recorded episodes run again to the last bit."""
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -53,15 +52,3 @@ def test_a_recording_has_every_step_and_message(graph):
                 assert state.nodes[node.name]["k"][row] == acted
         for connection in graph.connections:
             assert len(episode.t_sent[connection.key]) == len(episode.outputs.get(connection.sender, ()))
-
-
-@settings(max_examples=3, deadline=None)
-@given(graph=graphs())
-def test_episodes_are_saved_whole_and_never_over_another(graph, tmp_path_factory):
-    episode = recorded(graph, 2)[2][0]
-    path = tmp_path_factory.mktemp("episode") / "episode.npz"
-    episode.save(path)
-    assert_equal(episode, Episode.load(path))
-    with pytest.raises(FileExistsError, match="exists"):
-        episode.save(path)
-    assert [file.name for file in path.parent.iterdir()] == ["episode.npz"]
