@@ -1,4 +1,4 @@
-"""Gymnasium environments on the delay graph: a batch at once, and one alone."""
+"""Gymnasium environments from a graph: a batch at once, and one alone."""
 
 from __future__ import annotations
 
@@ -14,253 +14,343 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from deepkoco.envs.nodes import Sensor, World
-from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
-from deepkoco.graph import BatchedRuntime, Connection, Graph, HorizonError, Supervisor, draw_timing
-from deepkoco.graph.delay import Delay, Deterministic, make_delay
+from deepkoco.envs.delay_traces import Delays, DelayTraces, Ranges
+from deepkoco.envs.settings import SettingsError, check_range
+from deepkoco.graph import BatchedRuntime, Graph, GraphError, HorizonError, RuntimeState, Supervisor
+from deepkoco.graph.node import State
 
-EDGES = {"actuation_delay": "agent->world", "sensing_delay": "sensor->agent"}
+READINGS = ("observation", "reward", "terminated")
+Values = Mapping[str, Mapping[str, Tensor | float]]
 
 
-class DelayGraphVectorEnv(VectorEnv):
-    """Environments of one task that step together on the delay graph.
+class GraphVectorEnv(VectorEnv):
+    """Environments that step together on one graph, whose supervisor is the agent.
 
-    The reward is minus the task's cost of the true state and the command at the agent's tick; the
-    observation is what the agent has received by then. Every environment draws delays and randomized
-    parameters of its own at each episode. Episodes are cut after ``max_episode_steps`` and never
-    terminate; all start together, as next-step autoreset does for episodes of one length.
+    An action is the supervisor's output; what an environment returns is what the supervisor's `observe`
+    reads: ``observation`` (B, ...), ``reward`` (B,) and, where episodes can end, ``terminated`` (B,) bool.
+    Further readings (B, ...) go to ``info`` under their names. The readings of a step are those of the
+    transition that ends there: a reward of the state before keeps that state in the supervisor's own.
+
+    Environments end independently of each other and start anew as ``autoreset_mode`` says. Each draws delays
+    and randomized parameters of its own at each episode; delays come from a pool of ``delay_traces``
+    schedules that all share (:class:`DelayTraces`), so that thousands of environments need no more memory
+    for them than hundreds.
 
     Args:
         num_envs: Environments B.
-        max_episode_steps: Steps of an episode.
-        render_mode: None or ``rgb_array``.
-        render_size: Side of the pictures [pixels].
-        **settings: Fields of :class:`EnvironmentSettings`.
+        graph: Nodes and connections; the supervisor overrides `observe`.
+        action_space: Of one environment; an action has the size of the supervisor's output.
+        observation_space: Of one environment, a Box.
+        max_episode_steps: Steps after which an episode is cut (``truncated``).
+        parameters: Values of parameters by node and name.
+        randomize: ``"node.parameter"``, ``"sender->receiver"`` or ``"node"`` (a delay [s]) -> (low, high),
+            drawn uniformly for every episode and environment.
+        delay_traces: Most schedules held at once.
+        executor: ``eager``, ``fused``, ``cuda``, or ``auto``: the fastest for this machine.
+        autoreset_mode: When an environment that has ended starts anew, as Gymnasium defines it.
 
     Raises:
         ValueError: A setting is wrong; the message says which and what it may be.
     """
 
-    metadata = {  # noqa: RUF012 - Gymnasium declares it so
-        "render_modes": ["rgb_array"],
-        "render_fps": 20,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
         self,
         num_envs: int,
-        max_episode_steps: int = 200,
-        render_mode: str | None = None,
-        render_size: int = 256,
-        **settings: Any,
+        graph: Graph,
+        action_space: spaces.Space,
+        observation_space: spaces.Box,
+        max_episode_steps: int,
+        parameters: Values | None = None,
+        randomize: Ranges | None = None,
+        delay_traces: int = 256,
+        executor: str = "auto",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        self.settings = EnvironmentSettings(**settings)
-        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
-        self.render_mode, self.render_size = render_mode, render_size
-        self.system = self.settings.make_system()
-        self.task = self.settings.task
-        self.metadata = {**self.metadata, "render_fps": round(self.task.control_rate)}
-        limit = self.task.command_limit
-        self.action_scale = limit if self.settings.action_units == "normalized" else 1.0
-        bound = np.array([limit / self.action_scale], np.float32)
-        self.single_action_space = spaces.Box(-bound, bound, dtype=np.float32)
-        entries = np.array(self.task.observation_bounds, np.float32)
-        entries = np.concatenate([entries, np.tile(bound, self.settings.action_history)])
-        self.single_observation_space = spaces.Box(-entries, entries, dtype=np.float32)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.graph = self._make_graph()
+        for name, number in (
+            ("num_envs", num_envs),
+            ("max_episode_steps", max_episode_steps),
+            ("delay_traces", delay_traces),
+        ):
+            if number < 1:
+                raise SettingsError(f"{name} = {number}; give 1 or more")
+        supervisor = graph.node(graph.supervisor)
+        if not isinstance(supervisor, Supervisor) or type(supervisor).observe is Supervisor.observe:
+            raise GraphError(
+                f'supervisor "{graph.supervisor}" reads nothing: override `observe` of Supervisor to return '
+                "observation and reward"
+            )
+        self.num_envs, self.graph, self.max_episode_steps = num_envs, graph, max_episode_steps
+        self.single_action_space, self.single_observation_space = action_space, observation_space
+        self.action_space = batch_space(action_space, num_envs)
+        self.observation_space = batch_space(observation_space, num_envs)
+        self._mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self._mode}
+        self._values = {node: dict(values) for node, values in (parameters or {}).items()}
+        self._ranges = dict(randomize or {})
+        timed = self._timed()
+        for name, span in self._ranges.items():
+            check_range(name, span, *self._bounds(name))
+        # One step more than an episode has: those that start anew at the next step take it in vain.
+        self._traces = DelayTraces(
+            graph, max_episode_steps + 1, num_envs, delay_traces,
+            {name: span for name, span in self._ranges.items() if name in timed}, self._delays,
+        )  # fmt: skip
+        self._action_shape = (num_envs, *supervisor.initial_action.shape)
+        self._action_type = supervisor.initial_action.dtype
         self._generator = torch.Generator()
+        self._executor = executor
         self._runtime: BatchedRuntime | None = None
+        self._state: RuntimeState | None = None
+        self._drawn: dict[str, Tensor] = {}
+        self._elapsed = np.zeros(num_envs, np.int64)
+        self._ended = np.zeros(num_envs, bool)
+
+    @property
+    def drawn(self) -> dict[str, np.ndarray]:
+        """What the environments have drawn for their episodes from the ranges of ``randomize``, (B,) each."""
+        return {name: value.numpy() for name, value in self._drawn.items()}
+
+    @property
+    def state(self) -> RuntimeState:
+        """What the graph remembers now.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        return self._state
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
         """Start new episodes.
 
         Args:
             seed: Seed of every draw; None goes on with the draws of before.
-            options: ``initial_state`` (B, S), start states in place of drawn ones.
+            options: ``reset_mask`` (B,) bool: who starts anew, by default all; ``initial``: by node name,
+                states (B, ...) that replace those of the nodes' `init`.
         """
+        new_traces = seed is not None
+        if seed is None and self._np_random is None:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        return self.begin(seed, options or {}, new_traces)
+
+    def begin(self, seed: int | None, options: Mapping[str, Any], new_traces: bool):
+        """:meth:`reset`, with a say in whether its seed also draws the pool of delay traces anew."""
         if seed is not None:
             super().reset(seed=seed)
-        elif self._np_random is None:
-            super().reset(seed=int(np.random.SeedSequence().generate_state(1)[0]))
-        self._generator.manual_seed(int(self.np_random.integers(2**62)))
-        self._parameters, delays = self._draw_parameters()
-        timing = draw_timing(self.graph, self._generator, self.max_episode_steps, self.num_envs, delays)
-        self._runtime = BatchedRuntime(self.graph, timing)
-        parameters = {node.name: self._parameters for node in self.graph.nodes}
-        start = self.task.start(self.system, self.num_envs, self._generator)
-        if options and options.get("initial_state") is not None:
-            start = torch.as_tensor(options["initial_state"], dtype=torch.float64)
-        initial = {"world": {"state": start}, "sensor": {"start": start}}
-        self._state, inputs = self._runtime.reset(parameters, self._generator, initial)
-        self._history = torch.zeros(self.num_envs, self.settings.action_history, dtype=torch.float64)
-        self._command = torch.zeros(self.num_envs, dtype=torch.float64)
-        self._elapsed = 0
-        self._take(inputs)
+        mask = _mask(options.get("reset_mask"), self.num_envs)
+        if mask is not None and self._state is None:
+            raise gymnasium.error.ResetNeeded("reset_mask: the first reset starts all environments")
+        self._restart(mask, options, new_traces and mask is None)
         return self._observation(), self._info()
 
-    def step(self, actions: np.ndarray):
-        """Send the actions (B, 1) and go on to the agent's next tick."""
-        if self._runtime is None:
-            raise gymnasium.error.ResetNeeded("step before reset: call reset first")
-        if self.episode_over:
-            observation, info = self.reset()
-            nothing = np.zeros(self.num_envs, bool)
-            return observation, np.zeros(self.num_envs), nothing, nothing.copy(), info
-        action = torch.as_tensor(np.asarray(actions), dtype=torch.float64).reshape(self.num_envs, 1)
-        limit = self.task.command_limit
-        self._command = (action[:, 0] * self.action_scale).clamp(-limit, limit)
-        cost = self.task.cost(self.system, self._truth, self._command)
-        if self._history.shape[1]:
-            newest = self._command[:, None] / self.action_scale
-            self._history = torch.cat([newest, self._history[:, :-1]], 1)
-        self._state, inputs = self._runtime.step(self._state, self._command[:, None])
-        self._take(inputs)
-        self._elapsed += 1
-        terminated = np.zeros(self.num_envs, bool)
-        truncated = np.full(self.num_envs, self.episode_over)
-        return self._observation(), -cost.numpy(), terminated, truncated, self._info()
-
-    @property
-    def episode_over(self) -> bool:
-        """Whether the last step was the last of its episode."""
-        return self._elapsed >= self.max_episode_steps
-
-    def render(self) -> tuple[np.ndarray, ...] | None:
-        """Pictures of all environments, each uint8 (size, size, 3)."""
-        if self.render_mode is None:
-            gymnasium.logger.warn('render() without a render mode: pass render_mode="rgb_array" to make()')
-            return None
-        pairs = zip(self._truth.numpy(), self._command.tolist(), strict=True)
-        return tuple(self.system.draw(state, command, self.render_size) for state, command in pairs)
-
-    def _make_graph(self) -> Graph:
-        settings, rate = self.settings, self.task.control_rate
-        sensing, actuation = (self._nominal_delay(name) for name in ("sensing_delay", "actuation_delay"))
-        # Samples of the control rate are all that a constant delay lets the agent see; where delays differ
-        # it sees the newest that has arrived, so there is one at every tick of the world.
-        same = sensing.constant and not self._delays_differ("sensing_delay")
-        sensor_rate = rate if same else settings.world_rate
-        samples = math.ceil((self.max_episode_steps + 2) * sensor_rate / rate)
-        noise = tuple(c.noise_sd if settings.noise else 0.0 for c in self.system.measurements)
-        nodes = [
-            World(self.system, self.task, settings.world_rate, settings.integrator),
-            Sensor(self.system, sensor_rate, noise, samples),
-            Supervisor("agent", rate, initial_action=torch.zeros(1, dtype=torch.float64)),
-        ]
-        # Commands under way at a tick of the world may all arrive within it, and the one before them still
-        # holds; with a constant delay they keep their distance.
-        spread = 0.0 if actuation.constant else actuation.highest
-        window = 2 + math.ceil((spread + 1.0 / settings.world_rate) * rate)
-        connections = [
-            Connection("world", "sensor"),
-            Connection("world", "agent", name="truth"),
-            Connection("sensor", "agent", delay=sensing),
-            Connection("agent", "world", delay=actuation, window=window, skip=True),
-        ]
-        return Graph(nodes, connections)
-
-    def _delays_differ(self, name: str) -> bool:
-        """Whether environments draw a delay of their own from a range."""
-        return name in self.settings.randomize or f"{name}.delay" in self.settings.randomize
-
-    def _nominal_delay(self, name: str) -> Delay:
-        """Delay that the graph is laid out for: of a range the top, so that first messages arrive in time."""
-        parameters, ranges = self.system.default_parameters(), self.settings.randomize
-        parameters |= {
-            key: torch.as_tensor(high, dtype=torch.float64)
-            for key, (_, high) in ranges.items()
-            if key not in DELAYS
-        }
-        own = float(getattr(self.system.timing(parameters), name))
-        law = make_delay(ranges[name][1] if name in ranges else getattr(self.settings, name))
-        if not law.constant and own != 0.0:
-            raise SettingsError(
-                f"{name}: the model has one of {own:g} s and the environment a random one; put both into one law"
+    def step(self, actions: Any):
+        """Give the actions (B, ...) and go on to the agent's next step."""
+        state, waiting = self.state, self._ended
+        if waiting.any() and self._mode == AutoresetMode.DISABLED:
+            raise gymnasium.error.ResetNeeded(
+                f"environment {np.flatnonzero(waiting)[0]} has ended: reset it with reset_mask first"
             )
-        return law if own == 0.0 else Deterministic(float(law.mean) + own)
+        if waiting.all():
+            self._restart(None)
+            nothing = np.zeros(self.num_envs, bool)
+            return self._observation(), np.zeros(self.num_envs), nothing, nothing.copy(), self._info()
+        assert self._runtime is not None
+        self._state, _ = self._runtime.step(state, self._command(actions))
+        self._elapsed += 1
+        if waiting.any():
+            self._restart(waiting)
+        readings = self._state.readings
+        reward = readings["reward"].numpy().astype(np.float64)
+        terminated = np.zeros(self.num_envs, bool)
+        if "terminated" in readings:
+            terminated = readings["terminated"].numpy().astype(bool) & ~waiting
+        reward[waiting] = 0.0
+        truncated = self._elapsed >= self.max_episode_steps
+        self._ended = ended = terminated | truncated
+        observation, info = self._observation(), self._info()
+        if self._mode == AutoresetMode.SAME_STEP and ended.any():
+            final = {"final_obs": _rows(observation, ended), "_final_obs": ended.copy()}
+            final |= {"final_info": info, "_final_info": ended.copy()}
+            self._restart(None if ended.all() else ended)
+            observation, info = self._observation(), self._info() | final
+        return observation, reward, terminated, truncated, info
 
-    def _draw_parameters(self) -> tuple[dict[str, Tensor], dict[str, np.ndarray]]:
-        """Parameters of this episode, and the delays that differ between environments."""
-        parameters = self.system.default_parameters()
-        ranges = self.settings.randomize
-        drawn = {
-            name: low
-            + (high - low) * torch.rand(self.num_envs, generator=self._generator, dtype=torch.float64)
-            for name, (low, high) in ranges.items()
+    def _restart(
+        self, mask: np.ndarray | None, options: Mapping[str, Any] | None = None, new_traces: bool = False
+    ) -> None:
+        """Start the environments in ``mask``, or all, anew."""
+        generator = self._generator.manual_seed(int(self.np_random.integers(2**62)))
+        fresh = {
+            name: low + (high - low) * torch.rand(self.num_envs, generator=generator, dtype=torch.float64)
+            for name, (low, high) in self._ranges.items()
+            if name not in self._traces.ranges
         }
-        self._draws = {name: value.numpy() for name, value in drawn.items()}
-        parameters |= {name: value for name, value in drawn.items() if name not in DELAYS}
-        timing = self.system.timing(parameters)
-        delays = {}
-        for name, own in zip(DELAYS, (timing.actuation_delay, timing.sensing_delay), strict=True):
-            if name in drawn or own.ndim > 0:
-                law = make_delay(getattr(self.settings, name))
-                base = drawn[name] if name in drawn else torch.tensor(float(law.mean), dtype=torch.float64)
-                delays[EDGES[name]] = (base + own).expand(self.num_envs).numpy()
-        return parameters, delays
+        # The traces have a stream of their own: how many are drawn changes nothing else of an episode.
+        stream = torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
+        timing, rows = self._traces.take(stream, mask, new_traces)
+        if timing is not None:
+            self._runtime = BatchedRuntime(self.graph, timing)
+        assert self._runtime is not None
+        if mask is not None:
+            rows = np.where(mask, rows, self.state.row)
+            chosen = torch.from_numpy(mask)
+            fresh = {name: torch.where(chosen, value, self._drawn[name]) for name, value in fresh.items()}
+        timed = {name: value[torch.from_numpy(rows)] for name, value in self._traces.draws.items()}
+        self._drawn = {name: timed[name] if name in timed else fresh[name] for name in self._ranges}
+        running = {} if mask is None else {"state": self.state, "mask": mask}
+        self._state, _ = self._runtime.reset(
+            self._parameters(self._drawn),
+            generator,
+            self._initial(options or {}, generator),
+            rows=rows,
+            **running,
+        )
+        if mask is None:
+            self._check_readings(self._state)
+            mask = np.ones(self.num_envs, bool)
+        self._elapsed = np.where(mask, 0, self._elapsed)
+        self._ended = self._ended & ~mask
 
-    def _take(self, inputs: Mapping[str, Any]) -> None:
-        self._truth = inputs["truth"].data[:, -1]
-        self._measured = inputs["sensor"].data[:, -1]
+    def _timed(self) -> set[str]:
+        """Names in ``randomize`` that say when things happen; these are drawn with the traces."""
+        return set(self.graph.index) | {connection.key for connection in self.graph.connections}
+
+    def _bounds(self, name: str) -> tuple[float, float, str]:
+        """Smallest and largest value that a name in ``randomize`` may have, and its unit."""
+        if name in self._timed():
+            return 0.0, math.inf, "s"
+        node, _, parameter = name.partition(".")
+        if node not in self.graph.index or not parameter:
+            known = f"{', '.join(sorted(self._timed()))} or NODE.PARAMETER"
+            raise SettingsError(f'randomize: "{name}" is none of {known}')
+        return -math.inf, math.inf, ""
+
+    def _delays(self, draws: Mapping[str, Tensor]) -> Delays:
+        """Delays (R,) [s] by connection key or node name, from what the traces have drawn."""
+        return {name: value.numpy() for name, value in draws.items()}
+
+    def _parameters(self, drawn: Mapping[str, Tensor]) -> Mapping[str, Mapping[str, Tensor]]:
+        """Parameters of every node, from what the environments have drawn."""
+        values = {
+            node: {k: torch.as_tensor(v, dtype=torch.float64) for k, v in own.items()}
+            for node, own in self._values.items()
+        }
+        for name, value in drawn.items():
+            node, _, parameter = name.partition(".")
+            if name not in self._traces.draws:
+                values.setdefault(node, {})[parameter] = value
+        return values
+
+    def _initial(self, options: Mapping[str, Any], generator: torch.Generator) -> Mapping[str, State]:
+        """Start states (B, ...) by node that replace those of `init`."""
+        return options.get("initial") or {}
+
+    def _command(self, actions: Any) -> Tensor:
+        """The supervisor's output (B, ...) for actions (B, ...)."""
+        return torch.as_tensor(np.asarray(actions), dtype=self._action_type).reshape(self._action_shape)
 
     def _observation(self) -> np.ndarray:
-        observation = self.task.observation(self.system, self._measured)
-        return torch.cat([observation, self._history], -1).numpy().astype(np.float32)
+        space = self.single_observation_space
+        return self.state.readings["observation"].numpy().astype(space.dtype)
 
     def _info(self) -> dict[str, Any]:
-        angle = self.task.angle_from_upright(self.system, self._truth)
-        return {"angle_from_upright": angle.numpy(), "_angle_from_upright": np.ones(self.num_envs, bool)}
+        info: dict[str, Any] = {}
+        for name, value in self.state.readings.items():
+            if name not in READINGS:
+                info |= {name: value.numpy(), f"_{name}": np.ones(self.num_envs, bool)}
+        return info
+
+    def _check_readings(self, state: RuntimeState) -> None:
+        wanted = {"observation": (self.num_envs, *(self.single_observation_space.shape or ()))}
+        wanted |= {"reward": (self.num_envs,)}
+        if "terminated" in state.readings:
+            wanted["terminated"] = (self.num_envs,)
+        for name, shape in wanted.items():
+            there = state.readings.get(name)
+            if there is None or tuple(there.shape) != shape:
+                found = "is missing" if there is None else f"has shape {tuple(there.shape)}"
+                raise GraphError(
+                    f'supervisor "{self.graph.supervisor}": reading "{name}" {found}, not {shape}'
+                )
 
 
-class DelayGraphEnv(gymnasium.Env):
-    """One environment on the delay graph; see :class:`DelayGraphVectorEnv` for the settings.
+class GraphEnv(gymnasium.Env):
+    """One environment on a graph; see :class:`GraphVectorEnv`.
 
     It never cuts an episode: Gymnasium's own time limit does, as registered or as given to ``make``.
 
     Args:
-        render_mode: None or ``rgb_array``.
+        graph, action_space, observation_space, **options: As for :class:`GraphVectorEnv`.
         longest_episode: Steps for which delays are drawn; going on beyond them is an error.
-        **settings: Fields of :class:`EnvironmentSettings`.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - Gymnasium declares it so
+    def __init__(
+        self,
+        graph: Graph,
+        action_space: spaces.Space,
+        observation_space: spaces.Box,
+        longest_episode: int = 1000,
+        **options: Any,
+    ) -> None:
+        self._use(GraphVectorEnv(1, graph, action_space, observation_space, longest_episode, **options))
 
-    def __init__(self, render_mode: str | None = None, longest_episode: int = 1000, **settings: Any) -> None:
-        self._batch = DelayGraphVectorEnv(1, longest_episode, render_mode, **settings)
-        self.render_mode = render_mode
-        self.system, self.task = self._batch.system, self._batch.task
-        self.metadata = {
-            "render_modes": ["rgb_array"],
-            "render_fps": self._batch.metadata["render_fps"],
-        }
-        self.action_space = self._batch.single_action_space
-        self.observation_space = self._batch.single_observation_space
+    def _use(self, batch: GraphVectorEnv) -> None:
+        self.batch = batch
+        self.metadata = {k: v for k, v in batch.metadata.items() if k != "autoreset_mode"}
+        self.action_space = batch.single_action_space
+        self.observation_space = batch.single_observation_space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         super().reset(seed=seed)
-        if options and options.get("initial_state") is not None:
-            options = {**options, "initial_state": np.asarray(options["initial_state"])[None]}
-        observation, info = self._batch.reset(
-            seed=int(self.np_random.integers(2**31)) if seed is None else seed, options=options
-        )
+        own = int(self.np_random.integers(2**31)) if seed is None else seed
+        observation, info = self.batch.begin(own, self._batched(options or {}), new_traces=seed is not None)
         return observation[0], _first(info)
 
-    def step(self, action: np.ndarray):
-        if self._batch.episode_over:
+    def step(self, action: Any):
+        batch = self.batch
+        if batch._elapsed[0] >= batch.max_episode_steps:
             raise HorizonError(
-                f"the episode goes on beyond longest_episode = {self._batch.max_episode_steps} steps; "
+                f"the episode goes on beyond longest_episode = {batch.max_episode_steps} steps; "
                 "give a larger one to make()"
             )
-        observation, reward, _, _, info = self._batch.step(np.asarray(action)[None])
-        return observation[0], float(reward[0]), False, False, _first(info)
+        batch._ended[0] = False  # going on after the end is up to the caller, as in Gymnasium
+        observation, reward, terminated, _, info = batch.step(np.asarray(action)[None])
+        return observation[0], float(reward[0]), bool(terminated[0]), False, _first(info)
 
-    def render(self) -> np.ndarray | None:
-        pictures = self._batch.render()
+    def _batched(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Options for one environment as options for a batch of one."""
+        initial = {
+            node: {name: torch.as_tensor(value)[None] for name, value in state.items()}
+            for node, state in (options.get("initial") or {}).items()
+        }
+        return {**options, "initial": initial}
+
+    def render(self):
+        pictures = self.batch.render()
         return None if pictures is None else pictures[0]
 
 
 def _first(info: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: float(value[0]) for name, value in info.items() if not name.startswith("_")}
+    rows = {name: value[0] for name, value in info.items() if not name.startswith("_")}
+    return {name: float(row) if row.ndim == 0 else row for name, row in rows.items()}
+
+
+def _mask(mask: Any, batch: int) -> np.ndarray | None:
+    if mask is None:
+        return None
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (batch,):
+        raise ValueError(f"reset_mask: give a bool array of shape ({batch},), not {mask!r}")
+    if not mask.any():
+        raise ValueError("reset_mask: no environment is chosen")
+    return None if mask.all() else mask
+
+
+def _rows(observations: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Copies of the rows ``where`` as an array of objects, None elsewhere."""
+    result = np.empty(len(where), dtype=object)
+    for i in np.flatnonzero(where):
+        result[i] = observations[i].copy()
+    return result

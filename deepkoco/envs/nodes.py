@@ -1,12 +1,15 @@
-"""The nodes of a one-joint robot: world and sensor; the agent's node is its supervisor."""
+"""The nodes of a one-joint robot: world, sensor, and the agent, which is the graph's supervisor."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
+from deepkoco.envs.noise import draw_keys, normal
 from deepkoco.envs.tasks import SwingUp
-from deepkoco.graph import Input, Node
+from deepkoco.graph import Input, Node, Supervisor
 from deepkoco.graph.node import State
 from deepkoco.systems import JointSystem, Parameters, rk4_step
 
@@ -86,38 +89,83 @@ class World(Node):
 class Sensor(Node):
     """Measures the world's last state; the output is (B, N).
 
+    Before the first message has come a receiver sees a measurement of the start state ``start`` (B, S),
+    which the environment gives through ``initial`` of the runtime's reset.
+
     Args:
         system: Declares the measurements.
         rate: Measurements per second [Hz].
         noise: Standard deviation of the noise per channel, in the channel's unit.
-        horizon: Longest episode in ticks; the noise is drawn before the episode.
-
-    Before the first message has come a receiver sees a measurement of the start state ``start`` (B, S),
-    which the environment gives through ``initial`` of the runtime's reset.
     """
 
-    def __init__(self, system: JointSystem, rate: float, noise: tuple[float, ...], horizon: int) -> None:
+    def __init__(self, system: JointSystem, rate: float, noise: tuple[float, ...]) -> None:
         super().__init__("sensor", rate)
-        self.system, self.horizon = system, horizon
-        self.noise = torch.tensor(noise, dtype=torch.float64)
+        self.system, self.noise = system, noise
+        self.noisy = any(spread > 0.0 for spread in noise)
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
-        channels = len(self.system.measurements)
-        draws = torch.zeros(batch, 1, channels, dtype=torch.float64)
-        if bool((self.noise > 0).any()):
-            shape = (batch, self.horizon, channels)
-            draws = self.noise * torch.randn(shape, generator=generator, dtype=torch.float64)
-        return {
-            "start": torch.zeros(batch, len(self.system.state_names), dtype=torch.float64),
-            "noise": draws,
-            "tick": torch.zeros(batch, dtype=torch.int64),
-        }
+        state = {"start": torch.zeros(batch, len(self.system.state_names), dtype=torch.float64)}
+        if self.noisy:
+            state["key"] = draw_keys(batch, generator)
+            state["tick"] = torch.zeros(batch, dtype=torch.int64)
+        return state
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
-        return self.system.measure(state["start"], parameters) + state["noise"][:, 0]
+        clean = self.system.measure(state["start"], parameters)
+        return clean + self._draw(state) if self.noisy else clean
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         clean = self.system.measure(inputs["world"].data[:, -1], parameters)
-        index = torch.remainder(state["tick"], state["noise"].shape[1])
-        noise = state["noise"][torch.arange(len(index)), index]
-        return {**state, "tick": state["tick"] + 1}, clean + noise
+        if not self.noisy:
+            return state, clean
+        return {**state, "tick": state["tick"] + 1}, clean + self._draw(state)
+
+    def _draw(self, state: State) -> Tensor:
+        """Noise of this tick (B, N)."""
+        draws = [
+            spread * normal(state["key"], state["tick"], channel) for channel, spread in enumerate(self.noise)
+        ]
+        return torch.stack(draws, -1)
+
+
+class SwingUpAgent(Supervisor):
+    """The seat of the agent: it sees measurements, and is paid for the true state and its command.
+
+    Readings: ``observation`` (B, N) of what it has received, then its last commands, newest first;
+    ``reward`` (B,), minus the task's cost of the true state at its step before and the command given then;
+    ``angle_from_upright`` (B,) [rad] of the true state now.
+
+    Args:
+        system: Declares the measurements.
+        task: Says what the agent sees and pays, and its rate.
+        history: How many commands are appended.
+        scale: Commands are divided by it before they are appended, in the command's unit.
+    """
+
+    inputs = ("truth", "sensor")
+
+    def __init__(self, system: JointSystem, task: SwingUp, history: int = 0, scale: float = 1.0) -> None:
+        super().__init__(rate=task.control_rate, initial_action=torch.zeros(1, dtype=torch.float64))
+        self.system, self.task, self.history, self.scale = system, task, history, scale
+
+    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        state = {
+            "truth": torch.zeros(batch, len(self.system.state_names), dtype=torch.float64),
+            "command": torch.zeros(batch, dtype=torch.float64),
+        }
+        if self.history:
+            state["history"] = torch.zeros(batch, self.history, dtype=torch.float64)
+        return state
+
+    def observe(
+        self, parameters: Parameters, state: State, inputs: Mapping[str, Input], action: Tensor
+    ) -> tuple[State, dict[str, Tensor]]:
+        truth = inputs["truth"].data[:, -1]
+        observation = self.task.observation(self.system, inputs["sensor"].data[:, -1])
+        reward = -self.task.cost(self.system, state["truth"], action[:, 0])
+        state = {**state, "truth": truth, "command": action[:, 0]}
+        if self.history:
+            state["history"] = torch.cat([action / self.scale, state["history"][:, :-1]], 1)
+            observation = torch.cat([observation, state["history"]], 1)
+        angle = self.task.angle_from_upright(self.system, truth)
+        return state, {"observation": observation, "reward": reward, "angle_from_upright": angle}

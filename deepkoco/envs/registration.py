@@ -24,8 +24,8 @@ def register_envs() -> None:
         if name not in gymnasium.registry:
             gymnasium.register(
                 name,
-                entry_point="deepkoco.envs.graph_env:DelayGraphEnv",
-                vector_entry_point="deepkoco.envs.graph_env:DelayGraphVectorEnv",
+                entry_point="deepkoco.envs.delay_env:DelayGraphEnv",
+                vector_entry_point="deepkoco.envs.delay_env:DelayGraphVectorEnv",
                 max_episode_steps=steps,
                 kwargs=arguments,
             )

@@ -97,20 +97,23 @@ class EnvironmentSettings:
         for name, span in self.randomize.items():
             if name not in bounds:
                 raise SettingsError(f'randomize: "{name}" is none of {", ".join(bounds)}')
-            low, high, unit = bounds[name]
-            if not _is_range(span, low, high):
-                raise SettingsError(
-                    f"randomize: {name} = {span!r} {unit}; give (low, high) inside [{low}, {high}]"
-                )
+            check_range(name, span, *bounds[name])
         if isinstance(system, ExtendedSystem):
             for own, effect in zip(DELAYS, ("actuation_delay.delay", "sensing_delay.delay"), strict=True):
                 if own in self.randomize and effect in bounds:
                     raise SettingsError(f"randomize: {own} is {effect} of the model; randomize that")
 
 
-def _is_range(span: Any, low: float, high: float) -> bool:
+def check_range(name: str, span: Any, low: float, high: float, unit: str) -> None:
+    """Check a range of ``randomize``.
+
+    Raises:
+        SettingsError: ``span`` is no (first, last) with low <= first <= last <= high.
+    """
     try:
         first, last = (float(end) for end in span)
+        fits = low <= first <= last <= high and math.isfinite(last - first)
     except (TypeError, ValueError):
-        return False
-    return low <= first <= last <= high
+        fits = False
+    if not fits:
+        raise SettingsError(f"randomize: {name} = {span!r} {unit}; give (low, high) inside [{low}, {high}]")

@@ -87,6 +87,7 @@ class BatchedRuntime:
         initial: Mapping[str, State] | None = None,
         *,
         timing: ComputationGraph | None = None,
+        rows: np.ndarray | None = None,
         state: RuntimeState | None = None,
         mask: np.ndarray | Tensor | None = None,
         trace: Trace | None = None,
@@ -99,6 +100,7 @@ class BatchedRuntime:
             initial: by node name, states or parts of states (B, ...) that replace those of `init`.
             timing: fresh schedules for the whole batch; of a part of the batch, the rows of the
                 environments in `mask` are used. None: those of the constructor.
+            rows: (B,) schedule that each environment runs, of those there are; None: `row` of the timing.
             state: a running batch, of which only the environments in `mask` start anew.
             mask: (B,) bool, which environments of `state` start anew; None: all.
             trace: takes note of every step that runs.
@@ -112,7 +114,8 @@ class BatchedRuntime:
         schedule = self._schedule if timing is None else Schedule(timing, self.device)
         if schedule is None:
             raise ValueError("no timing: give one to the runtime or to reset")
-        fresh = self._start(schedule, parameters, generator, initial or {})
+        rows = schedule.timing.row if rows is None else np.asarray(rows, dtype=np.int64)
+        fresh = self._start(schedule, rows, parameters, generator, initial or {})
         fresh = self._run(fresh, trace)
         supervisor = self.graph.supervisor
         fresh, inputs = self._observe(fresh, fresh.outputs[supervisor][0])
@@ -163,11 +166,14 @@ class BatchedRuntime:
     def _start(
         self,
         schedule: Schedule,
+        row: np.ndarray,
         parameters: NodeParameters,
         generator: torch.Generator,
         initial: Mapping[str, State],
     ) -> RuntimeState:
-        batch = schedule.timing.batch
+        batch, known = len(row), len(schedule.t_start)
+        if batch and not (row.min() >= 0 and row.max() < known):
+            raise ValueError(f"rows {row.min()} to {row.max()}: there are schedules 0 to {known - 1}")
         for name in (*parameters, *initial):
             if name not in self.graph.index:
                 raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
@@ -183,7 +189,7 @@ class BatchedRuntime:
             nodes[node.name] = node_state
             output = node.initial_output(values[node.name], node_state, batch)
             outputs[node.name] = (output,) * int(schedule.depth[position])
-        row, step = schedule.timing.row, np.zeros(batch, dtype=np.int64)
+        step = np.zeros(batch, dtype=np.int64)
         return RuntimeState(schedule, row, step, values, nodes, outputs, {})
 
     def _run(self, state: RuntimeState, trace: Trace | None) -> RuntimeState:
@@ -218,7 +224,7 @@ class BatchedRuntime:
         schedule, batch = state.schedule, len(state.row)
         layout = schedule.timing.layout
         # Where all are at the same step, what they see lies side by side in the tables: slice, else gather.
-        together = schedule.direct and bool((step == step[0]).all())
+        together = schedule.direct(state.row) and bool((step == step[0]).all())
         rows, places = state.row[:, None], np.broadcast_to(step, batch)[:, None]
 
         def pick(table: Any, base: int, size: int) -> Any:

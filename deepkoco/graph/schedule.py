@@ -15,7 +15,6 @@ class Schedule:
         slots: (L,) node that runs in each slot.
         table: (R, steps + 1, L) seq that a slot runs before supervisor step k of a schedule, -1 for none.
         depth: (N,) how many of its last outputs a node must keep for its receivers.
-        direct: whether environment b runs row b, or all run the only row.
         t_start: (R, steps of all nodes) float64 [s].
         seq, t_sent, t_received: (R, windows of all connections) the messages that each step sees, int64
             and float64 [s], in the columns of `ComputationGraph.windows`.
@@ -24,14 +23,17 @@ class Schedule:
     def __init__(self, timing: ComputationGraph, device: torch.device | str = "cpu") -> None:
         self.timing = timing
         self.slots, self.table, self.depth = merge_slots(timing)
-        rows = len(timing.boundary)
-        self.direct = rows == 1 or np.array_equal(timing.row, np.arange(rows))
+        self._every_row = np.arange(len(timing.boundary))
         self.t_start = torch.from_numpy(timing.t_start / timing.resolution).to(device)
         seq = timing.windows.astype(np.int64)
         sent, received = _window_times(timing)
         self.seq = torch.from_numpy(seq).to(device)
         self.t_sent = torch.from_numpy(sent).to(device)
         self.t_received = torch.from_numpy(received).to(device)
+
+    def direct(self, row: np.ndarray) -> bool:
+        """Return whether environment b runs row b, or all run the only row."""
+        return len(self._every_row) == 1 or np.array_equal(row, self._every_row)
 
 
 def _window_times(timing: ComputationGraph) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepkoco.envs.graph_env import DelayGraphEnv
+from deepkoco.envs.delay_env import DelayGraphEnv
 from deepkoco.envs.settings import SettingsError
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.unit import make_unit

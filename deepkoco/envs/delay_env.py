@@ -1,0 +1,196 @@
+"""The package's own environments: a one-joint task on the delay graph, a batch at once and one alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from torch import Tensor
+
+from deepkoco.envs.delay_traces import Delays
+from deepkoco.envs.graph_env import GraphEnv, GraphVectorEnv
+from deepkoco.envs.nodes import Sensor, SwingUpAgent, World
+from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
+from deepkoco.graph import Connection, Graph
+from deepkoco.graph.delay import Delay, Deterministic, make_delay
+from deepkoco.graph.node import State
+
+EDGES = {"actuation_delay": "agent->world", "sensing_delay": "sensor->agent"}
+
+
+class DelayGraphVectorEnv(GraphVectorEnv):
+    """Environments of one task that step together on the delay graph.
+
+    The reward is minus the task's cost of the true state and the command at the agent's tick; the
+    observation is what the agent has received by then. Every environment draws delays and randomized
+    parameters of its own at each episode. Episodes are cut after ``max_episode_steps`` and never terminate.
+
+    Args:
+        num_envs: Environments B.
+        max_episode_steps: Steps of an episode.
+        render_mode: None or ``rgb_array``.
+        render_size: Side of the pictures [pixels].
+        delay_traces, executor, autoreset_mode: As for :class:`GraphVectorEnv`.
+        **settings: Fields of :class:`EnvironmentSettings`.
+
+    Raises:
+        ValueError: A setting is wrong; the message says which and what it may be.
+    """
+
+    metadata = {  # noqa: RUF012 - Gymnasium declares it so
+        "render_modes": ["rgb_array"],
+        "render_fps": 20,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int,
+        max_episode_steps: int = 200,
+        render_mode: str | None = None,
+        render_size: int = 256,
+        delay_traces: int = 256,
+        executor: str = "auto",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **settings: Any,
+    ) -> None:
+        self.settings = EnvironmentSettings(**settings)
+        self.render_mode, self.render_size = render_mode, render_size
+        self.system = self.settings.make_system()
+        self.task = self.settings.task
+        limit = self.task.command_limit
+        self.action_scale = limit if self.settings.action_units == "normalized" else 1.0
+        bound = np.array([limit / self.action_scale], np.float32)
+        entries = np.array(self.task.observation_bounds, np.float32)
+        entries = np.concatenate([entries, np.tile(bound, self.settings.action_history)])
+        super().__init__(
+            num_envs,
+            self._make_graph(),
+            spaces.Box(-bound, bound, dtype=np.float32),
+            spaces.Box(-entries, entries, dtype=np.float32),
+            max_episode_steps,
+            randomize=self.settings.randomize,
+            delay_traces=delay_traces,
+            executor=executor,
+            autoreset_mode=autoreset_mode,
+        )
+        self.metadata = {**self.metadata, "render_fps": round(self.task.control_rate)}
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Pictures of all environments, each uint8 (size, size, 3)."""
+        if self.render_mode is None:
+            gymnasium.logger.warn('render() without a render mode: pass render_mode="rgb_array" to make()')
+            return None
+        seen = self.state.nodes["agent"]
+        pairs = zip(seen["truth"].numpy(), seen["command"].tolist(), strict=True)
+        return tuple(self.system.draw(state, command, self.render_size) for state, command in pairs)
+
+    def _make_graph(self) -> Graph:
+        settings, rate = self.settings, self.task.control_rate
+        sensing, actuation = (self._nominal_delay(name) for name in ("sensing_delay", "actuation_delay"))
+        # Samples of the control rate are all that a constant delay lets the agent see; where delays differ
+        # it sees the newest that has arrived, so there is one at every tick of the world.
+        same = sensing.constant and not self._delays_differ("sensing_delay")
+        sensor_rate = rate if same else settings.world_rate
+        noise = tuple(c.noise_sd if settings.noise else 0.0 for c in self.system.measurements)
+        nodes = [
+            World(self.system, self.task, settings.world_rate, settings.integrator),
+            Sensor(self.system, sensor_rate, noise),
+            SwingUpAgent(self.system, self.task, settings.action_history, self.action_scale),
+        ]
+        # Commands under way at a tick of the world may all arrive within it, and the one before them still
+        # holds; with a constant delay they keep their distance.
+        spread = 0.0 if actuation.constant else actuation.highest
+        window = 2 + math.ceil((spread + 1.0 / settings.world_rate) * rate)
+        connections = [
+            Connection("world", "sensor"),
+            Connection("world", "agent", name="truth"),
+            Connection("sensor", "agent", delay=sensing),
+            Connection("agent", "world", delay=actuation, window=window, skip=True),
+        ]
+        return Graph(nodes, connections)
+
+    def _delays_differ(self, name: str) -> bool:
+        """Whether environments draw a delay of their own from a range."""
+        return name in self.settings.randomize or f"{name}.delay" in self.settings.randomize
+
+    def _nominal_delay(self, name: str) -> Delay:
+        """Delay that the graph is laid out for: of a range the top, so that first messages arrive in time."""
+        parameters, ranges = self.system.default_parameters(), self.settings.randomize
+        parameters |= {
+            key: torch.as_tensor(high, dtype=torch.float64)
+            for key, (_, high) in ranges.items()
+            if key not in DELAYS
+        }
+        own = float(getattr(self.system.timing(parameters), name))
+        law = make_delay(ranges[name][1] if name in ranges else getattr(self.settings, name))
+        if not law.constant and own != 0.0:
+            raise SettingsError(
+                f"{name}: the model has one of {own:g} s and the environment a random one; put both into one law"
+            )
+        return law if own == 0.0 else Deterministic(float(law.mean) + own)
+
+    def _timed(self) -> set[str]:
+        return {*DELAYS, *(f"{name}.delay" for name in DELAYS)}
+
+    def _bounds(self, name: str) -> tuple[float, float, str]:
+        if name in DELAYS:
+            return 0.0, math.inf, "s"
+        declared = self.system.parameter(name)
+        return declared.low, declared.high, declared.unit
+
+    def _delays(self, draws: Mapping[str, Tensor]) -> Delays:
+        timing = self.system.timing(self.system.default_parameters() | draws)
+        delays = {}
+        for name, own in zip(DELAYS, (timing.actuation_delay, timing.sensing_delay), strict=True):
+            if name in draws or own.ndim > 0:
+                law = make_delay(getattr(self.settings, name))
+                base = draws[name] if name in draws else torch.tensor(float(law.mean), dtype=torch.float64)
+                delays[EDGES[name]] = (base + own).numpy()
+        return delays
+
+    def _parameters(self, drawn: Mapping[str, Tensor]) -> Mapping[str, Mapping[str, Tensor]]:
+        parameters = self.system.default_parameters()
+        parameters |= {name: value for name, value in drawn.items() if name not in DELAYS}
+        return {node.name: parameters for node in self.graph.nodes}
+
+    def _initial(self, options: Mapping[str, Any], generator: torch.Generator) -> Mapping[str, State]:
+        start = self.task.start(self.system, self.num_envs, generator)
+        if options.get("initial_state") is not None:
+            start = torch.as_tensor(options["initial_state"], dtype=torch.float64)
+        return {"world": {"state": start}, "sensor": {"start": start}}
+
+    def _command(self, actions: Any) -> Tensor:
+        limit = self.task.command_limit
+        return (super()._command(actions) * self.action_scale).clamp(-limit, limit)
+
+
+class DelayGraphEnv(GraphEnv):
+    """One environment on the delay graph; see :class:`DelayGraphVectorEnv` for the settings.
+
+    It never cuts an episode: Gymnasium's own time limit does, as registered or as given to ``make``.
+
+    Args:
+        render_mode: None or ``rgb_array``.
+        longest_episode: Steps for which delays are drawn; going on beyond them is an error.
+        **settings: Fields of :class:`EnvironmentSettings`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - Gymnasium declares it so
+
+    def __init__(self, render_mode: str | None = None, longest_episode: int = 1000, **settings: Any) -> None:
+        batch = DelayGraphVectorEnv(1, longest_episode, render_mode, **settings)
+        self._use(batch)
+        self.render_mode = render_mode
+        self.system, self.task = batch.system, batch.task
+
+    def _batched(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        if options.get("initial_state") is None:
+            return super()._batched(options)
+        return {**options, "initial_state": np.asarray(options["initial_state"])[None]}
