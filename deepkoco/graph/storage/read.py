@@ -89,7 +89,13 @@ def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
             raise EpisodeFileError(f"{path}: is no MCAP file; recordings begin with the letters MCAP")
     contents = _Contents()
     for record, channel in _records(path, contents):
-        _sort_in(path, record, channel, contents)
+        try:
+            _sort_in(path, record, channel, contents)
+        except EpisodeFileError:
+            raise
+        except (*_DAMAGE, KeyError, TypeError) as damage:
+            contents.damage = damage
+            break
     if contents.meta is None or contents.graph is None:
         cut = f" (it is damaged: {contents.damage})" if contents.damage is not None else ""
         raise EpisodeFileError(
