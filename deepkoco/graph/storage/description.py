@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -127,10 +128,12 @@ def graph_from_description(description: Mapping[str, Any]) -> Graph:
 
 
 def _describe_delay(law: Delay) -> dict[str, Any]:
-    return {"law": law.to_dict(), "mean_s": law.mean, "highest_s": law.highest}
+    highest = law.highest if math.isfinite(law.highest) else None
+    return {"law": law.to_dict(), "mean_s": law.mean, "highest_s": highest}
 
 
 def _delay(description: Mapping[str, Any]) -> Delay:
     if description["law"].get("law") in LAWS:
         return make_delay(description["law"])
-    return RecordedDelay(description["law"], description["mean_s"], description["highest_s"])
+    highest = math.inf if description["highest_s"] is None else description["highest_s"]
+    return RecordedDelay(description["law"], description["mean_s"], highest)

@@ -60,14 +60,14 @@ def write_episodes(
 def _events(graph: Graph, episode: Episode, container: Container) -> Iterator[Event]:
     for node in graph.nodes:
         start, end = episode.t_start[node.name].tolist(), episode.t_end[node.name].tolist()
-        outputs = episode.outputs.get(node.name, ())
+        outputs = np.asarray(episode.outputs.get(node.name, ()))
         windows = {
             c.key: episode.windows[c.key].tolist()
             for c in graph.inputs_of(node.name)
             if c.key in episode.windows
         }
         for k, (t_start, t_end) in enumerate(zip(start, end, strict=True)):
-            output = np.asarray(outputs[k]) if k < len(outputs) else None
+            output = outputs[k, ...] if k < len(outputs) else None
             seen = {key: window[k] for key, window in windows.items()}
             yield t_end, _later(container.step, node.name, k, t_start, t_end, output, seen)
     for connection in graph.connections:
