@@ -7,9 +7,10 @@ from deepkoco.graph.episode import Episode, Note, record_episodes, replay_episod
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
 from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
+from deepkoco.graph.replay import MeasuredTiming, replay_timing
 from deepkoco.graph.runtime import BatchedRuntime, HorizonError, RuntimeState
 from deepkoco.graph.storage import EpisodeFileError, EpisodeWriter, RecordedRun, read_episodes, write_episodes
-from deepkoco.graph.timing import MeasuredTiming, TimingError, draw_timing, replay_timing
+from deepkoco.graph.timing import TimingError, draw_timing, extend_timing
 
 __all__ = [
     "BatchedRuntime",
@@ -39,6 +40,7 @@ __all__ = [
     "Supervisor",
     "TimingError",
     "draw_timing",
+    "extend_timing",
     "make_delay",
     "read_episodes",
     "read_log",

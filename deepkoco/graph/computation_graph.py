@@ -2,11 +2,14 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.timing_kernel import LOST
+
+if TYPE_CHECKING:
+    from deepkoco.graph.graph import Graph
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,11 @@ class ComputationGraph:
         steps: supervisor steps that can be taken.
         row: (B,) schedule of each environment.
         t_start, t_end: (R, steps of all nodes) [ticks]; of the last supervisor step only the start counts.
-        t_received: (R, messages of all connections) [ticks]; a message is sent at its step's t_end.
+        t_received: (R, messages of all connections) [ticks]; a message is sent at its step's t_end. A lost
+            message has `LOST`, which is later than everything.
         windows: (R, windows of all connections) seq of the messages seen, oldest first; negative: initial.
         boundary: (R, steps + 1, N) number of steps of each node that start before each supervisor step.
+        origin: what `extend_timing` draws the same delays from again; None: measured, or put together.
     """
 
     layout: Layout
@@ -72,6 +77,7 @@ class ComputationGraph:
     t_received: np.ndarray
     windows: np.ndarray
     boundary: np.ndarray
+    origin: Any = None
 
     @property
     def batch(self) -> int:
@@ -130,10 +136,12 @@ class ComputationGraph:
         """Return the schedules of some environments, in that order, and no others."""
         used, row = np.unique(self.row[environments], return_inverse=True)
         columns = ("t_start", "t_end", "t_received", "windows", "boundary")
-        return replace(self, row=row.reshape(-1), **{name: getattr(self, name)[used] for name in columns})
+        origin = None if self.origin is None else self.origin.take(used)
+        chosen = {name: getattr(self, name)[used] for name in columns}
+        return replace(self, row=row.reshape(-1), origin=origin, **chosen)
 
 
-def layout_of(graph: Graph, capacity: np.ndarray) -> Layout:
+def layout_of(graph: "Graph", capacity: np.ndarray) -> Layout:
     """Lay out the columns for at most capacity[n] steps of node n."""
     sender = np.array([graph.index[c.sender] for c in graph.connections], dtype=np.int64)
     receiver = np.array([graph.index[c.receiver] for c in graph.connections], dtype=np.int64)
@@ -151,7 +159,7 @@ def layout_of(graph: Graph, capacity: np.ndarray) -> Layout:
     )
 
 
-def concatenate(graph: Graph, parts: list[ComputationGraph]) -> ComputationGraph:
+def concatenate(graph: "Graph", parts: list[ComputationGraph]) -> ComputationGraph:
     """Join the environments of several computation graphs of one graph into one batch."""
     capacity = np.max([np.diff(part.layout.step_base) for part in parts], axis=0)
     layout = layout_of(graph, capacity)
@@ -180,7 +188,7 @@ def _join(
     for part in parts:
         array, old = getattr(part, name), getattr(part.layout, base_name)
         if resolution is not None:
-            array = array * (resolution // part.resolution)
+            array = np.where(array < LOST, array * (resolution // part.resolution), LOST)
         wide = np.zeros((len(array), base[-1]), dtype=array.dtype)
         for i in range(len(base) - 1):
             wide[:, base[i] : base[i] + old[i + 1] - old[i]] = array[:, old[i] : old[i + 1]]

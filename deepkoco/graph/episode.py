@@ -11,8 +11,8 @@ from torch import Tensor
 from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import Input, State
+from deepkoco.graph.replay import MeasuredTiming, replay_timing
 from deepkoco.graph.runtime import BatchedRuntime, NodeParameters, RuntimeState, Trace
-from deepkoco.graph.timing import MeasuredTiming, replay_timing
 
 _NEVER = np.iinfo(np.int64).max // 8  # ticks: an arrival after this is none
 Policy = Callable[[dict[str, Input]], Tensor]

@@ -1,11 +1,21 @@
 """Graphs: nodes and connections that fit together."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
+from functools import cached_property
+from typing import Any
 
 from deepkoco.graph.connection import Connection
-from deepkoco.graph.delay import exact_seconds
-from deepkoco.graph.node import GraphError, Node
+from deepkoco.graph.delay import (
+    DelayError,
+    RankCorrelation,
+    Stalls,
+    exact_seconds,
+    make_correlation,
+    make_stalls,
+)
+from deepkoco.graph.node import GraphError, Node, Supervisor
+from deepkoco.graph.timing_plan import TimingPlan
 
 
 class Graph:
@@ -18,13 +28,22 @@ class Graph:
         nodes: nodes with different names.
         connections: between these nodes; without those that skip they have no cycle.
         supervisor: name of the node whose output comes from outside.
+        correlations: rank correlations between delays of one publisher, or their descriptions.
+        stalls: stalls that hold up several channels at once, or their descriptions.
 
     Raises:
         GraphError: names the node, connection or cycle that does not fit.
+        DelayError: a correlation or stall names no channel, or channels that do not belong together.
     """
 
     def __init__(
-        self, nodes: Iterable[Node], connections: Iterable[Connection], supervisor: str = "agent"
+        self,
+        nodes: Iterable[Node],
+        connections: Iterable[Connection],
+        supervisor: str = "agent",
+        *,
+        correlations: Iterable[RankCorrelation | Mapping[str, Any]] = (),
+        stalls: Iterable[Stalls | Mapping[str, Any]] = (),
     ) -> None:
         self.nodes = tuple(nodes)
         self.connections = tuple(connections)
@@ -33,6 +52,17 @@ class Graph:
         self._check()
         self.order = self._topological_order()
         self.phases = self._phases()
+        self.correlations, self.stalls = check_coupling(self, correlations, stalls)
+
+    @property
+    def constant(self) -> bool:
+        """Whether all delays are constant, so that every episode has the same timing."""
+        return self.plan.constant and not self.stalls
+
+    @cached_property
+    def plan(self) -> TimingPlan:
+        """What every timing of this graph has in common."""
+        return TimingPlan(self)
 
     def node(self, name: str) -> Node:
         """Return the node of that name."""
@@ -50,6 +80,12 @@ class Graph:
         known = f"known: {', '.join(names)}"
         if self.supervisor not in names:
             raise GraphError(f'supervisor "{self.supervisor}" is no node; {known}')
+        for node in self.nodes:
+            if isinstance(node, Supervisor) and node.name != self.supervisor:
+                raise GraphError(
+                    f'node "{node.name}" is a Supervisor, but the supervisor is "{self.supervisor}"; '
+                    "a graph has one"
+                )
         seen: set[str] = set()
         for connection in self.connections:
             for end in (connection.sender, connection.receiver):
@@ -102,3 +138,35 @@ class Graph:
             ]
             phases[node.name] = max(arrivals, default=Fraction(0)) if node.phase is None else node.phase
         return tuple(phases[node.name] for node in self.nodes)
+
+
+def check_coupling(
+    graph: Graph,
+    correlations: Iterable[RankCorrelation | Mapping[str, Any]],
+    stalls: Iterable[Stalls | Mapping[str, Any]],
+) -> tuple[tuple[RankCorrelation, ...], tuple[Stalls, ...]]:
+    """Check that correlations and stalls name channels of a graph.
+
+    Raises:
+        DelayError: one names no channel, or correlates channels of different publishers.
+    """
+    made = tuple(map(make_correlation, correlations)), tuple(map(make_stalls, stalls))
+    senders = {node.name: node.name for node in graph.nodes} | {c.key: c.sender for c in graph.connections}
+    seen: set[str] = set()
+    for item in (*made[0], *made[1]):
+        kind = "rank correlation" if isinstance(item, RankCorrelation) else "stalls"
+        for key in item.channels or ():
+            if key not in senders:
+                raise DelayError(f'{kind}: "{key}" is no node or connection; known: {", ".join(senders)}')
+    for correlation in made[0]:
+        publishers = sorted({senders[key] for key in correlation.channels})
+        if len(publishers) > 1:
+            raise DelayError(
+                f"rank correlation of {' and '.join(correlation.channels)}: they belong to "
+                f"{' and '.join(publishers)}; delays are correlated step by step, so of one publisher"
+            )
+        twice = sorted(seen & set(correlation.channels))
+        if twice:
+            raise DelayError(f'rank correlation: "{twice[0]}" is in two; give one matrix for all of them')
+        seen |= set(correlation.channels)
+    return made

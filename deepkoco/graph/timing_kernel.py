@@ -1,183 +1,340 @@
-"""The timing rules, event by event, in integer ticks; compiled, one environment after the other."""
+"""The timing rules, event by event, in integer ticks; compiled, one schedule after the other."""
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-DONE, FULL, STUCK = 0, 1, 2
+DONE, FULL, STUCK, UNSTALLED = 0, 1, 2, 3
+LOST = np.iinfo(np.int64).max // 4
+"""Ticks: the arrival of a message that never arrives; everything from here on is never."""
+
+
+class Rules(NamedTuple):
+    """What follows from the graph alone; N nodes, E connections.
+
+    Attributes:
+        supervisor: node whose step `steps` ends the episode.
+        rank: (N,) place of each node in the topological order.
+        ancestor: (N, N) bool, [n, m]: messages that are not skipped lead from m to n.
+        frequency: (N,) bool, else phase scheduling.
+        unscheduled: (N,) bool, starts as soon as its blocking inputs are there.
+        sender, receiver, window: (E,).
+        skip, blocking, fifo: (E,) bool.
+        nominal: (E,) expected age of a message on arrival [ticks], or -1: taken as soon as it is there.
+        into, into_base: connections into each node, (E,) and (N + 1,).
+        out_of, out_base: connections out of each node, (E,) and (N + 1,).
+    """
+
+    supervisor: int
+    rank: np.ndarray
+    ancestor: np.ndarray
+    frequency: np.ndarray
+    unscheduled: np.ndarray
+    sender: np.ndarray
+    receiver: np.ndarray
+    window: np.ndarray
+    skip: np.ndarray
+    blocking: np.ndarray
+    fifo: np.ndarray
+    nominal: np.ndarray
+    into: np.ndarray
+    into_base: np.ndarray
+    out_of: np.ndarray
+    out_base: np.ndarray
+
+
+class Columns(NamedTuple):
+    """Where steps, messages and windows lie (see `Layout`), and the nominal start of every step [ticks]."""
+
+    step_base: np.ndarray
+    message_base: np.ndarray
+    window_base: np.ndarray
+    tick_base: np.ndarray
+    ticks: np.ndarray
+
+
+class Draws(NamedTuple):
+    """Delays of nodes and connections, in this order C = N + E channels [ticks].
+
+    Attributes:
+        values: (R, W); draw k of channel c is column first[c] + k stride[c].
+        first, stride: (C,); stride 0: the same delay every time.
+        stall_begin, stall_end: (R, G, S) of G stall processes.
+        stalled: (G, C) bool, which process holds up which channel.
+    """
+
+    values: np.ndarray
+    first: np.ndarray
+    stride: np.ndarray
+    stall_begin: np.ndarray
+    stall_end: np.ndarray
+    stalled: np.ndarray
+
+
+class Times(NamedTuple):
+    """What the rules give, as in `ComputationGraph`."""
+
+    t_start: np.ndarray
+    t_end: np.ndarray
+    t_received: np.ndarray
+    windows: np.ndarray
+    boundary: np.ndarray
 
 
 @njit(cache=True)
-def run_rows(
-    steps,  # supervisor steps to run before the last one, whose start ends the episode
-    supervisor,
-    rank,  # (N,) place of each node in the topological order
-    ancestor,  # (N, N) bool, [n, m]: messages that are not skipped lead from m to n
-    frequency,  # (N,) bool, else phase scheduling
-    unscheduled,  # (N,) bool: starts as soon as its blocking inputs are there
-    step_base,  # (N + 1,) first column of each node's steps
-    tick_base,  # (N,) first column of each node's ticks, one more than its steps
-    ticks,  # nominal start of every step
-    sender,  # (E,)
-    receiver,  # (E,)
-    skip,  # (E,) bool
-    blocking,  # (E,) bool
-    fifo,  # (E,) bool
-    nominal,  # (E,) expected age of a message on arrival, or -1: taken as soon as it is there
-    window,  # (E,)
-    message_base,  # (E + 1,) first column of each connection's messages
-    window_base,  # (E + 1,) first column of each connection's windows
-    computation,  # (R, steps) delays
-    communication,  # (R, messages) delays
-    recorded,  # (R, steps) measured starts, or no columns at all
-    t_start,  # (R, steps) out
-    t_end,  # (R, steps) out
-    t_received,  # (R, messages) out
-    windows,  # (R, windows) out: seq of the messages that each step sees, oldest first
-    boundary,  # (R, steps + 1, N) out: steps of every node that started before each supervisor step
-):
-    """Fill the output arrays; return DONE, FULL (a node ran out of columns) or STUCK."""
-    replay = recorded.shape[1] > 0
-    nodes, edges = len(rank), len(sender)
-    count = np.zeros(nodes, np.int64)
-    shift = np.zeros(nodes, np.int64)
-    ready = np.zeros(nodes, np.int64)
-    known = np.zeros(nodes, np.bool_)
-    taken = np.zeros(edges, np.int64)
+def run_rows(steps, rules, columns, draws, recorded, times):
+    """Fill `times`; `recorded` has measured starts (R, steps of all nodes), or no columns at all.
+
+    Returns:
+        DONE, FULL (a node ran out of columns), STUCK, or UNSTALLED (the drawn stalls end before the episode).
+    """
+    nodes, edges = len(rules.rank), len(rules.sender)
     widest = 1
     for e in range(edges):
-        widest = max(widest, window[e])
+        widest = max(widest, rules.window[e])
+    count = np.zeros(nodes, np.int64)
+    taken = np.zeros(edges, np.int64)
     seen = np.zeros((edges, widest), np.int64)
-    picked = np.zeros(message_base[-1], np.bool_)
-    for row in range(len(computation)):
+    picked = np.zeros(columns.message_base[-1], np.bool_)
+    for row in range(len(draws.values)):
         count[:] = 0
-        shift[:] = 0
-        known[:] = False
         taken[:] = 0
         picked[:] = False
         for e in range(edges):
-            for i in range(window[e]):
-                seen[e, i] = i - window[e]
-        while True:
-            # Rule 3: the start of every next step whose awaited messages have all been sent.
-            for n in range(nodes):
-                if known[n]:
-                    continue
-                k = count[n]
-                if k >= step_base[n + 1] - step_base[n]:
-                    return FULL
-                tick = ticks[tick_base[n] + k]
-                start = 0 if unscheduled[n] else tick + shift[n]
-                if k > 0:
-                    start = max(start, t_end[row, step_base[n] + k - 1])
-                complete = True
-                for e in range(edges):
-                    if receiver[e] != n or not blocking[e]:
-                        continue
-                    # Rule 2: wait for all messages that were nominally started since the last tick.
-                    s, i = sender[e], taken[e]
-                    while i < step_base[s + 1] - step_base[s]:
-                        begun = ticks[tick_base[s] + i]
-                        if begun > tick or (skip[e] and begun == tick):
-                            break
-                        if i >= count[s]:
-                            # A measured start did not wait for what arrived after it.
-                            complete = False
-                            if replay:
-                                column = step_base[s] + i
-                                age = computation[row, column] + communication[row, message_base[e] + i]
-                                complete = recorded[row, column] + age > recorded[row, step_base[n] + k]
-                            break
-                        start = max(start, t_received[row, message_base[e] + i])
-                        i += 1
-                    if i >= step_base[s + 1] - step_base[s] and not replay:
-                        return FULL
-                    if not complete:
-                        break
-                ready[n] = recorded[row, step_base[n] + k] if replay else start
-                known[n] = complete
-            # The next step is the earliest; at one instant senders come first.
-            n = -1
-            for m in range(nodes):
-                if not known[m]:
-                    continue
-                if n < 0 or ready[m] < ready[n]:
-                    n = m
-                elif replay and n == supervisor and count[n] == steps and ready[m] == ready[n]:
-                    n = m  # whatever was measured came before the end
-                elif replay and m == supervisor and count[m] == steps:
-                    continue
-                elif ready[m] == ready[n]:
-                    waits_m, waits_n = False, False
-                    for a in range(nodes):
-                        waits_m |= ancestor[m, a] and not known[a]
-                        waits_n |= ancestor[n, a] and not known[a]
-                    if (waits_n and not waits_m) or (waits_m == waits_n and rank[m] < rank[n]):
-                        n = m
-            if n < 0:
-                return STUCK
-            k, now = count[n], ready[n]
-            column = step_base[n] + k
-            for e in range(edges):
-                if receiver[e] != n:
-                    continue
-                s, base, size = sender[e], message_base[e], window[e]
-                if blocking[e]:
-                    tick = ticks[tick_base[n] + k]
-                    while taken[e] < count[s]:  # all that were awaited; a measured start may precede some
-                        begun = ticks[tick_base[s] + taken[e]]
-                        late = t_received[row, base + taken[e]] > now
-                        if begun > tick or (skip[e] and begun == tick) or late:
-                            break
-                        _push(seen[e], size, taken[e])
-                        taken[e] += 1
-                else:
-                    # Rule 5: take everything that has arrived, in the order of arrival.
-                    while True:
-                        best = -1
-                        for i in range(taken[e], count[s]):
-                            if picked[base + i]:
-                                continue
-                            arrival = t_received[row, base + i]
-                            if nominal[e] >= 0:
-                                arrival = max(arrival, ticks[tick_base[s] + i] + nominal[e])
-                            if arrival > now or (skip[e] and arrival == now):
-                                if fifo[e]:
-                                    break
-                                continue
-                            if best < 0 or t_received[row, base + i] < t_received[row, base + best]:
-                                best = i
-                            if fifo[e]:
-                                break
-                        if best < 0:
-                            break
-                        picked[base + best] = True
-                        _push(seen[e], size, best)
-                        while taken[e] < count[s] and picked[base + taken[e]]:
-                            taken[e] += 1
-                for i in range(size):
-                    windows[row, window_base[e] + k * size + i] = seen[e, i]
-            # Rule 4: the end of the step and the arrival of its messages.
-            t_start[row, column] = now
-            t_end[row, column] = now + computation[row, column]
-            if n == supervisor:
-                for m in range(nodes):
-                    boundary[row, k, m] = count[m]
-                if k == steps:
-                    break
-            for e in range(edges):
-                if sender[e] != n:
-                    continue
-                arrival = t_end[row, column] + communication[row, message_base[e] + k]
-                if fifo[e] and k > 0:
-                    arrival = max(arrival, t_received[row, message_base[e] + k - 1])
-                t_received[row, message_base[e] + k] = arrival
-            if frequency[n]:
-                # An own overrun (computation longer than the period) shifts later ticks, waiting does not.
-                period = ticks[tick_base[n] + k + 1] - ticks[tick_base[n] + k]
-                shift[n] += max(0, computation[row, column] - period)
-            count[n] += 1
-            known[n] = False
+            for i in range(rules.window[e]):
+                seen[e, i] = i - rules.window[e]
+        status = _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, seen, picked)
+        if status != DONE:
+            return status
     return DONE
+
+
+@njit(cache=True)
+def _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, seen, picked):
+    replay = recorded.shape[1] > 0
+    nodes, edges = len(rules.rank), len(rules.sender)
+    supervisor = rules.supervisor
+    shift = np.zeros(nodes, np.int64)
+    ready = np.zeros(nodes, np.int64)
+    known = np.zeros(nodes, np.bool_)
+    stale = np.ones(nodes, np.bool_)
+    unknown = nodes
+    last_arrival = np.zeros(edges, np.int64)
+    stall = np.zeros(draws.stalled.shape[0], np.int64)
+    while True:
+        for n in range(nodes):
+            if known[n] or not stale[n]:
+                continue
+            stale[n] = False
+            if count[n] >= columns.step_base[n + 1] - columns.step_base[n]:
+                return FULL
+            start, complete = _next_start(
+                n, row, rules, columns, draws, recorded, times, count, taken, picked, shift
+            )
+            if start < 0:
+                return FULL
+            if complete:
+                ready[n], known[n] = start, True
+                unknown -= 1
+        # The next step is the earliest; at one instant senders come first.
+        n = -1
+        for m in range(nodes):
+            if not known[m]:
+                continue
+            if n < 0 or ready[m] < ready[n]:
+                n = m
+            elif ready[m] > ready[n]:
+                continue
+            elif replay and n == supervisor and count[n] == steps:
+                n = m  # whatever was measured came before the end
+            elif replay and m == supervisor and count[m] == steps:
+                continue
+            elif _comes_first(m, n, rules, known, unknown):
+                n = m
+        if n < 0:
+            return STUCK
+        k, now = count[n], ready[n]
+        column = columns.step_base[n] + k
+        for j in range(rules.into_base[n], rules.into_base[n + 1]):
+            e = rules.into[j]
+            if rules.blocking[e]:
+                _take_awaited(e, k, row, now, rules, columns, times, count, taken, seen, picked)
+            else:
+                _take_arrived(e, row, now, replay, rules, columns, times, count, taken, seen, picked)
+            size = rules.window[e]
+            for i in range(size):
+                times.windows[row, columns.window_base[e] + k * size + i] = seen[e, i]
+        # Rule 4: the end of the step and the arrival of its messages.
+        times.t_start[row, column] = now
+        if n == supervisor:
+            for m in range(nodes):
+                times.boundary[row, k, m] = count[m]
+            if k == steps:
+                times.t_end[row, column] = now
+                return DONE
+        for g in range(len(stall)):
+            while stall[g] < draws.stall_end.shape[2] and draws.stall_end[row, g, stall[g]] <= now:
+                stall[g] += 1
+        work = draws.values[row, draws.first[n] + k * draws.stride[n]]
+        end = _finish(row, n, now, work, draws, stall)
+        if end < 0:
+            return UNSTALLED
+        times.t_end[row, column] = end
+        for j in range(rules.out_base[n], rules.out_base[n + 1]):
+            e = rules.out_of[j]
+            channel = nodes + e
+            work = draws.values[row, draws.first[channel] + k * draws.stride[channel]]
+            arrival = LOST
+            if work < LOST:
+                arrival = _finish(row, channel, end, work, draws, stall)
+                if arrival < 0:
+                    return UNSTALLED
+                # Measured messages come in the order in which they came; a lost one holds nothing back.
+                if rules.fifo[e] and not replay:
+                    arrival = max(arrival, last_arrival[e])
+                    last_arrival[e] = arrival
+            times.t_received[row, columns.message_base[e] + k] = arrival
+            stale[rules.receiver[e]] = True
+        if rules.frequency[n]:
+            # An own overrun (computation longer than the period) shifts later ticks, waiting does not.
+            tick = columns.tick_base[n] + k
+            shift[n] += max(0, end - now - (columns.ticks[tick + 1] - columns.ticks[tick]))
+        count[n] += 1
+        known[n], stale[n] = False, True
+        unknown += 1
+
+
+@njit(cache=True)
+def _next_start(n, row, rules, columns, draws, recorded, times, count, taken, picked, shift):
+    """Rules 2 and 3: start of a node's next step, and whether all messages that it awaits have been sent."""
+    replay = recorded.shape[1] > 0
+    k = count[n]
+    column = columns.step_base[n] + k
+    tick = columns.ticks[columns.tick_base[n] + k]
+    start = 0 if rules.unscheduled[n] else tick + shift[n]
+    if k > 0:
+        start = max(start, times.t_end[row, column - 1])
+    for j in range(rules.into_base[n], rules.into_base[n + 1]):
+        e = rules.into[j]
+        if not rules.blocking[e]:
+            continue
+        # Wait for all messages that were nominally started since the last tick.
+        s, base = rules.sender[e], columns.message_base[e]
+        size = columns.step_base[s + 1] - columns.step_base[s]
+        i = taken[e]
+        while i < size:
+            begun = columns.ticks[columns.tick_base[s] + i]
+            if begun > tick or (rules.skip[e] and begun == tick):
+                break
+            if i >= count[s]:
+                if not replay:
+                    return start, False
+                # A measured start did not wait for what arrived after it.
+                work = draws.values[row, draws.first[s] + i]
+                work += draws.values[row, draws.first[len(rules.rank) + e] + i]
+                if recorded[row, columns.step_base[s] + i] + work <= recorded[row, column]:
+                    return start, False
+                break
+            if times.t_received[row, base + i] < LOST:
+                start = max(start, times.t_received[row, base + i])
+            i += 1
+        if i >= size and not replay:
+            return -1, False
+    return (recorded[row, column] if replay else start), True
+
+
+@njit(cache=True)
+def _comes_first(m, n, rules, known, unknown):
+    """Whether of two steps at one instant that of m is to run before that of n."""
+    waits_m, waits_n = False, False
+    if unknown > 0:
+        for a in range(len(rules.rank)):
+            if not known[a]:
+                waits_m |= rules.ancestor[m, a]
+                waits_n |= rules.ancestor[n, a]
+    if waits_m != waits_n:
+        return waits_n
+    return rules.rank[m] < rules.rank[n]
+
+
+@njit(cache=True)
+def _finish(row, channel, start, work, draws, stall):
+    """Instant at which `work` ticks without any stall have passed since `start`; -1: stalls run out."""
+    now, left = start, work
+    while True:
+        begin = LOST
+        held = False
+        for g in range(len(stall)):
+            if not draws.stalled[g, channel]:
+                continue
+            j = stall[g]
+            while j < draws.stall_end.shape[2] and draws.stall_end[row, g, j] <= now:
+                j += 1
+            if j == draws.stall_end.shape[2]:
+                return -1
+            if draws.stall_begin[row, g, j] <= now:
+                now = draws.stall_end[row, g, j]
+                held = True
+                break
+            begin = min(begin, draws.stall_begin[row, g, j])
+        if held:
+            continue
+        if now + left <= begin:
+            return now + left
+        left -= begin - now
+        now = begin
+
+
+@njit(cache=True)
+def _take_awaited(e, k, row, now, rules, columns, times, count, taken, seen, picked):
+    """Rule 2: take all that were awaited and have arrived; a measured start may precede some of them."""
+    s, base = rules.sender[e], columns.message_base[e]
+    tick = columns.ticks[columns.tick_base[rules.receiver[e]] + k]
+    for i in range(taken[e], count[s]):
+        begun = columns.ticks[columns.tick_base[s] + i]
+        if begun > tick or (rules.skip[e] and begun == tick):
+            break
+        if not picked[base + i] and times.t_received[row, base + i] <= now:
+            _push(seen[e], rules.window[e], i)
+            picked[base + i] = True
+    _forget(e, row, base, count[s], times, taken, picked)
+
+
+@njit(cache=True)
+def _take_arrived(e, row, now, replay, rules, columns, times, count, taken, seen, picked):
+    """Rule 5: take everything that has arrived, in the order of arrival."""
+    s, base, nominal = rules.sender[e], columns.message_base[e], rules.nominal[e]
+    in_order = rules.fifo[e] and not replay
+    while True:
+        best = -1
+        for i in range(taken[e], count[s]):
+            received = times.t_received[row, base + i]
+            if picked[base + i] or received >= LOST:
+                continue
+            arrival = received
+            if nominal >= 0:
+                arrival = max(arrival, columns.ticks[columns.tick_base[s] + i] + nominal)
+            if arrival > now or (rules.skip[e] and arrival == now):
+                if in_order:
+                    break
+                continue
+            if best < 0 or received < times.t_received[row, base + best]:
+                best = i
+            if in_order:
+                break
+        if best < 0:
+            return
+        picked[base + best] = True
+        _push(seen[e], rules.window[e], best)
+        _forget(e, row, base, count[s], times, taken, picked)
+
+
+@njit(cache=True)
+def _forget(e, row, base, sent, times, taken, picked):
+    """Move on past the messages that were taken or got lost."""
+    while taken[e] < sent and (picked[base + taken[e]] or times.t_received[row, base + taken[e]] >= LOST):
+        taken[e] += 1
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ import torch
 from hypothesis import strategies as st
 
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor
+from deepkoco.graph.delay import Stream
 
 MS = Fraction(1, 1000)
 
@@ -30,13 +31,19 @@ class Listed(Delay):
     def at(self, environment: int, index: int) -> Fraction:
         return self.values[(index + environment) % len(self.values)] * MS
 
-    def sample(self, generator, shape):
-        rows, columns = shape
-        # Further columns go on where the last ones ended: the generator's own seed keeps the count.
-        first = generator.bit_generator.seed_seq.n_children_spawned
-        generator.bit_generator.seed_seq.spawn(columns)
-        last = first + columns
-        return np.array([[float(self.at(b, i)) for i in range(first, last)] for b in range(rows)])
+    def stream(self, rows, period):
+        return ListedStream(self, rows)
+
+
+class ListedStream(Stream):
+    """Goes on in the list where the last draws ended."""
+
+    count = 0
+
+    def draw(self, generator, columns):
+        first, self.count = self.count, self.count + columns
+        numbers = range(first, self.count)
+        return np.array([[float(self.law.at(row, i)) for i in numbers] for row in range(self.rows)])
 
 
 @dataclass

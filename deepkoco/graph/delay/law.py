@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -135,6 +136,7 @@ def exact_seconds(law: Delay) -> Fraction:
     return exact_fraction(law.mean) if law.constant else Fraction(round(law.mean * 10**9), 10**9)
 
 
+@lru_cache(maxsize=4096)
 def exact_fraction(value: float | Fraction) -> Fraction:
     """Return the simple fraction that rounds to the float `value`, if there is one, else the float itself."""
     simple = Fraction(value).limit_denominator(10**6)

@@ -66,7 +66,7 @@ class RankCorrelation:
 
     def to_dict(self) -> dict[str, Any]:
         """Describe the correlation in plain numbers, strings and lists."""
-        value = self.value if isinstance(self.value, float) else [list(row) for row in self.value]
+        value = self.value if isinstance(self.value, float) else np.asarray(self.value).tolist()
         return {"channels": list(self.channels), "value": value}
 
     def _root(self, matrix: np.ndarray) -> np.ndarray:
