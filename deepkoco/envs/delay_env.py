@@ -146,7 +146,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         return declared.low, declared.high, declared.unit
 
     def _delays(self, draws: Mapping[str, Tensor]) -> Delays:
-        timing = self.system.timing(self.system.default_parameters() | draws)
+        timing = self.system.timing(self.system.default_parameters() | dict(draws))
         delays = {}
         for name, own in zip(DELAYS, (timing.actuation_delay, timing.sensing_delay), strict=True):
             if name in draws or own.ndim > 0:
