@@ -67,14 +67,16 @@ def draw_timing(
     own = dict(zip(plan.channels, plan.laws, strict=True))
     nodes = plan.channels[: len(graph.nodes)]
     laws = read_overrides(own, nodes, delays or {}, rows or batch, traces)
-    try:
-        coupled = (
-            graph.correlations if correlations is None else tuple(correlations),
-            graph.stalls if stalls is None else tuple(stalls),
-        )
-        coupled = coupled if correlations is None and stalls is None else check_coupling(graph, *coupled)
-    except DelayError as error:
-        raise TimingError(str(error)) from error
+    coupled = graph.correlations, graph.stalls
+    if correlations is not None or stalls is not None:
+        try:
+            coupled = check_coupling(
+                graph,
+                coupled[0] if correlations is None else correlations,
+                coupled[1] if stalls is None else stalls,
+            )
+        except DelayError as error:
+            raise TimingError(str(error)) from error
     if rows is None:
         rows = 1 if laws.constant and not coupled[1] else batch
     if isinstance(generator, torch.Generator):
