@@ -10,6 +10,10 @@ from deepkoco.graph.node import Input, Node, State, Supervisor
 from deepkoco.graph.realtime.plan import Window
 
 
+class InitialStateError(ValueError):
+    """A state that was given for the start does not fit the node's."""
+
+
 class Runner:
     """Steps one node; knows neither time nor transport.
 
@@ -40,14 +44,14 @@ class Runner:
             The initial output (1, ...).
 
         Raises:
-            ValueError: `initial` does not fit the node's state.
+            InitialStateError: `initial` does not fit the node's state.
         """
         self._parameters = dict(parameters)
         self.state = dict(self.node.init(self._parameters, generator, 1))
         for key, value in initial.items():
             if key not in self.state or value.shape != self.state[key].shape:
                 there = {name: tuple(tensor.shape) for name, tensor in self.state.items()}
-                raise ValueError(
+                raise InitialStateError(
                     f'initial "{self.node.name}.{key}" {tuple(value.shape)} does not fit {there}'
                 )
             self.state[key] = value

@@ -14,7 +14,7 @@ from deepkoco.graph.node import Input, State
 from deepkoco.graph.realtime.failure import NodeFailure, failure_of
 from deepkoco.graph.realtime.plan import NodePlan, Plan, PlannedStep, TimingPlan
 from deepkoco.graph.realtime.protocol import ProtocolPlan
-from deepkoco.graph.realtime.runner import Runner
+from deepkoco.graph.realtime.runner import InitialStateError, Runner
 from deepkoco.graph.realtime.state import Policy, RunningState, check_step, planned_episode, running_state
 from deepkoco.graph.runtime import NodeParameters
 
@@ -35,7 +35,7 @@ class SimulatedRuntime:
     Args:
         graph: the nodes and connections.
         timing: when what runs; None: by the synchronisation protocol, for constant delays and without end.
-        record: keep all outputs for `episode`.
+        record: keep all outputs for `finish`.
     """
 
     def __init__(self, graph: Graph, timing: ComputationGraph | None = None, record: bool = True) -> None:
@@ -101,9 +101,9 @@ class SimulatedRuntime:
                     self._opened.append(name)
                     runner.node.open()
                 first[name] = runner.reset(parameters.get(name, {}), generator, (initial or {}).get(name, {}))
+            except InitialStateError:
+                raise
             except BaseException as error:
-                if isinstance(error, ValueError) and str(error).startswith("initial "):
-                    raise
                 raise self._fail(name, -1, error) from error
         for runner in self._runners.values():
             runner.begin([first[c.sender] for c in runner.inputs])
@@ -144,11 +144,16 @@ class SimulatedRuntime:
             self.step(self._running, policy(self._seen))
         return self._running
 
-    def episode(self) -> Episode:
-        """Return what has run since the reset."""
+    def finish(self) -> Episode:
+        """End the episode and return what ran since the reset, up to the supervisor's last start.
+
+        Raises:
+            ValueError: nothing was recorded.
+        """
         if self._running is None or not self._record:
             raise ValueError("no episode is recorded: make the runtime with record=True and reset it")
-        return planned_episode(self.graph, self._plan, int(self._running.step[0]), self._outputs)
+        step, self._running = int(self._running.step[0]), None
+        return planned_episode(self.graph, self._plan, step, self._outputs)
 
     def node_state(self, name: str) -> State:
         """Return the state of a node as its last step left it."""
