@@ -49,7 +49,7 @@ def draw_all(diagnosis: Diagnosis) -> list[Picture]:
         before_after,
         parameters,
     )
-    style = str(files("deepkoco.diagnose").joinpath("report.mplstyle"))
+    style = str(files("deepkoco").joinpath("figures.mplstyle"))
     with matplotlib.rc_context(fname=style):
         pictures = [draw(diagnosis, diagnosis.details) for draw in drawings]
     return [picture for picture in pictures if picture is not None]

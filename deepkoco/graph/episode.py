@@ -1,7 +1,7 @@
 """Episodes: what ran when, what it sent, who used it; recorded from the runtime and replayed in it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -99,25 +99,37 @@ def replay_episode(
     return episodes[0], state
 
 
+def episode_of_timing(graph: Graph, timing: ComputationGraph, row: int = 0) -> Episode:
+    """Return the times and windows of one schedule as an episode without outputs.
+
+    Args:
+        graph: what runs.
+        timing: drawn or replayed.
+        row: schedule.
+    """
+
+    def seconds(ticks: np.ndarray) -> np.ndarray:
+        return np.where(ticks < _NEVER, ticks / timing.resolution, np.inf)
+
+    steps = [timing.steps_of(n, row) for n in range(len(graph.nodes))]
+    messages = [timing.messages_of(e, row) for e in range(len(graph.connections))]
+    names, keys = list(graph.index), [connection.key for connection in graph.connections]
+    return Episode(
+        t_start={name: seconds(start) for name, (start, _) in zip(names, steps, strict=True)},
+        t_end={name: seconds(end) for name, (_, end) in zip(names, steps, strict=True)},
+        outputs={},
+        t_sent={key: seconds(sent) for key, (sent, _) in zip(keys, messages, strict=True)},
+        t_received={key: seconds(received) for key, (_, received) in zip(keys, messages, strict=True)},
+        windows={key: timing.windows_of(e, row) for e, key in enumerate(keys)},
+    )
+
+
 def _episode(graph: Graph, timing: ComputationGraph, trace: Trace, environment: int) -> Episode:
-    row = int(timing.row[environment])
     outputs: dict[str, list[np.ndarray]] = {node.name: [] for node in graph.nodes}
     for position, seq, output in trace:
         if seq[min(environment, len(seq) - 1)] >= 0:
             value = output[min(environment, len(output) - 1)]
             outputs[graph.nodes[position].name].append(value.detach().cpu().numpy())
-
-    def seconds(ticks: np.ndarray) -> np.ndarray:
-        return np.where(ticks < _NEVER, ticks / timing.resolution, np.inf)
-
-    times = [[seconds(t) for t in timing.steps_of(n, row)] for n in range(len(graph.nodes))]
-    messages = [[seconds(t) for t in timing.messages_of(e, row)] for e in range(len(graph.connections))]
-    keys = [connection.key for connection in graph.connections]
-    return Episode(
-        t_start={node.name: start for node, (start, _) in zip(graph.nodes, times, strict=True)},
-        t_end={node.name: end for node, (_, end) in zip(graph.nodes, times, strict=True)},
-        outputs={name: np.stack(values) for name, values in outputs.items() if values},
-        t_sent={key: sent for key, (sent, _) in zip(keys, messages, strict=True)},
-        t_received={key: received for key, (_, received) in zip(keys, messages, strict=True)},
-        windows={key: timing.windows_of(e, row) for e, key in enumerate(keys)},
-    )
+    times = episode_of_timing(graph, timing, int(timing.row[environment]))
+    stacked = {name: np.stack(values) for name, values in outputs.items() if values}
+    return replace(times, outputs=stacked)
