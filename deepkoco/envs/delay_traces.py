@@ -46,7 +46,7 @@ class DelayTraces:
         self.ranges = dict(ranges)
         self._delays = delays
         laws = [node.delay for node in graph.nodes] + [c.law for c in graph.connections]
-        self.constant = not self.ranges and all(law.constant for law in laws)
+        self.constant = not self.ranges and not graph.stalls and all(law.constant for law in laws)
         self.rows = 1 if self.constant else min(most, max(batch, FEWEST))
         self.draws: dict[str, Tensor] = {}
         self._unused: np.ndarray | None = None
