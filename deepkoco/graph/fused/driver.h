@@ -1,0 +1,328 @@
+// The loop over steps and slots. What runs when comes from tables; `BODIES` says what a node does.
+//
+// A block holds W environments. Its fixed record (environments, schedule rows, parameters, states that never
+// change) is read, its moving record (step, states, readings, last outputs) is written.
+
+struct NodeInfo {
+  i64 state;         // offset in the moving record [bytes]
+  i64 n8, n4, n1;    // elements of the state by size
+  i64 ring;          // offset of its last outputs in the moving record [bytes]
+  i64 count, size;   // elements of an output, bytes of one
+  i64 step_base;     // column of its first step
+  i32 ring_mask;     // cells of the ring - 1
+  i32 first_edge, edges;
+  i32 flags;         // 1: reads t_start, 2: its new state is staged
+};
+struct EdgeInfo {
+  i64 window_base, message_base;
+  i32 sender, window, flags, unused; // flags 1: reads seq, 2: t_sent, 4: t_received
+};
+struct Model {
+  i64 slots, steps, small_table; // steps: of the supervisor; table of int16 or int32
+  i64 supervisor, readings;      // its index; offset of the readings in the moving record [bytes]
+  i64 fixed_bytes, moving_bytes, blocks, batch;
+  i64 window_columns, step_columns, message_columns;
+  double resolution;
+  const NodeInfo *node;
+  const EdgeInfo *edge;
+  const i32 *slot;
+  const void *table;
+  const i32 *windows;
+  const i64 *t_start, *t_end, *t_received;
+  const char *constants;
+};
+
+struct View { // what a node sees
+  const char *data[PLACES];
+  VL seq[PLACES];
+  VD times[1 + 2 * PLACES];
+  char stage[STAGE * W];
+};
+typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, char *Y);
+
+struct Rollout {
+  i64 steps, first, last; // steps to take, blocks
+  i64 looks;              // whether the policy sees the inputs
+  Policy policy;          // or null: actions are given
+  const char *weights, *actions;
+  i64 action_time, action_environment; // strides of the given actions [bytes]
+  char *out_actions;                   // (steps, B, M) or null
+  i64 outputs;                         // readings to record
+  const i64 *reading_offset, *reading_count, *reading_size;
+  char *const *out_readings; // (steps, B, ...) each
+};
+
+struct Block {
+  const Model &m;
+  const char *fixed;
+  char *moving;
+  i32 row[W], step[W];
+  bool uniform; // all lanes are at the same step of the same schedule
+};
+
+INLINE i32 seq_at(const Model &m, i64 row, i64 step, i64 slot) {
+  const i64 at = (row * (m.steps + 1) + step) * m.slots + slot;
+  return m.small_table ? ((const int16_t *)m.table)[at] : ((const i32 *)m.table)[at];
+}
+INLINE double seconds(i64 ticks, const Model &m) { return double(ticks) / m.resolution; }
+
+template <class V> static void pick_as(const char *ring, i64 bytes, i32 mask, VI cell, unsigned present, i64 count, char *out) {
+  for (i64 k = 0; k < count; k++) {
+    V r = ld<V>(ring, k);
+    for (i32 q = 0; q <= mask; q++)
+      if (present >> q & 1) r = sel(eq(cell, splat<VI>(q)), ld<V>(ring + q * bytes, k), r);
+    st(out, k, r);
+  }
+}
+// Each lane's own cell of a ring.
+static void pick(const char *ring, i64 bytes, i32 mask, const i32 *cell, i64 count, i64 size, char *out) {
+  if (mask < 16 && size >= 4) {
+    unsigned present = 0;
+    for (int l = 0; l < W; l++) present |= 1u << cell[l];
+    VI c;
+    memcpy(&c, cell, sizeof c);
+    if (size == 4) return pick_as<VI>(ring, bytes, mask, c, present, count, out);
+    return pick_as<VL>(ring, bytes, mask, c, present, count, out);
+  }
+  for (i64 k = 0; k < count; k++)
+    for (int l = 0; l < W; l++) memcpy(out + (k * W + l) * size, ring + cell[l] * bytes + (k * W + l) * size, size);
+}
+template <class V> INLINE void blend(char *to, const char *from, i64 count, VB where) {
+  for (i64 k = 0; k < count; k++) st(to, k, sel(where, ld<V>(from, k), ld<V>(to, k)));
+}
+static void blend_bytes(char *to, const char *from, i64 count, i64 size, const i32 *where) {
+  for (i64 k = 0; k < count; k++)
+    for (int l = 0; l < W; l++)
+      if (where[l]) memcpy(to + (k * W + l) * size, from + (k * W + l) * size, size);
+}
+static void blend_sized(char *to, const char *from, i64 count, i64 size, const i32 *where) {
+  VB m;
+  memcpy(&m.m, where, sizeof m.m);
+  if (size == 4) blend<VI>(to, from, count, m);
+  else if (size == 8) blend<VL>(to, from, count, m);
+  else blend_bytes(to, from, count, size, where);
+}
+// Write outputs of steps `seq` (-1: none) into their cells.
+static void write(Block &b, const NodeInfo &n, const i32 *seq, const char *value) {
+  const i64 bytes = n.count * n.size * W;
+  char *ring = b.moving + n.ring;
+  for (i32 q = 0; q <= n.ring_mask; q++) {
+    i32 where[W];
+    bool some = false, all = true;
+    for (int l = 0; l < W; l++) {
+      const bool here = seq[l] >= 0 && (seq[l] & n.ring_mask) == q;
+      where[l] = -here;
+      some |= here;
+      all &= here;
+    }
+    if (all) memcpy(ring + q * bytes, value, bytes);
+    else if (some) blend_sized(ring + q * bytes, value, n.count, n.size, where);
+  }
+}
+
+// Collect what node `n` sees at its steps `seq`.
+static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
+  const Model &m = b.m;
+  const int lanes = b.uniform ? 1 : W;
+  char *stage = v.stage;
+  int j = 0;
+  if (n.flags & 1)
+    for (int l = 0; l < lanes; l++) {
+      const double t = seconds(m.t_start[b.row[l] * m.step_columns + n.step_base + seq[l]], m);
+      if (b.uniform) v.times[0] = splat<VD>(t);
+      else put(v.times[0], l, t);
+    }
+  for (const EdgeInfo *e = m.edge + n.first_edge; e < m.edge + n.first_edge + n.edges; e++) {
+    const NodeInfo &s = m.node[e->sender];
+    const i64 bytes = s.count * s.size * W;
+    const char *ring = b.moving + s.ring;
+    for (i32 i = 0; i < e->window; i++, j++) {
+      i32 message[W], cell[W];
+      bool same = true;
+      for (int l = 0; l < lanes; l++) {
+        message[l] = m.windows[b.row[l] * m.window_columns + e->window_base + i64(seq[l]) * e->window + i];
+        cell[l] = message[l] & s.ring_mask;
+        same &= cell[l] == cell[0];
+      }
+      v.data[j] = ring + cell[0] * bytes;
+      if (!same) {
+        pick(ring, bytes, s.ring_mask, cell, s.count, s.size, stage);
+        v.data[j] = stage;
+        stage += bytes;
+      }
+      if (!e->flags) continue;
+      for (int l = 0; l < lanes; l++) {
+        const bool initial = message[l] < 0;
+        const double never = -__builtin_inf();
+        const i64 row = b.row[l];
+        double sent = never, received = never;
+        if (e->flags & 2 && !initial) sent = seconds(m.t_end[row * m.step_columns + s.step_base + message[l]], m);
+        if (e->flags & 4 && !initial)
+          received = seconds(m.t_received[row * m.message_columns + e->message_base + message[l]], m);
+        if (b.uniform) {
+          v.seq[j] = splat<VL>(i64(message[l]));
+          v.times[1 + j] = splat<VD>(sent);
+          v.times[1 + PLACES + j] = splat<VD>(received);
+        } else {
+          put(v.seq[j], l, message[l]);
+          put(v.times[1 + j], l, sent);
+          put(v.times[1 + PLACES + j], l, received);
+        }
+      }
+    }
+  }
+}
+
+static void run_node(Block &b, int index, const i32 *seq, const char *H, View &v) {
+  const NodeInfo &n = b.m.node[index];
+  const i64 bytes = n.count * n.size * W, state_bytes = (8 * n.n8 + 4 * n.n4 + n.n1) * W;
+  char *state = b.moving + n.state, *ring = b.moving + n.ring;
+  char new_state[STATE * W], output[OUTPUT * W];
+  i32 runs[W], place[W];
+  bool all = true, same = true;
+  i32 some = 0;
+  for (int l = 0; l < W; l++) some = seq[l] > some ? seq[l] : some;
+  for (int l = 0; l < W; l++) {
+    runs[l] = -(seq[l] >= 0);
+    all &= seq[l] >= 0;
+    same &= seq[l] == seq[0];
+    place[l] = seq[l] >= 0 ? seq[l] : some; // the others look where these do; it is not used
+  }
+  look(b, n, place, v);
+  const bool in_place = all && !(n.flags & 2);
+  char *to_state = in_place ? state : new_state;
+  char *to_output = all && same ? ring + (seq[0] & n.ring_mask) * bytes : output;
+  BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, to_state, to_output, b.m.constants);
+  if (!in_place && all) memcpy(state, new_state, state_bytes);
+  else if (!all) {
+    blend_sized(state, new_state, n.n8, 8, runs);
+    blend_sized(state + 8 * n.n8 * W, new_state + 8 * n.n8 * W, n.n4, 4, runs);
+    blend_bytes(state + (8 * n.n8 + 4 * n.n4) * W, new_state + (8 * n.n8 + 4 * n.n4) * W, n.n1, 1, runs);
+  }
+  if (to_output == output) write(b, n, seq, output);
+}
+
+// Everything before the supervisor step at which each lane is, then what the supervisor reads there.
+static void run_slots(Block &b, const char *H, const char *action, View &v) {
+  const Model &m = b.m;
+  for (i64 s = 0; s < m.slots; s++) {
+    i32 seq[W];
+    bool some = false;
+    if (b.uniform) {
+      const i32 q = seq_at(m, b.row[0], b.step[0], s);
+      for (int l = 0; l < W; l++) seq[l] = q;
+      some = q >= 0;
+    } else
+      for (int l = 0; l < W; l++) {
+        seq[l] = seq_at(m, b.row[l], b.step[l], s);
+        some |= seq[l] >= 0;
+      }
+    if (some) run_node(b, m.slot[s], seq, H, v);
+  }
+  if (!OBSERVES) return;
+  const NodeInfo &n = m.node[m.supervisor];
+  look(b, n, b.step, v);
+  char new_state[STATE * W];
+  char *state = b.moving + n.state;
+  char *to = n.flags & 2 ? new_state : state;
+  BODIES[m.supervisor](b.fixed, H, state, v.data, v.seq, v.times, action, to, b.moving + m.readings, m.constants);
+  if (to != state) memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
+}
+
+static Block open_block(const Model &m, const char *fixed, char *moving) {
+  Block b{m, fixed, moving, {}, {}, true};
+  memcpy(b.row, fixed + 4 * W, sizeof b.row);
+  memcpy(b.step, moving, sizeof b.step);
+  for (int l = 1; l < W; l++) b.uniform &= b.row[l] == b.row[0] && b.step[l] == b.step[0];
+  return b;
+}
+static void gather(const i32 *environment, const char *from, i64 stride, i64 count, i64 size, char *to) {
+  for (int l = 0; l < W; l++) {
+    const char *own = from + (environment[l] < 0 ? environment[0] : environment[l]) * stride;
+    for (i64 k = 0; k < count; k++) memcpy(to + (k * W + l) * size, own + k * size, size);
+  }
+}
+template <int SIZE> static void scatter_as(const i32 *environment, const char *from, i64 count, char *to) {
+  for (int l = 0; l < W; l++) {
+    if (environment[l] < 0) continue;
+    char *own = to + environment[l] * count * SIZE;
+    for (i64 k = 0; k < count; k++) memcpy(own + k * SIZE, from + (k * W + l) * SIZE, SIZE);
+  }
+}
+static void scatter(const i32 *environment, const char *from, i64 count, i64 size, char *to) {
+  if (size == 4) scatter_as<4>(environment, from, count, to);
+  else if (size == 8) scatter_as<8>(environment, from, count, to);
+  else scatter_as<1>(environment, from, count, to);
+}
+
+// Returns an environment that has fewer than `steps` steps left, or -1.
+static i64 short_of_steps(const Model &m, const char *fixed, const char *moving, i64 first, i64 last, i64 steps) {
+  for (i64 block = first; block < last; block++) {
+    i32 step[W], environment[W];
+    memcpy(step, moving + block * m.moving_bytes, sizeof step);
+    memcpy(environment, fixed + block * m.fixed_bytes, sizeof environment);
+    for (int l = 0; l < W; l++)
+      if (environment[l] >= 0 && step[l] + steps > m.steps) return environment[l];
+  }
+  return -1;
+}
+
+extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, char *to, const Rollout *call) {
+  const Model &m = *model;
+  const Rollout &r = *call;
+  const i64 spent = short_of_steps(m, fixed, from, r.first, r.last, r.steps);
+  if (spent >= 0) return spent;
+  const NodeInfo &n = m.node[m.supervisor];
+  const i64 bytes = n.count * n.size;
+  View v;
+  char H[HOISTED * W];
+  char action[ACTION * W];
+  for (i64 block = r.first; block < r.last; block++) {
+    const char *own = fixed + block * m.fixed_bytes;
+    char *moving = to + block * m.moving_bytes;
+    if (to != from) memcpy(moving, from + block * m.moving_bytes, m.moving_bytes);
+    i32 environment[W];
+    memcpy(environment, own, sizeof environment);
+    Block b = open_block(m, own, moving);
+    prologue(own, H);
+    for (i64 t = 0; t < r.steps; t++) {
+      if (r.policy) {
+        if (r.looks) look(b, n, b.step, v);
+        r.policy(r.weights, moving + m.readings, v.data, v.seq, v.times, action);
+      } else
+        gather(environment, r.actions + t * r.action_time, r.action_environment, n.count, n.size, action);
+      if (r.out_actions) scatter(environment, action, n.count, n.size, r.out_actions + t * m.batch * bytes);
+      write(b, n, b.step, action);
+      for (int l = 0; l < W; l++) b.step[l]++;
+      run_slots(b, H, action, v);
+      for (i64 k = 0; k < r.outputs; k++)
+        scatter(environment, moving + m.readings + r.reading_offset[k] * W, r.reading_count[k], r.reading_size[k],
+                r.out_readings[k] + t * m.batch * r.reading_count[k] * r.reading_size[k]);
+    }
+    memcpy(moving, b.step, sizeof b.step);
+  }
+  return -1;
+}
+
+extern "C" i64 step(const Model *m, const char *fixed, const char *from, char *to, const char *action) {
+  const NodeInfo &n = m->node[m->supervisor];
+  Rollout r{};
+  r.steps = 1;
+  r.last = m->blocks;
+  r.actions = action;
+  r.action_environment = n.count * n.size;
+  return rollout(m, fixed, from, to, &r);
+}
+
+// Run up to the first step of the supervisor.
+extern "C" void start(const Model *model, const char *fixed, char *moving) {
+  const Model &m = *model;
+  View v;
+  char H[HOISTED * W];
+  for (i64 block = 0; block < m.blocks; block++) {
+    const char *own = fixed + block * m.fixed_bytes;
+    Block b = open_block(m, own, moving + block * m.moving_bytes);
+    prologue(own, H);
+    run_slots(b, H, b.moving + m.node[m.supervisor].ring, v);
+  }
+}

@@ -1,0 +1,211 @@
+// Elementary functions of lane vectors.
+//
+// Sine, cosine, exponential and their relatives: the argument is reduced to a small interval with a constant
+// split into parts, so that the difference is exact, and a Taylor polynomial is taken there that ends below
+// the last bit. NaN and infinity go through as in the C library.
+
+template <class V, class G> INLINE V each(V a, G g) {
+  typename Of<V>::T t[W];
+  memcpy(t, &a, sizeof t);
+  for (int l = 0; l < W; l++) t[l] = g(t[l]);
+  memcpy(&a, t, sizeof t);
+  return a;
+}
+template <class V, class G> INLINE V each2(V a, V b, G g) {
+  typename Of<V>::T t[W], s[W];
+  memcpy(t, &a, sizeof t);
+  memcpy(s, &b, sizeof s);
+  for (int l = 0; l < W; l++) t[l] = g(t[l], s[l]);
+  memcpy(&a, t, sizeof t);
+  return a;
+}
+
+template <class V> INLINE V max_(V a, V b) { return sel(lt(b, a) | ne(a, a), a, b); } // NaN of either
+template <class V> INLINE V min_(V a, V b) { return sel(lt(a, b) | ne(a, a), a, b); }
+INLINE VB max_(VB a, VB b) { return a | b; }
+INLINE VB min_(VB a, VB b) { return a & b; }
+INLINE VL abs_(VL a) { return sel(lt(a, splat<VL>(0)), -a, a); }
+INLINE VI abs_(VI a) { return sel(lt(a, splat<VI>(0)), -a, a); }
+INLINE VF abs_(VF a) { return from_bits<VF>(bits(a) & 0x7fffffff); }
+INLINE VD abs_(VD a) { return from_bits<VD>(bits(a) & 0x7fffffffffffffffLL); }
+INLINE VF with_sign(VF a, VF s) { return from_bits<VF>(bits(a) | (bits(s) & i32(0x80000000u))); }
+INLINE VD with_sign(VD a, VD s) { return from_bits<VD>(bits(a) | (bits(s) & i64(1ULL << 63))); }
+INLINE VF sqrt_(VF a) { return each(a, [](float x) { return __builtin_sqrtf(x); }); }
+INLINE VD sqrt_(VD a) { return each(a, [](double x) { return __builtin_sqrt(x); }); }
+template <class V> INLINE V sign_(V a) {
+  const V zero = splat<V>(0), one = splat<V>(1);
+  return sel(lt(zero, a), one, sel(lt(a, zero), -one, zero));
+}
+
+template <class V> struct Limits;
+template <> struct Limits<VF> {
+  static constexpr float whole = 8388608.0f; // from here on every number is whole
+  static constexpr float turns = 8192.0f;    // largest angle whose reduction is exact to the last bits [rad]
+};
+template <> struct Limits<VD> {
+  static constexpr double whole = 4503599627370496.0;
+  static constexpr double turns = 1e6;
+};
+template <class V> INLINE V rint_(V a) { // to the nearest, halves to even
+  const V whole = splat<V>(Limits<V>::whole);
+  const V size = abs_(a);
+  return sel(lt(size, whole), with_sign((size + whole) - whole, a), a);
+}
+template <class V> INLINE V floor_(V a) {
+  const V r = rint_(a);
+  return sel(lt(a, r), r - splat<V>(1), r);
+}
+template <class V> INLINE V trunc_(V a) { return with_sign(floor_(abs_(a)), a); }
+INLINE VL trunc_(VL a) { return a; }
+INLINE VI trunc_(VI a) { return a; }
+INLINE VL remainder_(VL a, VL b) {
+  return each2(a, b, [](i64 x, i64 y) { i64 r = y ? x % y : 0; return r && ((r < 0) != (y < 0)) ? r + y : r; });
+}
+INLINE VL fmod_(VL a, VL b) { return each2(a, b, [](i64 x, i64 y) { return y ? x % y : 0; }); }
+INLINE VL floordiv_(VL a, VL b) {
+  return each2(a, b, [](i64 x, i64 y) { i64 q = y ? x / y : 0; return y && q * y != x && ((x < 0) != (y < 0)) ? q - 1 : q; });
+}
+template <class V> INLINE V fmod_(V a, V b) {
+  return each2(a, b, [](auto x, auto y) { return std::fmod(x, y); });
+}
+// The quotient is small in every use that is not exotic; else the remainder is worked out digit by digit.
+template <class V> INLINE V remainder_(V a, V b) {
+  const V zero = splat<V>(0), q = floor_(a / b);
+  if (any(~lt(abs_(q), splat<V>(Limits<V>::whole / 4)))) {
+    V r = fmod_(a, b);
+    return sel(ne(r, zero) & ne(VB(lt(r, zero)), VB(lt(b, zero))), r + b, r);
+  }
+  V r = a - q * b;
+  r = sel(lt(zero, b) & lt(r, zero), r + b, sel(lt(b, zero) & lt(zero, r), r + b, r));
+  return sel((lt(zero, b) & le(b, r)) | (lt(b, zero) & le(r, b)), r - b, r);
+}
+template <class V> INLINE V floordiv_(V a, V b) { return floor_((a - remainder_(a, b)) / b + splat<V>(0.5)); }
+
+template <int N, class V> INLINE V power(V a) {
+  if constexpr (N == 1) return a;
+  else if constexpr (N % 2) return power<N - 1>(a) * a;
+  else {
+    const V half = power<N / 2>(a);
+    return half * half;
+  }
+}
+
+// Coefficients +-1/n! of the Taylor series, from the highest power down.
+template <class V, class T, int N> INLINE V horner(V x, const T (&c)[N]) {
+  V r = splat<V>(c[0]);
+#pragma GCC unroll 16
+  for (int i = 1; i < N; i++) r = r * x + c[i];
+  return r;
+}
+INLINE VF sine_series(VF x) {
+  static constexpr float c[] = {1.0f / 362880, -1.0f / 5040, 1.0f / 120, -1.0f / 6};
+  const VF y = x * x;
+  return x + x * y * horner(y, c);
+}
+INLINE VF cosine_series(VF x) {
+  static constexpr float c[] = {-1.0f / 3628800, 1.0f / 40320, -1.0f / 720, 1.0f / 24, -0.5f};
+  const VF y = x * x;
+  return 1 + y * horner(y, c);
+}
+INLINE VD sine_series(VD x) {
+  static constexpr double c[] = {-1.0 / 1307674368000, 1.0 / 6227020800, -1.0 / 39916800, 1.0 / 362880,
+                                 -1.0 / 5040,          1.0 / 120,        -1.0 / 6};
+  const VD y = x * x;
+  return x + x * y * horner(y, c);
+}
+INLINE VD cosine_series(VD x) {
+  static constexpr double c[] = {1.0 / 20922789888000, -1.0 / 87178291200, 1.0 / 479001600, -1.0 / 3628800,
+                                 1.0 / 40320,          -1.0 / 720,         1.0 / 24,        -0.5};
+  const VD y = x * x;
+  return 1 + y * horner(y, c);
+}
+// pi/2 in three parts; the first ones have zeros at the end, so that their products with a quadrant are exact.
+INLINE VF reduced(VF a, VF q) {
+  return ((a - q * 0x1.92p+0f) - q * 0x1.fb4p-12f) - q * 0x1.4442d2p-24f;
+}
+INLINE VD reduced(VD a, VD q) {
+  return ((a - q * 0x1.921fb544p+0) - q * 0x1.0b4611a6p-34) - q * 0x1.3198a2e037073p-69;
+}
+template <class V> INLINE V circle(V a, int quarter) {
+  if (any(~lt(abs_(a), splat<V>(Limits<V>::turns)))) {
+    if (quarter) return each(a, [](auto x) { return std::cos(x); });
+    return each(a, [](auto x) { return std::sin(x); });
+  }
+  const V q = rint_(a * typename Of<V>::T(0.63661977236758134308));
+  const V r = reduced(a, q);
+  const auto n = cvt<typename Of<V>::I>(q) + quarter;
+  const V s = sine_series(r), c = cosine_series(r);
+  const typename Of<V>::I zero = splat<typename Of<V>::I>(0);
+  const V chosen = sel(ne(n & 1, zero), c, s);
+  return sel(ne(n & 2, zero), -chosen, chosen);
+}
+template <class V> INLINE V sin_(V a) { return circle(a, 0); }
+template <class V> INLINE V cos_(V a) { return circle(a, 1); }
+
+// e^r - 1 for |r| <= ln(2) / 2
+INLINE VF small_exponential(VF r) {
+  static constexpr float c[] = {1.0f / 5040, 1.0f / 720, 1.0f / 120, 1.0f / 24, 1.0f / 6, 0.5f};
+  return r + r * r * horner(r, c);
+}
+INLINE VD small_exponential(VD r) {
+  static constexpr double c[] = {1.0 / 6227020800, 1.0 / 479001600, 1.0 / 39916800, 1.0 / 3628800,
+                                 1.0 / 362880,     1.0 / 40320,     1.0 / 5040,     1.0 / 720,
+                                 1.0 / 120,        1.0 / 24,        1.0 / 6,        0.5};
+  return r + r * r * horner(r, c);
+}
+INLINE VF power_of_two(VF n) { return from_bits<VF>((cvt<VI>(n) + 127) << 23); }
+INLINE VD power_of_two(VD n) { return from_bits<VD>((cvt<VL>(n) + 1023) << 52); }
+INLINE VF without_powers(VF a, VF n) { return (a - n * 0x1.62ep-1f) - n * 0x1.0bfbe8p-15f; }
+INLINE VD without_powers(VD a, VD n) { return (a - n * 0x1.62e42fef8p-1) - n * 0x1.1cf79abc9e3b4p-36; }
+template <class V> struct Exponential;
+template <> struct Exponential<VF> { static constexpr float high = 88.8f, low = -104.0f, one = 9.1f; };
+template <> struct Exponential<VD> { static constexpr double high = 709.9, low = -746.0, one = 19.1; };
+template <class V> INLINE V exp_(V a) {
+  typedef typename Of<V>::T T;
+  const V high = splat<V>(Exponential<V>::high), low = splat<V>(Exponential<V>::low);
+  const V x = sel(lt(high, a), high, sel(lt(a, low), low, a));
+  const V n = rint_(x * T(1.4426950408889634));
+  const V half = rint_(n * T(0.5)); // in two steps: 2^n alone may be out of range where e^x is not
+  const V r = (1 + small_exponential(without_powers(x, n))) * power_of_two(half) * power_of_two(n - half);
+  return sel(ne(a, a), a, r);
+}
+template <class V> INLINE V expm1_(V a) {
+  typedef typename Of<V>::T T;
+  const V n = rint_(a * T(1.4426950408889634));
+  const V scale = power_of_two(n);
+  const V r = scale * small_exponential(without_powers(a, n)) + (scale - 1);
+  const V limit = splat<V>(Exponential<V>::one * 2);
+  return sel(lt(abs_(a), limit), r, exp_(a) - 1);
+}
+template <class V> INLINE V tanh_(V a) {
+  typedef typename Of<V>::T T;
+  const V limit = splat<V>(Exponential<V>::one), size = abs_(a);
+  const V x = 2 * sel(lt(size, limit), size, limit);
+  const V n = rint_(x * T(1.4426950408889634));
+  const V scale = power_of_two(n);
+  const V e = scale * small_exponential(without_powers(x, n)) + (scale - 1);
+  return sel(ne(a, a), a, with_sign(e / (e + 2), a));
+}
+INLINE VF logarithm_series(VF y) {
+  static constexpr float c[] = {1.0f / 9, 1.0f / 7, 1.0f / 5, 1.0f / 3};
+  return horner(y, c);
+}
+INLINE VD logarithm_series(VD y) {
+  static constexpr double c[] = {1.0 / 21, 1.0 / 19, 1.0 / 17, 1.0 / 15, 1.0 / 13,
+                                 1.0 / 11, 1.0 / 9,  1.0 / 7,  1.0 / 5,  1.0 / 3};
+  return horner(y, c);
+}
+INLINE VF exponent(VF a) { return cvt<VF>(((bits(a) >> 23) & 255) - 127); }
+INLINE VD exponent(VD a) { return cvt<VD>(((bits(a) >> 52) & 2047) - 1023); }
+INLINE VF mantissa(VF a) { return from_bits<VF>((bits(a) & 0x007fffff) | 0x3f800000); }
+INLINE VD mantissa(VD a) { return from_bits<VD>((bits(a) & 0x000fffffffffffffLL) | 0x3ff0000000000000LL); }
+template <class V> INLINE V log_(V a) {
+  typedef typename Of<V>::T T;
+  const V smallest = splat<V>(std::numeric_limits<T>::min()), largest = splat<V>(std::numeric_limits<T>::max());
+  if (any(~(le(smallest, a) & le(a, largest)))) return each(a, [](T x) { return std::log(x); });
+  const V m = mantissa(a);
+  const VB upper = lt(splat<V>(T(1.4142135623730951)), m);
+  const V x = sel(upper, m * T(0.5), m), n = sel(upper, exponent(a) + 1, exponent(a));
+  const V s = (x - 1) / (x + 1), y = s * s;
+  return n * T(0.6931471805599453) + 2 * (s + s * y * logarithm_series(y));
+}

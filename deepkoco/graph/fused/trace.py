@@ -1,0 +1,147 @@
+"""Traces: the aten operations that a pure function runs on one environment.
+
+The function is called once on tensors with a batch of one. What it does to them is taken down; what it
+works out from anything else (attributes of a node, numbers) is a constant of the trace. Writing into views
+is rewritten into operations that return new tensors, so that a trace has no side effects.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+
+class TraceError(RuntimeError):
+    """A function cannot be compiled; the message names the operation that stands in the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ref:
+    """A tensor of the trace, known by what it was in the example."""
+
+    example: Tensor
+
+
+@dataclass(frozen=True)
+class Call:
+    """One operation: `arguments` with a `Ref` wherever a tensor depends on the inputs."""
+
+    name: str
+    function: Any
+    arguments: tuple[Any, ...]
+    options: dict[str, Any]
+    outputs: tuple[Ref, ...]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a function does to its inputs.
+
+    Attributes:
+        inputs: by name.
+        calls: in the order in which they ran.
+        outputs: by name; a tensor that does not depend on the inputs is itself.
+    """
+
+    inputs: dict[str, Ref]
+    calls: tuple[Call, ...]
+    outputs: dict[str, Ref | Tensor]
+
+    def used(self) -> set[str]:
+        """Names of the inputs that any operation or output reads."""
+        refs: set[int] = {id(value) for value in self.outputs.values()}
+        for call in self.calls:
+            refs |= {id(value) for value in _leaves((call.arguments, call.options), Ref)}
+        return {name for name, ref in self.inputs.items() if id(ref) in refs}
+
+
+_PYTHON_READS = {"numpy", "__array__", "tolist", "data_ptr", "__dlpack__", "untyped_storage"}
+_VALUE_READS = ("aten._local_scalar_dense", "aten.item", "aten.is_nonzero", "aten.equal", "aten.nonzero")
+_ALIASES = ("aten.detach.default", "aten.alias.default", "aten.lift_fresh.default", "aten.lift.default")
+
+
+def trace(
+    function: Callable[[dict[str, Tensor]], Mapping[str, Tensor]], examples: Mapping[str, Tensor]
+) -> Trace:
+    """Run a function on examples and take down what it does.
+
+    Args:
+        function: pure, from named tensors to named tensors.
+        examples: tensors (1, ...) by name; what counts is their shapes and types.
+
+    Raises:
+        TraceError: the function looks at the values of tensors, draws random numbers or writes into its
+            inputs.
+    """
+    recorder = _Recorder(examples)
+    with torch.no_grad(), _Guard(), recorder:
+        outputs = torch.func.functionalize(function)(dict(examples))
+    return Trace(
+        recorder.inputs,
+        tuple(recorder.calls),
+        {name: recorder.refs.get(id(value), value) for name, value in outputs.items()},
+    )
+
+
+class _Guard(TorchFunctionMode):
+    """Refuses to hand the memory of tensors to Python, where a trace cannot follow."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        if getattr(func, "__name__", "") in _PYTHON_READS:
+            raise TraceError(f"Tensor.{func.__name__}() takes values out of the tensors")
+        return func(*args, **(kwargs or {}))
+
+
+class _Recorder(TorchDispatchMode):
+    def __init__(self, examples: Mapping[str, Tensor]) -> None:
+        super().__init__()
+        self.inputs = {name: Ref(tensor) for name, tensor in examples.items()}
+        self.refs: dict[int, Ref] = {id(ref.example): ref for ref in self.inputs.values()}
+        self.calls: list[Call] = []
+        self.alive: list[Tensor] = []
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        kwargs = kwargs or {}
+        name = str(func)
+        if torch.Tag.nondeterministic_seeded in func.tags:
+            raise TraceError(f"{name} draws random numbers; draw them in init and keep them in the state")
+        known = [self.refs[id(leaf)] for leaf in _leaves((args, kwargs), Tensor) if id(leaf) in self.refs]
+        if known and name.startswith(_VALUE_READS):
+            raise TraceError(f"{name} takes a value out of a tensor; use torch.where instead of if")
+        result = func(*args, **kwargs)
+        if not known:
+            return result
+        if name in _ALIASES:
+            self.refs[id(result)] = known[0]
+            self.alive.append(result)  # so that no other tensor gets its id
+            return result
+        if func._schema.is_mutable:
+            raise TraceError(f"{name} writes into an input")
+        outputs = tuple(Ref(leaf) for leaf in _leaves(result, Tensor))
+        self.refs |= {id(ref.example): ref for ref in outputs}
+        self.calls.append(Call(name, func, self._refer(args), self._refer(kwargs), outputs))
+        return result
+
+    def _refer(self, value: Any) -> Any:
+        if isinstance(value, Tensor):
+            return self.refs.get(id(value), value)
+        if isinstance(value, (list, tuple)):
+            return tuple(self._refer(item) for item in value)
+        if isinstance(value, dict):
+            return {key: self._refer(item) for key, item in value.items()}
+        return value
+
+
+def _leaves(value: Any, kind: type) -> list[Any]:
+    """All objects of one type in nested lists, tuples and dicts."""
+    if isinstance(value, kind):
+        return [value]
+    if isinstance(value, dict):
+        value = tuple(value.values())
+    if isinstance(value, (list, tuple)):
+        return [leaf for item in value for leaf in _leaves(item, kind)]
+    return []
