@@ -236,8 +236,11 @@ def _next_start(n, row, rules, columns, draws, recorded, times, count, taken, pi
                 if recorded[row, columns.step_base[s] + i] + work <= recorded[row, column]:
                     return start, False
                 break
-            if times.t_received[row, base + i] < LOST:
-                start = max(start, times.t_received[row, base + i])
+            # A lost message is waited for until it was sent: then nothing is to come, as far as is known.
+            known_at = times.t_received[row, base + i]
+            if known_at >= LOST:
+                known_at = times.t_end[row, columns.step_base[s] + i]
+            start = max(start, known_at)
             i += 1
         if i >= size and not replay:
             return -1, False
@@ -291,14 +294,16 @@ def _take_awaited(e, k, row, now, rules, columns, times, count, taken, seen, pic
     """Rule 2: take all that were awaited and have arrived; a measured start may precede some of them."""
     s, base = rules.sender[e], columns.message_base[e]
     tick = columns.ticks[columns.tick_base[rules.receiver[e]] + k]
-    for i in range(taken[e], count[s]):
+    i = taken[e]
+    while i < count[s]:
         begun = columns.ticks[columns.tick_base[s] + i]
         if begun > tick or (rules.skip[e] and begun == tick):
             break
         if not picked[base + i] and times.t_received[row, base + i] <= now:
             _push(seen[e], rules.window[e], i)
             picked[base + i] = True
-    _forget(e, row, base, count[s], times, taken, picked)
+        i += 1
+    _forget(e, row, base, i, times, taken, picked)
 
 
 @njit(cache=True)

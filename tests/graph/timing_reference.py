@@ -2,34 +2,87 @@
 
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cache
+from random import Random
 
 import numpy as np
 import torch
 from hypothesis import strategies as st
 
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor
-from deepkoco.graph.delay import Stream
+from deepkoco.graph.delay import Stalls, Stream
 
 MS = Fraction(1, 1000)
+NEVER = Fraction(10**9)
+
+
+@dataclass(frozen=True)
+class ListedStalls(Stalls):
+    """Stalls given by (wait, length) in turn [ms], the same in every schedule but for a shift of 5 ms."""
+
+    listed: tuple[tuple[int, int], ...] = ()
+
+    def stream(self, rows):
+        return ListedStallStream(self, rows)
+
+    def intervals(self, row: int) -> list[tuple[Fraction, Fraction]]:
+        found, now = [], 5 * row * MS
+        for wait, length in self.listed:
+            found.append((now + wait * MS, now + (wait + length) * MS))
+            now = found[-1][1]
+        return found
+
+
+class ListedStallStream:
+    """First what is listed, then none for ever."""
+
+    def __init__(self, stalls, rows):
+        self.all = [[*stalls.intervals(row), *[(np.inf, np.inf)] * 100] for row in range(rows)]
+
+    def draw(self, generator, count):
+        now = np.array([[(float(b), float(e)) for b, e in row[:count]] for row in self.all])
+        self.all = [row[count:] for row in self.all]
+        return now[:, :, 0], now[:, :, 1]
+
+
+def finish(graph: Graph, row: int, channel: str, start: Fraction, work: Fraction) -> Fraction:
+    """Walk through the stalls in turn: what is under way, or would begin during one, goes on after it."""
+    now, left = start, work
+    mine = [s for s in graph.stalls if s.channels is None or channel in s.channels]
+    stalls = sorted(interval for s in mine for interval in s.intervals(row))
+    for begin, end in stalls:
+        if end <= now:
+            continue
+        if begin > now and now + left <= begin:
+            break
+        left -= max(begin - now, Fraction(0))
+        now = end
+    return now + left
 
 
 @dataclass(frozen=True)
 class Listed(Delay):
-    """Delays [ms] taken from a list in turn, the same in every environment but for a shift."""
+    """Delays [ms] taken from a list in turn, the same in every environment but for a shift; -1: lost."""
 
     values: tuple[int, ...]
     law = "listed"
 
     @property
     def mean(self) -> float:
-        return sum(self.values) / len(self.values) / 1000
+        arriving = [value for value in self.values if value >= 0] or [0]
+        return sum(arriving) / len(arriving) / 1000
 
     @property
     def highest(self) -> float:
         return max(self.values) / 1000
 
+    @property
+    def loses(self) -> bool:
+        return min(self.values) < 0
+
     def at(self, environment: int, index: int) -> Fraction:
-        return self.values[(index + environment) % len(self.values)] * MS
+        value = self.values[(index + environment) % len(self.values)]
+        return value * MS if value >= 0 else NEVER
 
     def stream(self, rows, period):
         return ListedStream(self, rows)
@@ -43,7 +96,8 @@ class ListedStream(Stream):
     def draw(self, generator, columns):
         first, self.count = self.count, self.count + columns
         numbers = range(first, self.count)
-        return np.array([[float(self.law.at(row, i)) for i in numbers] for row in range(self.rows)])
+        drawn = np.array([[float(self.law.at(row, i)) for i in numbers] for row in range(self.rows)])
+        return np.where(drawn >= NEVER, np.inf, drawn)
 
 
 @dataclass
@@ -72,9 +126,11 @@ def reference_timing(graph: Graph, steps: int, environment: int) -> Episode:
     for _ in names:
         before = {n: s.union(*(before[m] for m in s)) for n, s in before.items()}
 
+    @cache
     def tick(name: str, k: int) -> Fraction:
         return graph.phases[graph.index[name]] + k / graph.node(name).rate
 
+    @cache
     def awaited(c: Connection, k: int) -> list[int]:
         """Rule 2: messages nominally started in (tick k-1, tick k], with skip [tick k-1, tick k)."""
         found, i = [], 0
@@ -96,18 +152,19 @@ def reference_timing(graph: Graph, steps: int, environment: int) -> Episode:
             for i in awaited(c, k):
                 if i >= len(run.t_received[c.key]):
                     return None
-                terms.append(run.t_received[c.key][i])
+                received = run.t_received[c.key][i]
+                terms.append(received if received < NEVER else run.t_end[c.sender][i])
         return max(terms)
 
     def take(c: Connection, k: int, now: Fraction) -> list[int]:
         if c.blocking:
-            return awaited(c, k)
+            return [i for i in awaited(c, k) if run.t_received[c.key][i] < NEVER]
         age = Fraction(round(1000 * 10**6 * graph.node(c.sender).delay.mean), 10**9)
         age += Fraction(round(1000 * 10**6 * c.law.mean), 10**9)
         found = []
         for i, received in enumerate(run.t_received[c.key]):
             there = max(received, tick(c.sender, i) + age) if c.jitter == "buffer" else received
-            if i not in taken[c.key] and (there < now if c.skip else there <= now):
+            if received < NEVER and i not in taken[c.key] and (there < now if c.skip else there <= now):
                 found.append(i)
         return sorted(found, key=lambda i: (run.t_received[c.key][i], i))
 
@@ -130,14 +187,19 @@ def reference_timing(graph: Graph, steps: int, environment: int) -> Episode:
         if name == graph.supervisor and k == steps:
             return run
         computation = node.delay.at(environment, k) if isinstance(node.delay, Listed) else Fraction(0)
-        run.t_end[name].append(now + computation)
+        run.t_end[name].append(finish(graph, environment, name, now, computation))
         for c in graph.connections:
             if c.sender == name:
-                arrival = run.t_end[name][-1] + c.law.at(environment, k)
+                communication = c.law.at(environment, k)
                 received = run.t_received[c.key]
-                received.append(max([arrival, *received[-1:]]) if c.fifo else arrival)
+                if communication >= NEVER:
+                    received.append(NEVER)
+                    continue
+                arrival = finish(graph, environment, c.key, run.t_end[name][-1], communication)
+                earlier = [t for t in received if t < NEVER]
+                received.append(max([arrival, *earlier[-1:]]) if c.fifo else arrival)
         if node.scheduling == "frequency":
-            shift[name] += max(Fraction(0), computation - 1 / node.rate)
+            shift[name] += max(Fraction(0), run.t_end[name][-1] - now - 1 / node.rate)
 
 
 def reference_execution(graph: Graph, run: Episode, state: dict, policy) -> tuple[list, dict]:
@@ -196,43 +258,61 @@ def policy(data: dict, step: int) -> torch.Tensor:
     return action
 
 
-@st.composite
-def graphs(draw) -> Graph:
+def graphs(lossy: bool = False) -> st.SearchStrategy[Graph]:
     """Random graphs of 2 to 5 nodes in which many events fall on the same instant."""
-    size = draw(st.integers(2, 5))
-    delay = st.lists(st.integers(0, 6).map(lambda n: 5 * n), min_size=1, max_size=4).map(tuple).map(Listed)
-    quick = st.lists(st.integers(0, 12).map(lambda n: 5 * n), min_size=1, max_size=3).map(tuple).map(Listed)
-    rates = st.sampled_from([10, 20, 30, 40, 50, 60, 100, Fraction(25, 3)])
-    supervisor = draw(st.integers(0, size - 1))
+    return st.integers(0, 2**32).map(lambda seed: random_graph(Random(seed), lossy))
+
+
+def random_graph(random: Random, lossy: bool) -> Graph:
+    """Draw a graph; of a lossy one messages get lost and, in half of them, stalls hold it up."""
+    size = random.randint(2, 5)
+
+    def listed(values: list[int], most: int) -> Listed:
+        return Listed(tuple(random.choices(values, k=random.randint(1, most))))
+
+    def communication() -> Listed:
+        return listed([-1, 0, 5, 10, 25, 30] if lossy else [0, 5, 10, 15, 20, 25, 30], 4)
+
+    supervisor = random.randrange(size)
     nodes: list[Node] = []
     for n in range(size):
         options = {
-            "rate": draw(rates),
-            "delay": draw(quick) if draw(st.booleans()) else Listed((0,)),
-            "scheduling": draw(st.sampled_from(["frequency", "phase"])),
+            "rate": random.choice([10, 20, 30, 40, 50, 60, 100, Fraction(25, 3)]),
+            "delay": listed([5 * n for n in range(13)], 3) if random.random() < 0.5 else Listed((0,)),
+            "scheduling": random.choice(["frequency", "phase"]),
             # Several of these could drive each other at infinite speed; the last one has a clocked sender.
-            "advance": n == size - 1 and draw(st.booleans()),
+            "advance": n == size - 1 and random.random() < 0.5,
         }
         if n == supervisor:
             action = torch.tensor([0.5, -0.5], dtype=torch.float64)
             nodes.append(Supervisor("agent", initial_action=action, **options))
         else:
             nodes.append(Accumulate(f"n{n}", **options))
-    connections = []
-    pairs = [(a, b) for a in range(size) for b in range(size) if draw(st.integers(0, 2)) or b == a + 1]
-    for a, b in pairs:
-        connections.append(
-            Connection(
-                nodes[a].name,
-                nodes[b].name,
-                draw(delay),
-                window=draw(st.integers(1, 3)),
-                skip=a >= b or draw(st.integers(0, 4)) == 0,
-                blocking=draw(st.integers(0, 2)) == 0,
-                jitter=draw(st.sampled_from(["latest", "latest", "buffer"])),
-                fifo=draw(st.integers(0, 3)) > 0,
-            )
+    pairs = [(a, b) for a in range(size) for b in range(size) if random.randrange(3) or b == a + 1]
+    connections = [
+        Connection(
+            nodes[a].name,
+            nodes[b].name,
+            communication(),
+            window=random.randint(1, 3),
+            skip=a >= b or random.randrange(5) == 0,
+            blocking=random.randrange(3) == 0,
+            jitter=random.choice(["latest", "latest", "buffer"]),
+            fifo=random.randrange(4) > 0,
         )
+        for a, b in pairs
+    ]
     if not any(c.receiver == "agent" for c in connections):
-        connections.append(Connection(nodes[supervisor - 1].name, "agent", draw(delay), skip=True))
-    return Graph(nodes, connections)
+        connections.append(Connection(nodes[supervisor - 1].name, "agent", communication(), skip=True))
+    stalls = []
+    if lossy and random.random() < 0.5:
+        names = [node.name for node in nodes] + [c.key for c in connections]
+        for _ in range(random.randint(1, 2)):
+            intervals = [
+                (5 * random.randrange(13), random.choice([0, 5, 20, 60, 150]))
+                for _ in range(random.randint(1, 6))
+            ]
+            some = tuple(random.sample(names, random.randint(1, len(names))))
+            channels = some if random.random() < 0.5 else None
+            stalls.append(ListedStalls(1.0, 0.0, channels=channels, listed=tuple(intervals)))
+    return Graph(nodes, connections, stalls=stalls)
