@@ -20,27 +20,44 @@ _ABSENT = (1 << 15) - 1
 NEVER = 1 << 60
 
 
+class Supergraph(NamedTuple):
+    """Slots in generations, those of one generation independent of each other; the supervisor comes last.
+
+    Attributes:
+        kind: (L,) node that each slot runs, the supervisor's own slot left out.
+        generation: (L,) of each slot, not decreasing; a kind has at most one slot in a generation.
+    """
+
+    kind: np.ndarray
+    generation: np.ndarray
+
+    @classmethod
+    def chain(cls, slots: np.ndarray) -> "Supergraph":
+        """Return the supergraph in which every slot is a generation of its own."""
+        return cls(np.asarray(slots, np.int64), np.arange(len(slots)))
+
+    @property
+    def size(self) -> int:
+        """Number of slots |S|, that of the supervisor included."""
+        return len(self.kind) + 1
+
+
 class Embedding(NamedTuple):
     """Where every vertex runs.
 
     Attributes:
-        step: (V,) pass of each vertex.
-        slot: (V,) slot of each vertex; that of the supervisor is behind all others.
+        turn: (V,) pass of each vertex.
+        generation: (V,) of its slot; that of the supervisor is behind all others.
     """
 
-    step: np.ndarray
-    slot: np.ndarray
+    turn: np.ndarray
+    generation: np.ndarray
 
 
-def embed(parts: Partitions, slots: np.ndarray) -> Embedding | None:
-    """Embed all episodes in a supergraph; None if one of them does not fit.
-
-    Args:
-        parts: the episodes.
-        slots: (L,) kind of each slot, without the supervisor's own at the end.
-    """
-    slots = np.asarray(slots, np.int32)
-    position, late = _embed_all(parts, slots)
+def embed(parts: Partitions, supergraph: Supergraph) -> Embedding | None:
+    """Embed all episodes in a supergraph; None if one of them does not fit."""
+    size = int(supergraph.generation[-1]) + 1 if len(supergraph.generation) else 0
+    position, late = _embed_all(parts, supergraph.kind, supergraph.generation, size)
     if late >= 0:
         return None
     return Embedding(position >> SHIFT, position & (LONGEST - 1))
@@ -116,12 +133,17 @@ def embed_episode(parts, episode, size, next_slot, position, last):
 
 
 @njit(cache=True)
-def _embed_all(parts, slots):
+def _embed_all(parts, kind, generation, size):
     position, last = np.empty(len(parts.kind), np.int64), np.empty(parts.kinds, np.int64)
-    next_slot = np.empty((len(slots) + 1, parts.kinds), np.int16)
-    fill_next(slots, len(slots), next_slot)
+    next_slot = np.full((size + 1, parts.kinds), _ABSENT, np.int16)
+    s = len(kind) - 1
+    for g in range(size - 1, -1, -1):
+        next_slot[g] = next_slot[g + 1]
+        while s >= 0 and generation[s] == g:
+            next_slot[g, kind[s]] = g
+            s -= 1
     for episode in range(len(parts.passes)):
-        late = embed_episode(parts, episode, len(slots), next_slot, position, last)
+        late = embed_episode(parts, episode, size, next_slot, position, last)
         if late >= 0:
             return position, late
     return position, -1
