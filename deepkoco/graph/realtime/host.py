@@ -24,7 +24,7 @@ from deepkoco.graph.realtime.message import Message, decode, encode
 from deepkoco.graph.realtime.seat import BEAT, Seat
 
 BEAT_PERIOD = 0.02  # [s]
-PATIENCE = 0.04  # what a node gets to end its step before it is closed from outside [s]
+PATIENCE = 0.03  # what a node gets to end its step before it is closed from outside [s]
 
 
 @dataclass(frozen=True)

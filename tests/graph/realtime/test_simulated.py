@@ -153,7 +153,7 @@ def test_a_node_that_fails_is_named_and_all_are_closed(tmp_path, fault):
         assert (caught.value.node, caught.value.tick) == ("motor", 3)
         assert "raise_error" in caught.value.details
     else:
-        with pytest.raises(NodeFailure, match='node "motor".*OSError: the drive'):
+        with pytest.raises(NodeFailure, match=r'node "motor".*OSError: the drive'):
             runtime.close()
     assert all(len(graph.node(name).marks("close")) == 1 for name in ("motor", "camera"))
     with pytest.raises(ValueError, match="reset first"):
@@ -172,5 +172,5 @@ def test_mistakes_of_the_caller_leave_the_nodes_running():
     runtime.step(later, act(inputs))
     with pytest.raises(ValueError, match='"wheel" is no node'):
         runtime.reset({"wheel": {}}, torch.Generator())
-    with pytest.raises(ValueError, match='initial "world.v"'):
+    with pytest.raises(ValueError, match=r'initial "world\.v"'):
         runtime.reset({}, torch.Generator(), {"world": {"v": torch.zeros(1)}})

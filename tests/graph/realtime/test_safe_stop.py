@@ -1,0 +1,143 @@
+"""A node that raises, hangs or dies stops the graph: one error that names it, and all others are closed."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from live_nodes import act, devices
+
+from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, WallClockRuntime
+
+RUNTIMES = {
+    "threads": lambda graph: ConcurrentRuntime(graph, time_limit=0.5),
+    "processes": lambda graph: ConcurrentRuntime(graph, processes={"motor": 1}, time_limit=0.5),
+    "one process": lambda graph: ConcurrentRuntime(
+        graph, processes={"motor": 1, "camera": 1}, time_limit=0.5
+    ),
+    "wall clock": lambda graph: WallClockRuntime(graph, time_limit=0.5),
+}
+REASONS = {
+    "raise": "ValueError: encoder cable is off",
+    "hang": "has not returned for 0.5 s",
+    "sleep": "has not returned for 0.5 s",
+    "die": "its process has died \\(exit status -9\\)",
+}
+CASES = [
+    (runtime, fault)
+    for runtime in RUNTIMES
+    for fault in REASONS
+    if not (runtime == "threads" and fault == "die") and (fault != "sleep" or runtime == "wall clock")
+]
+
+
+@pytest.mark.parametrize(("kind", "fault"), CASES)
+def test_a_failing_node_stops_the_graph_within_100_ms(tmp_path, kind, fault):
+    graph = devices(tmp_path, fault)
+    runtime = RUNTIMES[kind](graph)
+    runtime.reset({}, torch.Generator())
+    message = f'node "motor" at its tick 3: {REASONS[fault]}; the graph is stopped'
+    with pytest.raises(NodeFailure, match=message) as caught:
+        runtime.run(act, 1000)
+    failure = caught.value
+    assert (failure.node, failure.tick) == ("motor", 3)
+    # A process that was killed takes its nodes with it; all others are closed, once.
+    gone = {"motor", "camera"} if (kind, fault) == ("one process", "die") else {"motor"}
+    closed = {"motor", "camera"} - (gone if fault == "die" else set())
+    assert set(failure.closed_after) == closed
+    assert max(failure.closed_after.values(), default=0.0) < 0.1
+    for name in closed:
+        assert len(graph.node(name).marks("close")) == 1
+    if fault == "raise":
+        assert "raise_error" in failure.details
+        assert failure.__notes__ == [failure.details]
+
+
+def test_a_process_that_stands_still_is_noticed_by_its_heartbeat(tmp_path):
+    graph = devices(tmp_path)
+    with WallClockRuntime(graph, beat_limit=1.0) as runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(act, 2)
+        os.kill(int(graph.node("motor").marks("open")[0].split()[0]), signal.SIGSTOP)
+        with pytest.raises(NodeFailure, match=r'node "motor".*shows no life for 1 s') as caught:
+            runtime.run(act, 1000)
+        assert set(caught.value.closed_after) == {"camera"}
+
+
+def test_a_policy_that_raises_closes_the_nodes(tmp_path):
+    graph = devices(tmp_path)
+    runtime = ConcurrentRuntime(graph, processes={"motor": 1})
+
+    def policy(inputs):
+        raise ZeroDivisionError("no gain")
+
+    runtime.reset({}, torch.Generator())
+    with pytest.raises(ZeroDivisionError):
+        runtime.run(policy, 3)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+    with pytest.raises(ValueError, match="reset first"):
+        runtime.run(act, 1)
+    # A reset starts anew.
+    with runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(act, 2)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [2, 2]
+
+
+def test_a_close_that_raises_does_not_keep_the_others_from_closing(tmp_path):
+    graph = devices(tmp_path, "bad close")
+    with ConcurrentRuntime(graph, processes={"motor": 1}) as runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(act, 2)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+
+
+SCRIPT = """
+    import sys
+    sys.path[:0] = {paths!r}
+    import torch
+    from live_nodes import act, devices
+    from deepkoco.graph.realtime import WallClockRuntime
+    if __name__ == "__main__":
+        with WallClockRuntime(devices({folder!r})) as runtime:
+            runtime.reset({{}}, torch.Generator())
+            print("runs", flush=True)
+            runtime.run(act, 100000)
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_or_killed_caller_leaves_the_nodes_closed(tmp_path, end):
+    here = Path(__file__).parent
+    script = tmp_path / "script.py"
+    paths = [str(here), str(here.parent)]
+    script.write_text(textwrap.dedent(SCRIPT.format(paths=paths, folder=str(tmp_path))))
+    root = str(here.parents[2])
+    caller = subprocess.Popen(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert caller.stdout is not None
+    assert caller.stdout.readline() == "runs\n"
+    # As a terminal does it: Ctrl-C reaches the processes of the nodes as well.
+    (os.killpg if end == signal.SIGINT else os.kill)(caller.pid, end)
+    _, errors = caller.communicate(timeout=20)
+    if end == signal.SIGINT:
+        assert errors.strip().splitlines()[-1].startswith("KeyboardInterrupt")
+    graph = devices(tmp_path)
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:
+        marks = [len(graph.node(name).marks("close")) for name in ("motor", "camera")]
+        if marks == [1, 1]:
+            return
+        time.sleep(0.01)
+    raise AssertionError(f"closed {marks}")
