@@ -12,6 +12,7 @@ from deepkoco.graph import cells
 from deepkoco.graph.computation_graph import concatenate
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import Input, State, Supervisor
+from deepkoco.graph.policy import Policy, as_function, given_actions
 from deepkoco.graph.schedule import Schedule
 from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.supergraph import join_slots
@@ -85,6 +86,33 @@ class EagerExecutor:
         if trace is not None:
             trace.append((self.graph.index[supervisor], state.step, action))
         return self._observe(self._run(replace(state, step=state.step + 1, outputs=outputs), trace), action)
+
+    def rollout(
+        self,
+        state: RuntimeState,
+        policy: Policy,
+        steps: int,
+        parameters: Mapping[str, Tensor] | None,
+        record: tuple[str, ...],
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take steps with a policy's actions; see `BatchedRuntime.rollout`."""
+        taken: dict[str, list[Tensor]] = {name: [] for name in record}
+        if isinstance(policy, Tensor):
+            shape = tuple(state.outputs[self.graph.supervisor][0].shape[1:])
+            actions = iter(given_actions(policy, state, steps, shape))
+        else:
+            function, values = as_function(policy, parameters)
+            actions = None
+        for _ in range(steps):
+            if actions is None:
+                action = function(values, state.readings or self.inputs(state))  # pyright: ignore[reportPossiblyUnboundVariable]
+            else:
+                given = next(actions)
+                action = given.expand(state.batch, *given.shape[1:])
+            state = self.step(state, action)
+            for name, values_ in taken.items():
+                values_.append(action if name == "action" else state.readings[name])
+        return state, {name: torch.stack(values_) for name, values_ in taken.items()}
 
     def inputs(self, state: RuntimeState) -> dict[str, Input]:
         """What the supervisor sees at the step that waits for an action."""

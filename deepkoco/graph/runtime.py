@@ -1,6 +1,6 @@
 """The batched runtime: one interface to the executors that run a graph over its computation graph."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.eager import EagerExecutor
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State
+from deepkoco.graph.policy import Policy, recorded_names
 from deepkoco.graph.schedule import Schedule
 from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.supergraph import merge_slots
@@ -134,6 +135,36 @@ class BatchedRuntime:
         """
         state = self._executor.step(state, action, trace)
         return state, self._executor.inputs(state)
+
+    def rollout(
+        self,
+        state: RuntimeState,
+        policy: Policy,
+        steps: int,
+        *,
+        parameters: Mapping[str, Tensor] | None = None,
+        record: Sequence[str] | None = None,
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take many steps at once; the fused executor runs them all, policy included, in its kernel.
+
+        Args:
+            state: what `reset`, `step` or `rollout` returned.
+            policy: a pure function of its parameters and of what the supervisor reads (of what it sees, if
+                it reads nothing), a torch module of the reading "observation", or the actions themselves,
+                (steps, B, M) or (steps, 1, M) for all.
+            steps: number of actions to take.
+            parameters: of the policy, shared by all environments; None: those of the module, or none.
+            record: names of readings, and "action"; None: all of them.
+
+        Returns:
+            The last state, and (steps, B, ...) by name: the action of each step and the readings after it.
+
+        Raises:
+            HorizonError: the timing of an environment ends before the last step; nothing has been done.
+            ValueError: a name or shape does not fit.
+        """
+        names = recorded_names(None if record is None else tuple(record), state)
+        return self._executor.rollout(state, policy, steps, parameters, names)
 
     def _check_pure(self, batch: int) -> None:
         for node in self.graph.nodes:

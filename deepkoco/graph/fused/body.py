@@ -230,7 +230,7 @@ class Body:
         empty = memory.as_strided(value.shape, value.array.strides, value.array.offset)
         view = function(empty)
         if view._base is None and view is not empty:
-            if not value.array.kind == "local" or value.array.strides != _contiguous(value.shape):
+            if value.array.kind != "local" or value.array.strides != _contiguous(value.shape):
                 value = self.copy(value)
                 assert value.array is not None
             empty = torch.empty(value.shape, device="meta")

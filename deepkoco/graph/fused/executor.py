@@ -1,8 +1,7 @@
 """The fused executor: a graph's node functions compiled into one kernel over blocks of environments."""
 
-import ctypes
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,154 +13,18 @@ from deepkoco.graph.eager import EagerExecutor
 from deepkoco.graph.fused.compiler import CompilerError
 from deepkoco.graph.fused.kernel import Binding, Kernel
 from deepkoco.graph.fused.program import trace_graph
-from deepkoco.graph.fused.record import NUMPY, Field, Records
+from deepkoco.graph.fused.record import Field, Records
+from deepkoco.graph.fused.rollout import CompiledPolicy, run_rollout
 from deepkoco.graph.fused.source import kernel_source
+from deepkoco.graph.fused.state import FusedState, LazyInputs, Place, address
 from deepkoco.graph.fused.trace import TraceError
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import Input, State
+from deepkoco.graph.policy import Policy, PolicyFunction, as_function, given_actions
 from deepkoco.graph.schedule import Schedule
 from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
 
 FEW = 4  # up to this many environments, one lane each is faster than blocks that are mostly empty
-
-
-class Place:
-    """Which lane of which block an environment is: those of one schedule lie together.
-
-    Attributes:
-        environment: (blocks * lanes,) int32, -1 for a lane without one.
-        source: (blocks * lanes,) environment that a lane takes its numbers from.
-        lane_of: (B,) lane of each environment.
-    """
-
-    def __init__(self, row: np.ndarray, lanes: int) -> None:
-        batch = len(row)
-        order = np.argsort(row, kind="stable")
-        blocks = -(-batch // lanes)
-        self.environment = np.full(blocks * lanes, -1, dtype=np.int32)
-        self.environment[:batch] = order
-        first = np.repeat(self.environment[::lanes], lanes)
-        self.source = np.where(self.environment < 0, first, self.environment).astype(np.int64)
-        self.lane_of = np.empty(batch, dtype=np.int64)
-        self.lane_of[order] = np.arange(batch)
-
-
-class FusedState(RuntimeState):
-    """A runtime state in flat buffers; everything is unpacked when it is asked for.
-
-    Attributes:
-        binding: the kernel and the tables of the schedule.
-        place: lanes of the environments.
-        fixed, moving: (blocks, bytes) records; `fixed` is shared by all states of an episode.
-        parameters: as they were given.
-    """
-
-    __setattr__ = object.__setattr__
-
-    def __init__(
-        self,
-        binding: Binding,
-        place: Place,
-        row: np.ndarray,
-        parameters: dict[str, dict[str, Tensor]],
-        fixed: np.ndarray,
-        moving: np.ndarray,
-    ) -> None:
-        self.binding, self.place, self.row, self.parameters = binding, place, row, parameters
-        self.fixed, self.moving = fixed, moving
-        self.schedule = binding.schedule
-
-    def after(self, moving: np.ndarray) -> "FusedState":
-        """The same environments with other moving records."""
-        state = object.__new__(FusedState)
-        state.__dict__.update(self.__dict__)
-        state.moving = moving
-        return state
-
-    @property
-    def step(self) -> np.ndarray:
-        steps = self.moving[:, : 4 * self.binding.kernel.lanes].view(np.int32).reshape(-1)
-        return steps[self.place.lane_of].astype(np.int64)
-
-    @property
-    def nodes(self) -> dict[str, State]:
-        source = self.binding.kernel.source
-        result: dict[str, State] = {}
-        for node, program in zip(self.binding.kernel.graph.nodes, self.binding.kernel.programs, strict=True):
-            result[node.name] = {
-                key: self._unpack(self.fixed, source.fixed[node.name, key])
-                if key in program.constant and program.trace is not None
-                else self._unpack(self.moving, source.moving[node.name, key])
-                for key in program.state
-            }
-        return result
-
-    @property
-    def outputs(self) -> dict[str, tuple[Tensor, ...]]:
-        binding, step = self.binding, self.step
-        result = {}
-        for position, node in enumerate(binding.kernel.graph.nodes):
-            own = self.cells(node.name)
-            depth = int(self.schedule.depth[position])
-            written = self.schedule.executed[self.row, step, position].astype(np.int64)
-            result[node.name] = cells.resize(own, depth, written)
-        return result
-
-    def cells(self, name: str) -> tuple[Tensor, ...]:
-        """The last outputs of a node in the cells of its ring."""
-        ring = self.binding.rings[name]
-        position = self.binding.kernel.graph.index[name]
-        field = Field(*self.binding.kernel.programs[position].output, ring.offset)
-        return tuple(self._unpack(self.moving, field, cell) for cell in range(ring.cells))
-
-    @property
-    def readings(self) -> Mapping[str, Tensor]:
-        return Readings(self)
-
-    def reading(self, name: str) -> Tensor:
-        """One reading, (B, ...)."""
-        source = self.binding.kernel.source
-        field = source.readings[name]
-        return self._unpack(self.moving, Field(field.dtype, field.shape, field.offset + source.reading_start))
-
-    def _unpack(self, buffer: np.ndarray, field: Field, cell: int = 0) -> Tensor:
-        return Records(buffer, self.binding.kernel.lanes).unpack(field, self.place.lane_of, cell)
-
-
-class Readings(Mapping[str, Tensor]):
-    """Readings of the supervisor, gathered when they are asked for."""
-
-    def __init__(self, state: FusedState) -> None:
-        self._state = state
-        self._fields = state.binding.kernel.source.readings
-
-    def __getitem__(self, name: str) -> Tensor:
-        return self._state.reading(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._fields)
-
-    def __len__(self) -> int:
-        return len(self._fields)
-
-
-class LazyInputs(Mapping[str, Input]):
-    """What the supervisor sees, gathered when it is looked at."""
-
-    def __init__(self, graph: Graph, collect: Callable[[], dict[str, Input]]) -> None:
-        self._names = tuple(str(c.name) for c in graph.inputs_of(graph.supervisor))
-        self._collect, self._found = collect, None
-
-    def __getitem__(self, name: str) -> Input:
-        if self._found is None:
-            self._found = self._collect()
-        return self._found[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 class FusedExecutor:
@@ -184,6 +47,8 @@ class FusedExecutor:
         self.name = "fused"
         self._kernels: dict[Any, Kernel] = {}
         self._bindings: dict[Any, Binding] = {}
+        self._policies: dict[Any, CompiledPolicy] = {}
+        self._refused: set[Any] = set()
 
     def start(
         self,
@@ -227,6 +92,63 @@ class FusedExecutor:
         if spent >= 0:
             raise HorizonError.of(spent, state.schedule)
         return state.after(moving)
+
+    def rollout(
+        self,
+        state: RuntimeState,
+        policy: Policy,
+        steps: int,
+        parameters: Mapping[str, Tensor] | None,
+        record: tuple[str, ...],
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take steps inside the kernel; see `BatchedRuntime.rollout`."""
+        if not isinstance(state, FusedState):
+            return self.eager.rollout(state, policy, steps, parameters, record)
+        if isinstance(policy, Tensor):
+            shape = state.binding.action_shape[1:]
+            given = given_actions(policy, state, steps, shape)
+            return run_rollout(state, steps, record, self.threads, actions=given)
+        function, values = as_function(policy, parameters)
+        try:
+            compiled = self._policy(state, function, values)
+        except (TraceError, CompilerError) as error:
+            if function not in self._refused:
+                self._refused.add(function)
+                warnings.warn(f"{error}; this policy runs between steps", RuntimeWarning, stacklevel=3)
+            after, taken = self._steps(state, function, values, steps, record)
+            return after, taken
+        return run_rollout(state, steps, record, self.threads, policy=compiled, weights=compiled.pack(values))
+
+    def _steps(
+        self,
+        state: RuntimeState,
+        function: PolicyFunction,
+        parameters: Mapping[str, Tensor],
+        steps: int,
+        record: tuple[str, ...],
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take steps one by one with a policy that is not compiled."""
+        if np.any(state.steps_left < steps):
+            raise HorizonError.of(int(np.argmin(state.steps_left)), state.schedule)
+        taken: dict[str, list[Tensor]] = {name: [] for name in record}
+        for _ in range(steps):
+            with torch.no_grad():
+                action = function(parameters, state.readings or self.inputs(state))
+            state = self.step(state, action)
+            for name, values in taken.items():
+                values.append(action if name == "action" else state.readings[name])
+        return state, {name: torch.stack(values) for name, values in taken.items()}
+
+    def _policy(
+        self, state: FusedState, function: PolicyFunction, parameters: Mapping[str, Tensor]
+    ) -> CompiledPolicy:
+        kernel = state.binding.kernel
+        key = id(kernel), function, *((k, v.dtype, v.shape) for k, v in parameters.items())
+        if key not in self._policies:
+            self._policies[key] = CompiledPolicy(kernel, function, parameters)
+        policy = self._policies[key]
+        state.binding.see(policy.source.uses)
+        return policy
 
     def inputs(self, state: RuntimeState) -> Mapping[str, Input]:
         if not isinstance(state, FusedState):
@@ -366,8 +288,3 @@ def _reorder(binding: Binding, buffer: np.ndarray, order: np.ndarray, is_fixed: 
         flat = old.view(field, copies).transpose(0, 2, 1).reshape(len(order), -1)
         result.view(field, copies)[...] = flat[order].reshape(len(buffer), lanes, -1).transpose(0, 2, 1)
     return result.buffer
-
-
-def address(array: np.ndarray | Tensor) -> int:
-    """Where the numbers of an array begin."""
-    return array.data_ptr() if isinstance(array, Tensor) else array.__array_interface__["data"][0]

@@ -60,7 +60,6 @@ BINARY = {
     "mul": "({0} * {1})",
     "maximum": "max_({0}, {1})",
     "minimum": "min_({0}, {1})",
-    "fmax": "sel(ne({0}, {0}) | (({1}) > ({0})), {1}, {0})",
     "remainder": "remainder_({0}, {1})",
     "fmod": "fmod_({0}, {1})",
     "floor_divide": "floordiv_({0}, {1})",
@@ -75,8 +74,14 @@ BINARY = {
     "bitwise_and": "({0} & {1})",
     "bitwise_or": "({0} | {1})",
     "bitwise_xor": "({0} ^ {1})",
+    "bitwise_left_shift": "({0} << {1})",
+    "bitwise_right_shift": "({0} >> {1})",
+    "__lshift__": "({0} << {1})",
+    "__rshift__": "({0} >> {1})",
+    "__and__": "({0} & {1})",
+    "__or__": "({0} | {1})",
+    "__xor__": "({0} ^ {1})",
 }
-del BINARY["fmax"]  # NaN rules of fmax differ; rare
 LOGICAL = {
     "logical_and": "({0} & {1})",
     "logical_or": "({0} | {1})",
@@ -169,11 +174,9 @@ def _unary(template: str) -> Lowering:
         dtype = supported(call.outputs[0].example.dtype)
         if rest and rest[0] is not None:
             raise TraceError(f"{call.name} with the arguments {rest}")
-        if not dtype.is_floating_point and template.endswith("floor_({0})"):
-            template_ = "{0}"
-        else:
-            template_ = template
-        return body.pointwise([x], dtype, lambda e: template_.format(e), dtype)
+        whole = not dtype.is_floating_point and ("floor_" in template or "rint_" in template)
+        own = "{0}" if whole else template
+        return body.pointwise([x], dtype, lambda e: own.format(e), dtype)
 
     return function
 

@@ -262,7 +262,7 @@ class _Hoisted:
 
     def place(self, dtype: torch.dtype) -> int:
         start = self.size
-        self.size += 8 if dtype != torch.bool else 8
+        self.size += 8
         return start
 
 
