@@ -1,7 +1,9 @@
 """The simulated runtime: one environment, event by event, in the caller's thread; takes any Python node."""
 
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +18,10 @@ from deepkoco.graph.realtime.plan import NodePlan, Plan, PlannedStep, TimingPlan
 from deepkoco.graph.realtime.protocol import ProtocolPlan
 from deepkoco.graph.realtime.runner import InitialStateError, Runner
 from deepkoco.graph.realtime.state import Policy, RunningState, check_step, planned_episode, running_state
+from deepkoco.graph.realtime.watched import StuckError, Watched
 from deepkoco.graph.runtime import NodeParameters
+
+START_LIMIT = 60.0  # longest time that `open` and `init` of a node take, if there is a limit [s]
 
 
 class SimulatedRuntime:
@@ -29,18 +34,28 @@ class SimulatedRuntime:
             state, inputs = runtime.reset(parameters, generator)
             state, inputs = runtime.step(state, action)
 
-    A step that never returns holds up the caller, who can interrupt it: the nodes are closed and the error says
-    which one it was.
+    A node that raises, or is interrupted by Ctrl-C, stops the graph: all nodes are closed and the error says which
+    one it was. With a time limit so does one that never returns; it is then closed from another thread.
 
     Args:
         graph: the nodes and connections.
         timing: when what runs; None: by the synchronisation protocol, for constant delays and without end.
+        time_limit: longest step [s]; the nodes then live in a thread of their own, which costs some 20 us a step.
+            None: no limit, and they live in the caller's.
         record: keep all outputs for `finish`.
     """
 
-    def __init__(self, graph: Graph, timing: ComputationGraph | None = None, record: bool = True) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        timing: ComputationGraph | None = None,
+        *,
+        time_limit: float | None = None,
+        record: bool = True,
+    ) -> None:
         self.graph = graph
-        self._timing, self._record = timing, record
+        self._timing, self._record, self._time_limit = timing, record, time_limit
+        self._watched: Watched | None = None
         self._protocol = ProtocolPlan(graph) if timing is None else None
         self._runners = {n.name: Runner(n, graph.inputs_of(n.name)) for n in graph.nodes}
         self._rank = {graph.nodes[n].name: rank for rank, n in enumerate(graph.order)}
@@ -96,15 +111,11 @@ class SimulatedRuntime:
         self._running = None
         first = {}
         for name, runner in self._runners.items():
-            try:
-                if name not in self._opened:
-                    self._opened.append(name)
-                    runner.node.open()
-                first[name] = runner.reset(parameters.get(name, {}), generator, (initial or {}).get(name, {}))
-            except InitialStateError:
-                raise
-            except BaseException as error:
-                raise self._fail(name, -1, error) from error
+            if name not in self._opened:
+                self._opened.append(name)
+                self._call(name, -1, runner.node.open)
+            values = parameters.get(name, {}), generator, (initial or {}).get(name, {})
+            first[name] = self._call(name, -1, partial(runner.reset, *values))
         for runner in self._runners.values():
             runner.begin([first[c.sender] for c in runner.inputs])
         self._tick = dict.fromkeys(self._runners, 0)
@@ -162,27 +173,32 @@ class SimulatedRuntime:
     def close(self) -> None:
         """Close every node that was opened; safe to call twice."""
         self._running = None
-        errors: list[BaseException] = []
+        failure: NodeFailure | None = None
         while self._opened:
             name = self._opened.pop()
+            close = self._runners[name].node.close
             try:
-                self._runners[name].node.close()
+                # What is stuck cannot close itself.
+                if self._watched is None or self._watched.stuck:
+                    close()
+                else:
+                    self._watched.call(close)
             except BaseException as error:
-                errors.append(failure_of(name, -1, error))
-        if errors:
-            raise errors[0]
+                failure = failure or failure_of(name, -1, error, traceback.format_exc())
+        watched, self._watched = self._watched, None
+        if watched is not None:
+            watched.end()
+        if failure is not None:
+            raise failure
 
     def _observe(self, step: int, action: Tensor) -> tuple[RunningState, dict[str, Input]]:
         name = self.graph.supervisor
         self._run_before(step)
         planned = self._parts[name].step(step)
         runner = self._runners[name]
-        try:
-            self._seen = runner.look(planned.t_start, planned.windows)
-            runner.drop_before(planned.oldest)
-            readings = runner.observe(self._seen, action)
-        except BaseException as error:
-            raise self._fail(name, step, error) from error
+        self._seen = runner.look(planned.t_start, planned.windows)
+        runner.drop_before(planned.oldest)
+        readings = self._call(name, step, partial(runner.observe, self._seen, action))
         self._running = running_state(step, planned.t_start, self._plan.steps, readings)
         return self._running, self._seen
 
@@ -212,10 +228,8 @@ class SimulatedRuntime:
 
     def _run_step(self, name: str, planned: PlannedStep) -> None:
         tick, runner = self._tick[name], self._runners[name]
-        try:
-            output = runner.step(runner.look(planned.t_start, planned.windows))
-        except BaseException as error:
-            raise self._fail(name, tick, error) from error
+        seen = runner.look(planned.t_start, planned.windows)
+        output = self._call(name, tick, partial(runner.step, seen))
         runner.drop_before(planned.oldest)
         self._tick[name] += 1
         self._next[name] = self._plan_step(name)
@@ -233,16 +247,27 @@ class SimulatedRuntime:
         for receiver, place in self._receivers[name]:
             self._runners[receiver].put(place, seq, output)
 
-    def _fail(self, name: str, tick: int, error: BaseException) -> BaseException:
-        """Close all nodes; return what to raise."""
-        details = "".join(traceback.format_exception(error))
+    def _call(self, name: str, tick: int, function: Callable[[], Any]) -> Any:
+        """Run a node's own code; if it fails, close all nodes and say which one it was."""
         try:
-            self.close()
-        except NodeFailure as another:
-            details += f"\nand while closing: {another}"
-        if isinstance(error, KeyboardInterrupt):
-            interrupt = KeyboardInterrupt(
-                f'interrupted in node "{name}" at its tick {tick}; nodes are closed'
-            )
-            return interrupt
-        return failure_of(name, tick, error, details)
+            if self._time_limit is None:
+                return function()
+            if self._watched is None:
+                self._watched = Watched(self._time_limit)
+            # To open may take longer than to step.
+            return self._watched.call(function, None if tick >= 0 else max(self._time_limit, START_LIMIT))
+        except InitialStateError:
+            raise
+        except BaseException as error:
+            details = traceback.format_exc()
+            try:
+                self.close()
+            except NodeFailure as another:
+                details += f"\nand while closing: {another}"
+            if isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(
+                    f'in node "{name}" at its tick {tick}; the nodes are closed'
+                ) from error
+            if isinstance(error, StuckError):
+                raise NodeFailure(name, tick, str(error)) from None
+            raise failure_of(name, tick, error, details) from error

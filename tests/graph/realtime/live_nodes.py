@@ -86,7 +86,13 @@ def die():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+    hang()
+
+
 FAULTS = {
+    "ctrl-c": interrupt,
     "raise": raise_error,
     "hang": hang,
     "sleep": lambda: time.sleep(3600),

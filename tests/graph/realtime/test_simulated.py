@@ -160,6 +160,33 @@ def test_a_node_that_fails_is_named_and_all_are_closed(tmp_path, fault):
         runtime.run(act, 1)
 
 
+def test_a_node_that_never_returns_is_given_up(tmp_path):
+    graph = devices(tmp_path, "hang")
+    timing = draw_timing(graph, np.random.default_rng(0), 9, 1)
+    runtime = SimulatedRuntime(graph, timing, time_limit=0.5)
+    runtime.reset({}, torch.Generator())
+    with pytest.raises(NodeFailure, match=r'node "motor" at its tick 3: has not returned for 0\.5 s'):
+        runtime.run(act, 9)
+    assert all(len(graph.node(name).marks("close")) == 1 for name in ("motor", "camera"))
+
+
+def test_ctrl_c_closes_the_nodes_and_says_where_it_came(tmp_path):
+    graph = devices(tmp_path, "ctrl-c")
+    runtime = SimulatedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 9, 1))
+    runtime.reset({}, torch.Generator())
+    with pytest.raises(KeyboardInterrupt, match='in node "motor" at its tick 3'):
+        runtime.run(act, 9)
+    assert all(len(graph.node(name).marks("close")) == 1 for name in ("motor", "camera"))
+
+
+def test_with_a_time_limit_the_result_is_the_same():
+    graph = loop()
+    timing = draw_timing(graph, np.random.default_rng(0), 5, 1)
+    assert_same(
+        run(SimulatedRuntime(graph, timing), 5), run(SimulatedRuntime(graph, timing, time_limit=5), 5)
+    )
+
+
 def test_mistakes_of_the_caller_leave_the_nodes_running():
     graph = loop()
     runtime = SimulatedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 4, 1))
