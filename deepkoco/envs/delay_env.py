@@ -13,9 +13,12 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
+from deepkoco.engines import command_window
+from deepkoco.engines.ode import World
+from deepkoco.engines.sensor import Sensor
 from deepkoco.envs.delay_traces import Delays
 from deepkoco.envs.graph_env import GraphEnv, GraphVectorEnv
-from deepkoco.envs.nodes import Sensor, SwingUpAgent, World
+from deepkoco.envs.nodes import SwingUpAgent
 from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
 from deepkoco.graph import Connection, Graph
 from deepkoco.graph.delay import Delay, Deterministic, make_delay
@@ -100,14 +103,17 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         sensor_rate = rate if same else settings.world_rate
         noise = tuple(c.noise_sd if settings.noise else 0.0 for c in self.system.measurements)
         nodes = [
-            World(self.system, self.task, settings.world_rate, settings.integrator),
+            World(
+                self.system,
+                settings.world_rate,
+                settings.integrator,
+                self.task.command_limit,
+                self.task.speed_limit,
+            ),
             Sensor(self.system, sensor_rate, noise),
             SwingUpAgent(self.system, self.task, settings.action_history, self.action_scale),
         ]
-        # Commands under way at a tick of the world may all arrive within it, and the one before them still
-        # holds; with a constant delay they keep their distance.
-        spread = 0.0 if actuation.constant else actuation.highest
-        window = 2 + math.ceil((spread + 1.0 / settings.world_rate) * rate)
+        window = command_window(actuation, rate, settings.world_rate)
         connections = [
             Connection("world", "sensor"),
             Connection("world", "agent", name="truth"),

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import stats
 
-from deepkoco.envs.noise import draw_keys, normal
+from deepkoco.engines.noise import draw_keys, normal
 
 KEYS, TICKS = 300, 300
 

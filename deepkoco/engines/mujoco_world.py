@@ -1,0 +1,124 @@
+"""The MuJoCo engine's world: a node that holds a physics engine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.engines.engine import EngineError
+from deepkoco.engines.hold import mean_over_tick
+from deepkoco.engines.mjcf import HingedBody, model_xml
+from deepkoco.engines.start import start_state
+from deepkoco.graph import Input, Node
+from deepkoco.graph.node import State
+from deepkoco.systems import JointSystem, Parameters
+
+
+class MujocoWorld(Node):
+    """The state of a hinged body in MuJoCo, one tick at a time; the counterpart of the ODE engine's world.
+
+    The same ticks, commands and limits; the motion is MuJoCo's. The model is made anew where an episode
+    begins with other parameters. What the episode remembers is the node's state, so that a start state can be
+    given and an episode repeated; the engine itself serves one environment.
+
+    Args:
+        system: Declares parameters, command and measurements.
+        body: The body for given parameters.
+        rate: Ticks per second [Hz].
+        time_step: Longest step of the physics [s].
+        command_limit: Largest command, in the command's unit.
+        speed_limit: The joint goes no faster [rad/s].
+    """
+
+    inputs = ("agent",)
+    pure = False
+
+    def __init__(
+        self,
+        system: JointSystem,
+        body: Callable[[Mapping[str, float]], HingedBody],
+        rate: float,
+        time_step: float = 1e-3,
+        command_limit: float = math.inf,
+        speed_limit: float = math.inf,
+    ) -> None:
+        super().__init__("world", rate)
+        self.system, self.body = system, body
+        self.period, self.speed_limit = 1.0 / rate, speed_limit
+        self.substeps = math.ceil(self.period / time_step - 1e-9)
+        self.low = max(-command_limit, system.command.low)
+        self.high = min(command_limit, system.command.high)
+        self._simulator: _Simulator | None = None
+
+    def open(self) -> None:
+        _mujoco()
+
+    def close(self) -> None:
+        self._simulator = None
+
+    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        if batch != 1:
+            raise EngineError(f"mujoco: it runs 1 environment, not {batch}; use the ode engine")
+        nominal = self.system.default_parameters()
+        values = {name: float(torch.as_tensor(parameters.get(name, v))) for name, v in nominal.items()}
+        if self._simulator is None or self._simulator.values != values:
+            body = self.body(values)
+            time_step = self.period / self.substeps
+            xml = model_xml(self.system.name, body, self.system.command, self.system.measurements, time_step)
+            self._simulator = _Simulator(values, body, xml)
+        return {
+            "state": start_state(self.system, parameters, batch),
+            "started": torch.zeros(batch, dtype=torch.bool),
+        }
+
+    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
+        return state["state"]
+
+    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
+        assert self._simulator is not None
+        command = inputs["agent"].data[..., 0].to(torch.float64).clamp(self.low, self.high)
+        effort = mean_over_tick(command, inputs["agent"], self.period)
+        now = state["state"]
+        if state["started"][0]:
+            angle, speed = self._simulator.advance(now[0].tolist(), float(effort[0]), self.substeps)
+            limit = self.speed_limit
+            now = torch.tensor([[angle, min(max(speed, -limit), limit)]], dtype=torch.float64)
+        return {"state": now, "started": torch.ones_like(state["started"])}, now
+
+
+class _Simulator:
+    """A compiled model and its data."""
+
+    def __init__(self, values: dict[str, float], body: HingedBody, xml: str) -> None:
+        self.values, self.body = values, body
+        self._mujoco = _mujoco()
+        self.model = self._mujoco.MjModel.from_xml_string(xml)
+        self.data = self._mujoco.MjData(self.model)
+
+    def advance(self, state: list[float], effort: float, steps: int) -> tuple[float, float]:
+        """Motion of (angle [rad], speed [rad/s]) under a constant effort."""
+        data = self.data
+        data.qpos[0], data.qvel[0] = state
+        data.ctrl[0] = effort
+        if self.body.resistance is None:
+            self._mujoco.mj_step(self.model, data, steps)
+        else:
+            for _ in range(steps):
+                data.qfrc_applied[0] = self.body.resistance(float(data.qvel[0]))
+                self._mujoco.mj_step(self.model, data)
+        if not np.isfinite(data.qpos[0]):
+            raise EngineError("mujoco: the state is not finite any more; take a smaller time_step")
+        return float(data.qpos[0]), float(data.qvel[0])
+
+
+def _mujoco() -> Any:
+    try:
+        import mujoco
+    except ImportError as error:
+        raise EngineError("the mujoco engine needs MuJoCo: pip install 'deepkoco[mujoco]'") from error
+    return mujoco

@@ -1,0 +1,110 @@
+"""Objects: what a graph is about, whatever engine runs it. One entry per object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from deepkoco.engines.engine import EngineError
+from deepkoco.engines.mjcf import HingedBody
+from deepkoco.systems import Channel, JointSystem, make_system
+from deepkoco.systems.pendulum import COULOMB_SMOOTHING
+from deepkoco.systems.pendulum import GRAVITY as STANDARD_GRAVITY
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class RobotObject:
+    """A machine with named actuators and sensors.
+
+    Attributes:
+        system: Name of its dynamics in `deepkoco.systems`, and of the object.
+        body: From the system's parameters, the rigid body that MuJoCo simulates.
+    """
+
+    system: str
+    body: Callable[[Values], HingedBody]
+
+    @property
+    def dynamics(self) -> JointSystem:
+        """Its nominal dynamics."""
+        system = make_system(self.system)
+        assert isinstance(system, JointSystem)
+        return system
+
+    @property
+    def actuators(self) -> tuple[Channel, ...]:
+        """What takes commands."""
+        return (self.dynamics.command,)
+
+    @property
+    def sensors(self) -> tuple[Channel, ...]:
+        """What is measured."""
+        return self.dynamics.measurements
+
+
+def _rod(p: Values) -> HingedBody:
+    # A thin rod about its middle: m l^2 / 12.
+    return HingedBody(
+        mass=p["mass"],
+        reach=0.5 * p["length"],
+        inertia=p["mass"] * p["length"] ** 2 / 12.0,
+        damping=p["viscous"],
+        gear=1.0,
+        gravity=p["gravity"],
+    )
+
+
+def _disk(p: Values) -> HingedBody:
+    # The disk with the mass on it, about their common joint; what is not the mass's is taken about its place.
+    drive = p["motor_constant"] / p["resistance"]
+
+    def dry_friction(omega: float) -> float:
+        return -p["coulomb"] * math.tanh(omega / COULOMB_SMOOTHING)
+
+    return HingedBody(
+        mass=p["mass"],
+        reach=p["length"],
+        inertia=p["inertia"] - p["mass"] * p["length"] ** 2,
+        damping=p["viscous"] + drive * p["motor_constant"],
+        gear=drive,
+        gravity=STANDARD_GRAVITY,
+        resistance=dry_friction,
+    )
+
+
+def _point_on_rod(p: Values) -> HingedBody:
+    # Its mass and length are not known apart; any pair with the same weight and inertia moves alike.
+    reach = 0.5 * p["inertia"] * STANDARD_GRAVITY / p["gravity_torque"]
+    mass = p["gravity_torque"] / (STANDARD_GRAVITY * reach)
+    return HingedBody(
+        mass=mass,
+        reach=-reach,  # angle 0 hangs
+        inertia=p["inertia"] - mass * reach**2,
+        damping=p["viscous"],
+        gear=1.0,
+        gravity=STANDARD_GRAVITY,
+    )
+
+
+OBJECTS: dict[str, RobotObject] = {
+    robot.system: robot
+    for robot in (
+        RobotObject("rod_pendulum", _rod),
+        RobotObject("pendulum", _disk),
+        RobotObject("torque_pendulum", _point_on_rod),
+    )
+}
+
+
+def find_object(name: str) -> RobotObject:
+    """Look up an object by name.
+
+    Raises:
+        EngineError: There is none; the message lists them.
+    """
+    if name not in OBJECTS:
+        raise EngineError(f'no object "{name}"; known: {", ".join(OBJECTS)}')
+    return OBJECTS[name]
