@@ -3,6 +3,7 @@
 from deepkoco.graph.drawing.computation import draw_computation_graph, draw_supergraph
 from deepkoco.graph.drawing.delays import draw_delays
 from deepkoco.graph.drawing.graph_picture import draw_graph
+from deepkoco.graph.drawing.page import make_page, write_page
 from deepkoco.graph.drawing.style import DrawingError, Picture
 from deepkoco.graph.drawing.timeline import draw_timeline
 
@@ -14,4 +15,6 @@ __all__ = [
     "draw_graph",
     "draw_supergraph",
     "draw_timeline",
+    "make_page",
+    "write_page",
 ]
