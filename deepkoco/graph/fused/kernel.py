@@ -87,6 +87,7 @@ class Binding:
 
     Attributes:
         rings: by node name.
+        readings: where a moving record of one lane has the supervisor's readings.
         fixed_size, moving_size: of the records [bytes per lane].
         model: pointer to the tables.
     """
@@ -133,6 +134,14 @@ class Binding:
             end += -(-cells * sizes[0] // 8) * 8
         self.node, self.edge = node, np.array(edges, dtype=EDGE)
         self.fixed_size, self.moving_size = source.fixed_size, end
+        self.readings = np.dtype(
+            {
+                "names": list(source.readings),
+                "formats": [(NUMPY[field.dtype], field.shape) for field in source.readings.values()],
+                "offsets": [source.reading_start + field.offset for field in source.readings.values()],
+                "itemsize": end,
+            }
+        )
         tables = schedule.tables
         self._kept = (tables, source.constants)  # the pointers below point into these
         self.struct = Model(

@@ -112,6 +112,12 @@ class FusedState(RuntimeState):
         field = source.readings[name]
         return self._unpack(self.moving, Field(field.dtype, field.shape, field.offset + source.reading_start))
 
+    def only_readings(self) -> np.ndarray | None:
+        """The readings of the only environment, as fields by name that are not copied; None for a batch."""
+        if len(self.row) > 1 or self.binding.kernel.lanes > 1:
+            return None
+        return self.moving.view(self.binding.readings)[0, 0]
+
     def _unpack(self, buffer: np.ndarray, field: Field, cell: int = 0) -> Tensor:
         return Records(buffer, self.binding.kernel.lanes).unpack(field, self.place.lane_of, cell)
 

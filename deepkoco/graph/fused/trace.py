@@ -104,6 +104,10 @@ class _Recorder(TorchDispatchMode):
         self.calls: list[Call] = []
         self.alive: list[Tensor] = []
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        return False  # nothing to skip, and torch would import its compiler to do so, which takes a second
+
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
         name = str(func)

@@ -1,0 +1,288 @@
+"""Speed of rollouts on the delay graph, by executor and batch; with --peer against REX on the same work.
+
+The work is that of `rollout_work.py`. With --peer both run in turn in one go, so that what else the machine
+does hits both; medians and the spread between quartiles are printed. Seconds are of the wall clock.
+"""
+
+import argparse
+import csv
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepkoco.graph import BatchedRuntime, draw_timing
+from experiments import rollout_work
+
+STEPS = 200
+SCHEDULES = 20
+POPULATION, POPULATION_STEPS = 200, 1050
+ROOT = Path(__file__).resolve().parent.parent
+PEER = ROOT / ".venv-peers" / "bin" / "python"
+
+
+class OurWork:
+    """The benchmark's graph in one executor.
+
+    Args:
+        executor: name of the executor.
+        threads: of the fused one.
+    """
+
+    def __init__(self, executor: str, threads: int = 1) -> None:
+        self.graph = rollout_work.make_graph()
+        self.policy = rollout_work.make_policy()
+        self.executor, self.threads = executor, threads
+        self._runs: dict[tuple[str, int], Any] = {}
+        self._runtimes: dict[str, BatchedRuntime] = {}
+
+    def run(self, kind: str, batch: int) -> float:
+        """Run "rollout" or "population" once; return seconds. The first call of a kind warms up."""
+        if (kind, batch) not in self._runs:
+            self._runs[kind, batch] = self._prepare(kind, batch)
+            self._runs[kind, batch]()
+        begin = time.perf_counter()
+        self._runs[kind, batch]()
+        return time.perf_counter() - begin
+
+    def _prepare(self, kind: str, batch: int) -> Any:
+        steps, rows = (STEPS, SCHEDULES) if kind == "rollout" else (POPULATION_STEPS, 1)
+        if kind not in self._runtimes:
+            timing = draw_timing(self.graph, np.random.default_rng(0), steps, rows, rows=rows)
+            self._runtimes[kind] = BatchedRuntime(
+                self.graph, timing, executor=self.executor, threads=self.threads
+            )
+        runtime = self._runtimes[kind]
+        parameters = rollout_work.make_parameters()
+        if kind == "population":
+            scale = torch.linspace(0.8, 1.2, batch)
+            parameters["world"]["mass"] = parameters["world"]["mass"] * scale
+            policy = torch.from_numpy(actions()).reshape(steps, 1, 1)
+        else:
+            policy = self.policy
+        chosen = np.random.default_rng(1).integers(rows, size=batch)
+        state, _ = runtime.reset(parameters, torch.Generator().manual_seed(0), rows=chosen)
+
+        def run() -> None:
+            with torch.no_grad():
+                runtime.rollout(state, policy, steps, record=())
+
+        return run
+
+    def memory(self, batch: int) -> tuple[float, float]:
+        """Bytes of an environment in the fused executor, and those of its own state in them."""
+        self.run("rollout", batch)
+        state, _ = self._runtimes["rollout"].reset(
+            rollout_work.make_parameters(),
+            torch.Generator().manual_seed(0),
+            rows=np.zeros(batch, dtype=np.int64),
+        )
+        own = sum(v.numel() * v.element_size() for values in state.nodes.values() for v in values.values())
+        buffers: Any = state
+        place = buffers.place
+        every = buffers.fixed.nbytes + buffers.moving.nbytes + buffers.row.nbytes
+        every += place.environment.nbytes + place.source.nbytes + place.lane_of.nbytes
+        return every / batch, own / batch
+
+
+class PeerWork:
+    """The same in a process of the peer's Python."""
+
+    def __init__(self) -> None:
+        if not PEER.exists():
+            raise SystemExit(f"{PEER} is not there; scripts/peers.sh installs the peers")
+        with tempfile.NamedTemporaryFile("w", suffix=".json", delete=False) as file:
+            json.dump(description(), file)
+        environment = {k: v for k, v in os.environ.items() if k != "OMP_NUM_THREADS"}
+        begin = time.perf_counter()
+        self._process = subprocess.Popen(
+            [str(PEER), str(Path(__file__).with_name("rollout_peer.py")), file.name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=environment | {"JAX_PLATFORMS": "cpu"},
+        )
+        self._answer()
+        self.import_seconds = time.perf_counter() - begin
+        self.first: dict[tuple[str, int], dict[str, float]] = {}
+        self.memory: dict[tuple[str, int], float] = {}
+
+    def run(self, kind: str, batch: int) -> float:
+        """Run "rollout" or "population" once; return seconds."""
+        answer = self._ask({"do": kind, "batch": batch})
+        if answer["first"] is not None:
+            self.first[kind, batch], self.memory[kind, batch] = answer["first"], answer["memory"]
+        return answer["seconds"]
+
+    def close(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write('{"do": "quit"}\n')
+        self._process.stdin.close()
+        self._process.wait(timeout=60)
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(request) + "\n")
+        self._process.stdin.flush()
+        return self._answer()
+
+    def _answer(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise SystemExit("the peer ended; run experiments/rollout_peer.py by hand to see why")
+        return json.loads(line)
+
+
+def actions() -> np.ndarray:
+    """Voltages (steps,) of the population's episode, as one would record them for identification."""
+    t = np.arange(POPULATION_STEPS) / rollout_work.AGENT_RATE
+    return (1.5 * np.sin(2 * np.pi * 0.7 * t) + np.sin(2 * np.pi * 1.9 * t)).astype(np.float32)
+
+
+def description() -> dict[str, Any]:
+    """The work in plain numbers, for the peer."""
+    layers = [m for m in rollout_work.make_policy() if isinstance(m, torch.nn.Linear)]
+    laws = {"sensing": rollout_work.SENSING, "actuation": rollout_work.ACTUATION}
+    world = rollout_work.make_parameters()["world"]
+    names = (
+        "inertia",
+        "mass",
+        "length",
+        "viscous",
+        "motor_constant",
+        "resistance",
+        "coulomb",
+    )
+    return {
+        "steps": STEPS,
+        "schedules": SCHEDULES,
+        "population_steps": POPULATION_STEPS,
+        "world_rate": rollout_work.WORLD_RATE,
+        "agent_rate": rollout_work.AGENT_RATE,
+        "window": rollout_work.WINDOW,
+        **{name: [law.loc, law.scale] for name, law in laws.items()},
+        "parameters": {name: float(world[name]) for name in names},
+        "layers": [[m.weight.tolist(), m.bias.tolist()] for m in layers],
+        "actions": actions()[:, None].tolist(),
+    }
+
+
+def start_up(executor: str) -> dict[str, float]:
+    """Seconds from the interpreter's start to the first step of a new graph, without and with a kernel kept."""
+    code = (
+        "import numpy as np, torch; from deepkoco.graph import BatchedRuntime, draw_timing; "
+        "from experiments import rollout_work as w; g = w.make_graph(); "
+        "t = draw_timing(g, np.random.default_rng(0), 200, 20, rows=20); "
+        f"r = BatchedRuntime(g, t, executor='{executor}'); "
+        "s, _ = r.reset(w.make_parameters(), torch.Generator().manual_seed(0), rows=np.zeros(64, int)); "
+        "r.step(s, torch.zeros(64, 1))"
+    )
+    result = {"torch": timed("import torch")}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("uncached", "cached"):
+            result[name] = timed(code, XDG_CACHE_HOME=folder)
+    return result
+
+
+def timed(code: str, **environment: str) -> float:
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, env=os.environ | environment)
+    return time.perf_counter() - begin
+
+
+def measure(workers: dict[str, Any], kind: str, batch: int, repeats: int, steps: int) -> list[dict[str, Any]]:
+    """Run all in turn; agent steps per second, median and quartiles."""
+    seconds: dict[str, list[float]] = {name: [] for name in workers}
+    for worker in workers.values():
+        worker.run(kind, batch)
+    for _ in range(repeats):
+        for name, worker in workers.items():
+            seconds[name].append(worker.run(kind, batch))
+    rows = []
+    for name, values in seconds.items():
+        low, middle, high = np.quantile(
+            [batch * steps / value for value in values], [0.25, 0.5, 0.75]
+        ).tolist()
+        row = {
+            "work": kind,
+            "batch": batch,
+            "executor": name,
+            "steps_per_s": middle,
+            "low": low,
+            "high": high,
+        }
+        if "rex" in seconds and name != "rex":
+            ratios = [theirs / ours for theirs, ours in zip(seconds["rex"], values, strict=True)]
+            row["ratio_to_rex"] = statistics.median(ratios)
+            row["ratio_low"], row["ratio_high"] = np.quantile(ratios, [0.25, 0.75]).tolist()
+        rows.append(row)
+    return rows
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--batch", type=int, nargs="+", default=[1, 64, 1024, 16384])
+    parser.add_argument("--executors", nargs="+", default=["eager", "fused"], choices=["eager", "fused"])
+    parser.add_argument("--threads", type=int, default=1, help="of the fused executor")
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--peer", action="store_true", help="REX too, in turn with ours")
+    parser.add_argument("--start-up", action="store_true", help="time from the start to the first step")
+    parser.add_argument("--population", action="store_true", help=f"{POPULATION} x {POPULATION_STEPS} steps")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--out", type=Path, help="CSV to write; must not be there")
+    given = parser.parse_args(arguments)
+    if given.out is not None and given.out.exists():
+        parser.error(f"{given.out} exists; choose another name")
+    torch.set_num_threads(1)
+    workers: dict[str, Any] = {name: OurWork(name, given.threads) for name in given.executors}
+    peer = PeerWork() if given.peer else None
+    if peer is not None:
+        workers["rex"] = peer
+    rows = []
+    for batch in given.batch:
+        # A rollout of the eager executor takes seconds whatever the batch; at large ones it adds nothing.
+        able = {name: w for name, w in workers.items() if name != "eager" or batch <= 1024}
+        repeats = 2 if "eager" in able and batch > 64 else given.repeats
+        rows += measure(able, "rollout", batch, repeats, STEPS)
+    if given.population:
+        able = {name: worker for name, worker in workers.items() if name != "eager"}
+        rows += measure(able, "population", POPULATION, given.repeats, POPULATION_STEPS)
+    result: dict[str, Any] = {"rows": rows}
+    if "fused" in workers:
+        every, own = workers["fused"].memory(1024)
+        result["bytes_per_environment"] = {"fused": every, "own_state": own}
+    if peer is not None:
+        result["bytes_per_environment"]["rex"] = next(iter(peer.memory.values()))
+        result["rex_start_up"] = {"import": peer.import_seconds, **next(iter(peer.first.values()))}
+        peer.close()
+    if given.start_up:
+        result["start_up"] = start_up("fused")
+    if given.out is not None:
+        write_csv(given.out, rows)
+    sys.stdout.write(json.dumps(result, indent=None if given.json else 2) + "\n")
+    return 0
+
+
+def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write the rows, whole or not at all."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with partial.open("w", newline="") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows(rows)
+    os.replace(partial, path)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
