@@ -30,6 +30,11 @@ COMMANDS = {
         "deepkoco.diagnose.command",
         "name what the simulation of a logged robot gets wrong, and extend it",
     ),
+    "show": (
+        "deepkoco.commands.show_command",
+        "show what a recording of a graph holds: rates, delays, losses, pictures",
+    ),
+    "export": ("deepkoco.commands.export_command", "write a recording of a graph as CSV or Parquet"),
     "systems": ("deepkoco.unit.systems_command", "list the systems with parameters, units and bounds"),
 }
 

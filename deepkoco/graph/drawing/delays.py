@@ -13,29 +13,13 @@ from matplotlib.figure import Figure
 from deepkoco.graph.delay import Delay, DelayError
 from deepkoco.graph.drawing.style import ALARM, INK, DrawingError, Picture, colours, figure_style
 from deepkoco.graph.episode import Episode
+from deepkoco.graph.episode_tables import measured_delays
 from deepkoco.graph.graph import Graph
 
 _BINS = 31  # odd: a constant delay lies in the middle of a bin
 _TAIL = 0.002  # share of the longest delays that is counted in the last bin only
 _COLUMNS = 3
 _FOR_EVER = 1e9  # s
-
-
-def measured_delays(graph: Graph, episodes: Iterable[Episode]) -> dict[str, np.ndarray]:
-    """Collect delays [s] by node name (computation) and connection key (communication), infinity for lost.
-
-    The last step of the supervisor, whose end is not part of an episode, does not count.
-    """
-    found: dict[str, list[np.ndarray]] = {
-        key: [] for key in (*graph.index, *(c.key for c in graph.connections))
-    }
-    for episode in episodes:
-        for name in graph.index:
-            taken = episode.t_end[name] - episode.t_start[name]
-            found[name].append(taken[: len(taken) - (name == graph.supervisor)])
-        for c in graph.connections:
-            found[c.key].append(episode.t_received[c.key] - episode.t_sent[c.key])
-    return {key: np.concatenate([np.zeros(0), *parts]) for key, parts in found.items()}
 
 
 def draw_delays(graph: Graph, episodes: Iterable[Episode]) -> Picture:

@@ -58,7 +58,9 @@ def stack_outputs(messages: Sequence[Mapping[str, Any]]) -> np.ndarray:
                 f"{dtype.str} {shape}"
             )
     if not any("raw" in message for message in messages):
-        return np.array([message["values"] for message in messages], dtype=dtype).reshape(len(messages), *shape)
+        return np.array([message["values"] for message in messages], dtype=dtype).reshape(
+            len(messages), *shape
+        )
     stacked = np.empty((len(messages), *shape), dtype=dtype)
     for place, message in enumerate(messages):
         if "raw" in message:

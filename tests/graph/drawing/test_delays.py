@@ -6,7 +6,7 @@ import torch
 
 from deepkoco.graph import Connection, Episode, Gaussian, Graph, Supervisor
 from deepkoco.graph.drawing import DrawingError, draw_delays
-from deepkoco.graph.drawing.delays import measured_delays
+from deepkoco.graph.episode_tables import measured_delays
 from deepkoco.graph.storage import RecordedNode
 
 LAW = Gaussian(0.02, 0.004)

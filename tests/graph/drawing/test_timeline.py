@@ -7,8 +7,8 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 from deepkoco.graph import Connection, Episode, Graph, Supervisor, draw_timing
 from deepkoco.graph.drawing import DrawingError, draw_timeline
-from deepkoco.graph.drawing.timeline import messages_table, steps_table
 from deepkoco.graph.episode import episode_of_timing
+from deepkoco.graph.episode_tables import messages_table, steps_table
 from deepkoco.graph.storage import RecordedNode
 
 GRAPH = Graph(

@@ -1,0 +1,141 @@
+"""`deepkoco show`: what a recording of a graph holds."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepkoco.command_line import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from deepkoco.graph.storage.read import RecordedRun
+    from deepkoco.graph.storage.summary import RunSummary, Spread
+
+DESCRIPTION = """\
+Read a recording of a graph (MCAP) and show its nodes with the rates that were asked for and realised, its
+delays (mean, median, 99 % quantile), overruns and losses. Draw it, or make an interactive page of it."""
+EXAMPLE = """\
+example:
+  deepkoco show runs/rod.mcap
+  deepkoco show runs/rod.mcap --pictures runs/rod_pictures --html runs/rod.html
+  deepkoco show runs/rod.mcap.partial --partial      what a run that was killed has left"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `deepkoco show`."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="recording to read, .mcap")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    parser.add_argument(
+        "--partial", action="store_true", help="take what is there of a file that was cut off"
+    )
+    parser.add_argument(
+        "--episode", type=int, default=0, metavar="N", help="episode that is drawn (first: 0)"
+    )
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="start of the timeline [s]")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="end of the timeline [s]")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="new folder for graph, timeline, delays")
+    parser.add_argument("--html", type=Path, metavar="PAGE.html", help="interactive page to write")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the summary of a recording; draw it if asked to.
+
+    Raises:
+        InputError: The recording cannot be used, or an output exists.
+    """
+    from deepkoco.graph.drawing.style import DrawingError
+    from deepkoco.graph.storage.container import EpisodeFileError
+    from deepkoco.graph.storage.read import read_episodes
+    from deepkoco.graph.storage.summary import summarise_run
+
+    for target in (args.pictures, args.html):
+        if target is not None and target.exists():
+            raise InputError(f"{target}: exists; choose another name or move it away")
+    try:
+        recorded = read_episodes(args.recording, partial=args.partial)
+        summary = summarise_run(recorded)
+        if args.pictures is not None or args.html is not None:
+            _draw(args, recorded)
+    except (EpisodeFileError, DrawingError) as error:
+        raise InputError(str(error)) from error
+    if args.json:
+        content = {"path": str(args.recording), "complete": recorded.complete, "meta": recorded.meta}
+        sys.stdout.write(json.dumps(content | asdict(summary), indent=2) + "\n")
+        return 0
+    from rich.console import Console
+
+    console = Console()
+    for table in tables(recorded, summary):
+        console.print(table)
+    for number, episode in enumerate(recorded.episodes):
+        for note in episode.notes:
+            where = f"episode {number}, {note.t:.3f} s" + (f", {note.node}" if note.node else "")
+            console.print(f"{note.level} ({where}): {note.text}", highlight=False, markup=False)
+    if recorded.meta:
+        facts = ", ".join(f"{key}: {value}" for key, value in recorded.meta.items())
+        console.print(facts, highlight=False, markup=False)
+    return 0
+
+
+def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
+    from deepkoco.graph.drawing import DrawingError, draw_delays, draw_graph, draw_timeline, write_page
+
+    if not 0 <= args.episode < len(recorded.episodes):
+        raise InputError(
+            f"{args.recording}: there is no episode {args.episode}; it has {len(recorded.episodes)}"
+        )
+    graph, episode = recorded.graph, recorded.episodes[args.episode]
+    if args.pictures is not None:
+        pictures = [draw_graph(graph), draw_timeline(graph, episode, args.start, args.stop)]
+        with contextlib.suppress(DrawingError):  # nothing took any time
+            pictures.append(draw_delays(graph, recorded.episodes))
+        for picture in pictures:
+            picture.save(args.pictures)
+    if args.html is not None:
+        args.html.parent.mkdir(parents=True, exist_ok=True)
+        write_page(args.html, graph, episode, args.recording.name)
+
+
+def tables(recorded: RecordedRun, summary: RunSummary) -> tuple[Table, Table]:
+    """Nodes and connections of a recording as tables for the terminal."""
+    from rich.table import Table
+    from rich.text import Text
+
+    number = f"{summary.episodes} episode{'s' * (summary.episodes != 1)}"
+    cut = "" if recorded.complete else " · cut off"
+    nodes, connections = (
+        Table(title=Text(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
+        for title in (f"{recorded.path} · {number} · {summary.seconds:.2f} s{cut}", "")
+    )
+    spread = ("mean\nms", "p50\nms", "p99\nms")
+    nodes.add_column("node")
+    for heading in ("steps", "rate\nHz", "realised\nHz", *spread, "overruns", "late"):
+        nodes.add_column(heading, justify="right", no_wrap=True)
+    for n in summary.nodes:
+        nodes.add_row(
+            Text(n.name),
+            str(n.steps),
+            f"{n.rate_hz:g}",
+            "-" if n.realised_hz is None else f"{n.realised_hz:.2f}",
+            *_milliseconds(n.computation),
+            str(n.overruns),
+            str(n.late),
+        )
+    connections.add_column("connection")
+    for heading in ("messages", "lost", *spread):
+        connections.add_column(heading, justify="right", no_wrap=True)
+    for c in summary.connections:
+        connections.add_row(Text(c.key), str(c.messages), str(c.lost), *_milliseconds(c.communication))
+    return nodes, connections
+
+
+def _milliseconds(spread: Spread) -> list[str]:
+    values = (spread.mean_s, spread.p50_s, spread.p99_s)
+    return ["-" if value is None else f"{1000 * value:.2f}" for value in values]
