@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,12 @@ from deepkoco.graph import cells
 from deepkoco.graph.eager import EagerExecutor
 from deepkoco.graph.fused.compiler import CompilerError
 from deepkoco.graph.fused.kernel import Binding, Kernel
+from deepkoco.graph.fused.memory import address
 from deepkoco.graph.fused.program import trace_graph
-from deepkoco.graph.fused.record import Field, Records
+from deepkoco.graph.fused.record import NUMBER, Field, Records
 from deepkoco.graph.fused.rollout import CompiledPolicy, run_rollout
 from deepkoco.graph.fused.source import kernel_source
-from deepkoco.graph.fused.state import FusedState, LazyInputs, Place, address
+from deepkoco.graph.fused.state import FusedState, LazyInputs, Place
 from deepkoco.graph.fused.trace import TraceError
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import Input, State
@@ -72,7 +74,7 @@ class FusedExecutor:
         if trace is not None:
             return self._pack(kernel, self.eager.begin(state, trace))
         packed = self._pack(kernel, state)
-        kernel.start(packed.binding.model, packed.fixed.ctypes.data, packed.moving.ctypes.data)
+        kernel.start(packed.binding.model, packed.fixed.address, packed.moving.address)
         return packed
 
     def step(
@@ -85,9 +87,9 @@ class FusedExecutor:
             after = self.eager.step(self.unpack(state), torch.as_tensor(action), trace)
             return self._pack(binding.kernel, after, state.place)
         action = binding.action(action)
-        moving = np.empty_like(state.moving)
+        moving = binding.allocate()
         spent = binding.kernel.step(
-            binding.model, address(state.fixed), address(state.moving), address(moving), address(action)
+            binding.model, state.fixed.address, state.moving.address, moving.address, address(action)
         )
         if spent >= 0:
             raise HorizonError.of(spent, state.schedule)
@@ -153,7 +155,10 @@ class FusedExecutor:
     def inputs(self, state: RuntimeState) -> Mapping[str, Input]:
         if not isinstance(state, FusedState):
             return self.eager.inputs(state)
-        return LazyInputs(self.graph, lambda: self.eager.inputs(self.unpack(state)))
+        return LazyInputs(state, self._collect)
+
+    def _collect(self, state: FusedState) -> Mapping[str, Input]:
+        return self.eager.inputs(self.unpack(state))
 
     def merge(self, running: RuntimeState, fresh: RuntimeState, mask: np.ndarray) -> RuntimeState:
         if not (isinstance(running, FusedState) and isinstance(fresh, FusedState)):
@@ -218,22 +223,22 @@ class FusedExecutor:
         binding = self._bind(kernel, state.schedule, state.batch)
         source, lanes = kernel.source, kernel.lanes
         place = place or Place(state.row, lanes)
-        fixed = Records(np.zeros((binding.blocks, binding.fixed_size * lanes), dtype=np.uint8), lanes)
-        moving = Records(np.zeros((binding.blocks, binding.moving_size * lanes), dtype=np.uint8), lanes)
-        number = Field(torch.int32, (), 0)
-        fixed.view(number)[...] = place.environment.reshape(binding.blocks, 1, lanes)
-        fixed.view(Field(torch.int32, (), 4))[...] = state.row[place.source].reshape(binding.blocks, 1, lanes)
-        moving.view(number)[...] = state.step[place.source].reshape(binding.blocks, 1, lanes)
+        packed = FusedState(
+            binding, place, state.row, state.parameters, binding.allocate(fixed=True), binding.allocate()
+        )
+        fixed, moving = packed.records
+        fixed.view(NUMBER)[...] = place.environment.reshape(binding.blocks, 1, lanes)
+        fixed.view(replace(NUMBER, offset=4))[...] = state.row[place.source].reshape(binding.blocks, 1, lanes)
+        moving.view(NUMBER)[...] = state.step[place.source].reshape(binding.blocks, 1, lanes)
         for (name, key), field in source.parameters.items():
             fixed.pack(field, state.parameters[name][key], place.source)
         for (name, key), field in source.fixed.items():
             fixed.pack(field, state.nodes[name][key], place.source)
         for (name, key), field in source.moving.items():
             moving.pack(field, state.nodes[name][key], place.source)
-        for name, field in source.readings.items():
+        for name, field in binding.readings.items():
             if name in state.readings:
-                shifted = Field(field.dtype, field.shape, field.offset + source.reading_start)
-                moving.pack(shifted, state.readings[name], place.source)
+                moving.pack(field, state.readings[name], place.source)
         for position, node in enumerate(self.graph.nodes):
             ring = binding.rings[node.name]
             own = state.outputs[node.name]
@@ -245,46 +250,40 @@ class FusedExecutor:
                 field = Field(dtype, shape, 0)
                 at = Field(dtype, shape, ring.offset + cell * field.count * field.size)
                 moving.pack(at, own[cell % len(own)], place.source)
-        return FusedState(binding, place, state.row, state.parameters, fixed.buffer, moving.buffer)
+        return packed
 
     def _merge_records(self, running: FusedState, fresh: FusedState, mask: np.ndarray) -> FusedState:
         """Take lanes from one state or the other, in the order of the running one."""
         binding, lanes = running.binding, running.binding.kernel.lanes
         place = running.place
-        if place is not fresh.place and not np.array_equal(place.environment, fresh.place.environment):
+        others = fresh.records
+        if not np.array_equal(place.environment, fresh.place.environment):
             order = fresh.place.lane_of[place.source]
-            fresh_buffers = [_reorder(binding, b, order, fixed) for b, fixed in _buffers(fresh)]
-        else:
-            fresh_buffers = [fresh.fixed, fresh.moving]
+            others = tuple(
+                _reorder(other, order, binding.fields(fixed))
+                for other, fixed in zip(others, (True, False), strict=True)
+            )
         taken = mask[place.source].reshape(binding.blocks, 1, lanes)
-        merged = []
-        for (old, is_fixed), new in zip(_buffers(running), fresh_buffers, strict=True):
-            result = Records(old.copy(), lanes)
-            other = Records(new, lanes)
-            for field, copies in binding.fields(is_fixed):
-                np.copyto(result.view(field, copies), other.view(field, copies), where=taken)
-            merged.append(result.buffer)
-        row = np.where(mask, fresh.row, running.row)
-        Records(merged[0], lanes).view(Field(torch.int32, (), 0))[...] = place.environment.reshape(
-            -1, 1, lanes
-        )
+        merged = binding.allocate(fixed=True), binding.allocate()
+        for k, (target, old, new) in enumerate(zip(merged, running.records, others, strict=True)):
+            result = Records(target.rows(binding.blocks), lanes)
+            result.buffer[...] = old.buffer
+            for field, copies in binding.fields(fixed=k == 0):
+                np.copyto(result.view(field, copies), new.view(field, copies), where=taken)
         chosen = torch.from_numpy(mask)
         parameters = {
             name: {k: cells.where(chosen, v, running.parameters[name][k]) for k, v in values.items()}
             for name, values in fresh.parameters.items()
         }
+        row = np.where(mask, fresh.row, running.row)
         return FusedState(binding, place, row, parameters, *merged)
 
 
-def _buffers(state: FusedState) -> list[tuple[np.ndarray, bool]]:
-    return [(state.fixed, True), (state.moving, False)]
-
-
-def _reorder(binding: Binding, buffer: np.ndarray, order: np.ndarray, is_fixed: bool) -> np.ndarray:
-    """Records whose lane l is the old lane order[l]."""
-    lanes = binding.kernel.lanes
-    result, old = Records(np.zeros_like(buffer), lanes), Records(buffer, lanes)
-    for field, copies in binding.fields(is_fixed):
-        flat = old.view(field, copies).transpose(0, 2, 1).reshape(len(order), -1)
-        result.view(field, copies)[...] = flat[order].reshape(len(buffer), lanes, -1).transpose(0, 2, 1)
-    return result.buffer
+def _reorder(records: Records, order: np.ndarray, fields: list[tuple[Field, int]]) -> Records:
+    """Records whose lane l is the old lane order[l]; environments keep their numbers."""
+    result = Records(np.zeros_like(records.buffer), records.lanes)
+    blocks = len(records.buffer)
+    for field, copies in fields:
+        flat = records.view(field, copies).transpose(0, 2, 1).reshape(len(order), -1)
+        result.view(field, copies)[...] = flat[order].reshape(blocks, records.lanes, -1).transpose(0, 2, 1)
+    return result

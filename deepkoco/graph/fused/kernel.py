@@ -4,12 +4,12 @@ import ctypes
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from deepkoco.graph.fused.compiler import load
+from deepkoco.graph.fused.memory import Memory
 from deepkoco.graph.fused.program import Program
-from deepkoco.graph.fused.record import NUMPY, Field
+from deepkoco.graph.fused.record import NUMBER, NUMPY, Field
 from deepkoco.graph.fused.source import KernelSource
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.schedule import Schedule
@@ -170,28 +170,35 @@ class Binding:
         )
         self.model = ctypes.addressof(self.struct)
         dtype, shape = kernel.programs[layout.supervisor].output
+        self.readings = {
+            name: replace(field, offset=field.offset + source.reading_start)
+            for name, field in source.readings.items()
+        }
+        self.input_names = tuple(str(c.name) for c in graph.inputs_of(graph.supervisor))
         self.action_type, self.action_shape = dtype, (batch, *shape)
 
     def fields(self, fixed: bool) -> list[tuple[Field, int]]:
         """All fields of a record, and how often each is repeated."""
         source = self.kernel.source
-        number = Field(torch.int32, (), 0)
         if fixed:
             return [
                 (field, 1)
                 for field in (
-                    number,
-                    replace(number, offset=4),
+                    NUMBER,
+                    replace(NUMBER, offset=4),
                     *source.parameters.values(),
                     *source.fixed.values(),
                 )
             ]
-        readings = [replace(f, offset=f.offset + source.reading_start) for f in source.readings.values()]
         rings = [
             (Field(*program.output, self.rings[node.name].offset), self.rings[node.name].cells)
             for node, program in zip(self.kernel.graph.nodes, self.kernel.programs, strict=True)
         ]
-        return [(field, 1) for field in (number, *source.moving.values(), *readings)] + rings
+        return [(field, 1) for field in (NUMBER, *source.moving.values(), *self.readings.values())] + rings
+
+    def allocate(self, fixed: bool = False) -> Memory:
+        """Memory for the records of all blocks."""
+        return Memory(self.blocks * self.kernel.lanes * (self.fixed_size if fixed else self.moving_size))
 
     def action(self, action: Tensor | np.ndarray) -> Tensor | np.ndarray:
         """An action (B, M) as the kernel reads it.

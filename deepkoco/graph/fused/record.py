@@ -46,6 +46,10 @@ class Field:
         return self.dtype.itemsize
 
 
+NUMBER = Field(torch.int32, (), 0)
+"""What a record begins with: the step in the moving one, the environment in the fixed one."""
+
+
 def lay_out(specs: Mapping[str, Spec], start: int = 0) -> tuple[dict[str, Field], int]:
     """Place tensors one after the other, those of large numbers first; return the fields and the end."""
     fields, offset = {}, start

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from deepkoco.graph.fused.compiler import load
 from deepkoco.graph.fused.kernel import Kernel, RolloutCall
+from deepkoco.graph.fused.memory import address
 from deepkoco.graph.fused.program import input_examples, make_inputs, part, traced
 from deepkoco.graph.fused.source import policy_source
-from deepkoco.graph.fused.state import FusedState, address
+from deepkoco.graph.fused.state import FusedState
 from deepkoco.graph.policy import PolicyFunction
 from deepkoco.graph.state import HorizonError
 
@@ -66,7 +67,7 @@ def run_rollout(
     """Take steps with a policy or with given actions; nothing is done if an environment has too few left."""
     binding = state.binding
     source, batch = binding.kernel.source, binding.batch
-    moving = np.empty_like(state.moving)
+    moving = binding.allocate()
     taken = {
         name: torch.empty(steps, *binding.action_shape, dtype=binding.action_type)
         if name == "action"
@@ -98,7 +99,7 @@ def run_rollout(
         own = RolloutCall.from_buffer_copy(call)
         own.first, own.last = first, last
         return binding.kernel.rollout(
-            binding.model, address(state.fixed), address(state.moving), address(moving), ctypes.addressof(own)
+            binding.model, state.fixed.address, state.moving.address, moving.address, ctypes.addressof(own)
         )
 
     bounds = np.linspace(0, binding.blocks, min(threads, binding.blocks) + 1).astype(int).tolist()

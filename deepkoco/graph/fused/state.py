@@ -3,12 +3,13 @@
 from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from deepkoco.graph import cells
 from deepkoco.graph.fused.kernel import Binding
-from deepkoco.graph.fused.record import Field, Records
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.fused.memory import Memory
+from deepkoco.graph.fused.record import NUMBER, NUMPY, Field, Records
 from deepkoco.graph.node import Input, State
 from deepkoco.graph.state import RuntimeState
 
@@ -40,8 +41,8 @@ class FusedState(RuntimeState):
     Attributes:
         binding: the kernel and the tables of the schedule.
         place: lanes of the environments.
-        fixed, moving: (blocks, bytes) records; `fixed` is shared by all states of an episode.
         parameters: as they were given.
+        fixed, moving: records of the blocks; `fixed` is shared by all states of an episode.
     """
 
     __setattr__ = object.__setattr__
@@ -52,14 +53,14 @@ class FusedState(RuntimeState):
         place: Place,
         row: np.ndarray,
         parameters: dict[str, dict[str, Tensor]],
-        fixed: np.ndarray,
-        moving: np.ndarray,
+        fixed: Memory,
+        moving: Memory,
     ) -> None:
         self.binding, self.place, self.row, self.parameters = binding, place, row, parameters
-        self.fixed, self.moving = fixed, moving
         self.schedule = binding.schedule
+        self.fixed, self.moving = fixed, moving
 
-    def after(self, moving: np.ndarray) -> "FusedState":
+    def after(self, moving: Memory) -> "FusedState":
         """The same environments with other moving records."""
         state = object.__new__(FusedState)
         state.__dict__.update(self.__dict__)
@@ -67,40 +68,40 @@ class FusedState(RuntimeState):
         return state
 
     @property
+    def records(self) -> tuple[Records, Records]:
+        """The fixed and the moving records."""
+        blocks, lanes = self.binding.blocks, self.binding.kernel.lanes
+        return Records(self.fixed.rows(blocks), lanes), Records(self.moving.rows(blocks), lanes)
+
+    @property
     def step(self) -> np.ndarray:
-        steps = self.moving[:, : 4 * self.binding.kernel.lanes].view(np.int32).reshape(-1)
-        return steps[self.place.lane_of].astype(np.int64)
+        return self.records[1].view(NUMBER).reshape(-1)[self.place.lane_of].astype(np.int64)
 
     @property
     def nodes(self) -> dict[str, State]:
-        source = self.binding.kernel.source
-        result: dict[str, State] = {}
-        for node, program in zip(self.binding.kernel.graph.nodes, self.binding.kernel.programs, strict=True):
-            result[node.name] = {
-                key: self._unpack(self.fixed, source.fixed[node.name, key])
-                if key in program.constant and program.trace is not None
-                else self._unpack(self.moving, source.moving[node.name, key])
+        source, kernel = self.binding.kernel.source, self.binding.kernel
+        fixed, moving = self.records
+        return {
+            node.name: {
+                key: fixed.unpack(source.fixed[node.name, key], self.place.lane_of)
+                if (node.name, key) in source.fixed
+                else moving.unpack(source.moving[node.name, key], self.place.lane_of)
                 for key in program.state
             }
-        return result
+            for node, program in zip(kernel.graph.nodes, kernel.programs, strict=True)
+        }
 
     @property
     def outputs(self) -> dict[str, tuple[Tensor, ...]]:
-        binding, step = self.binding, self.step
+        kernel, step, (_, moving) = self.binding.kernel, self.step, self.records
         result = {}
-        for position, node in enumerate(binding.kernel.graph.nodes):
-            own = self.cells(node.name)
-            depth = int(self.schedule.depth[position])
+        for position, node in enumerate(kernel.graph.nodes):
+            ring = self.binding.rings[node.name]
+            field = Field(*kernel.programs[position].output, ring.offset)
+            own = tuple(moving.unpack(field, self.place.lane_of, cell) for cell in range(ring.cells))
             written = self.schedule.executed[self.row, step, position].astype(np.int64)
-            result[node.name] = cells.resize(own, depth, written)
+            result[node.name] = cells.resize(own, int(self.schedule.depth[position]), written)
         return result
-
-    def cells(self, name: str) -> tuple[Tensor, ...]:
-        """The last outputs of a node in the cells of its ring."""
-        ring = self.binding.rings[name]
-        position = self.binding.kernel.graph.index[name]
-        field = Field(*self.binding.kernel.programs[position].output, ring.offset)
-        return tuple(self._unpack(self.moving, field, cell) for cell in range(ring.cells))
 
     @property
     def readings(self) -> Mapping[str, Tensor]:
@@ -108,56 +109,46 @@ class FusedState(RuntimeState):
 
     def reading(self, name: str) -> Tensor:
         """One reading, (B, ...)."""
-        source = self.binding.kernel.source
-        field = source.readings[name]
-        return self._unpack(self.moving, Field(field.dtype, field.shape, field.offset + source.reading_start))
-
-    def only_readings(self) -> np.ndarray | None:
-        """The readings of the only environment, as fields by name that are not copied; None for a batch."""
-        if len(self.row) > 1 or self.binding.kernel.lanes > 1:
-            return None
-        return self.moving.view(self.binding.readings)[0, 0]
-
-    def _unpack(self, buffer: np.ndarray, field: Field, cell: int = 0) -> Tensor:
-        return Records(buffer, self.binding.kernel.lanes).unpack(field, self.place.lane_of, cell)
+        field = self.binding.readings[name]
+        if self.binding.batch == self.binding.kernel.lanes == 1:
+            numbers = self.moving.view(NUMPY[field.dtype], field.count, field.offset)
+            return torch.from_numpy(numbers.reshape(1, *field.shape).copy())
+        return self.records[1].unpack(field, self.place.lane_of)
 
 
 class Readings(Mapping[str, Tensor]):
     """Readings of the supervisor, gathered when they are asked for."""
 
+    __slots__ = ("_state",)
+
     def __init__(self, state: FusedState) -> None:
         self._state = state
-        self._fields = state.binding.kernel.source.readings
 
     def __getitem__(self, name: str) -> Tensor:
         return self._state.reading(name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._fields)
+        return iter(self._state.binding.readings)
 
     def __len__(self) -> int:
-        return len(self._fields)
+        return len(self._state.binding.readings)
 
 
 class LazyInputs(Mapping[str, Input]):
     """What the supervisor sees, gathered when it is looked at."""
 
-    def __init__(self, graph: Graph, collect: Callable[[], dict[str, Input]]) -> None:
-        self._names = tuple(str(c.name) for c in graph.inputs_of(graph.supervisor))
-        self._collect, self._found = collect, None
+    __slots__ = ("_collect", "_found", "_state")
+
+    def __init__(self, state: FusedState, collect: Callable[[FusedState], Mapping[str, Input]]) -> None:
+        self._state, self._collect, self._found = state, collect, None
 
     def __getitem__(self, name: str) -> Input:
         if self._found is None:
-            self._found = self._collect()
+            self._found = self._collect(self._state)
         return self._found[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(self._state.binding.input_names)
 
     def __len__(self) -> int:
-        return len(self._names)
-
-
-def address(array: np.ndarray | Tensor) -> int:
-    """Where the numbers of an array begin."""
-    return array.data_ptr() if isinstance(array, Tensor) else array.__array_interface__["data"][0]
+        return len(self._state.binding.input_names)
