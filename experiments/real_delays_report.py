@@ -137,7 +137,8 @@ recording does not tell the other half's distribution; the distance says by how 
 ## Stalls
 
 Fitted to the whole recording and simulated on the measured graph ({simulated} recordings of the
-same length); stalls are detected in the simulated delays as in the measured ones. Prediction: from the stalls of the first half alone.
+same length); stalls are detected in the simulated delays as in the measured ones. Prediction: from the stalls of
+the first half alone.
 
 | recording | per minute | simulated | nodes hit | simulated | length [ms] | simulated | halves | predicted |
 |---|---|---|---|---|---|---|---|---|

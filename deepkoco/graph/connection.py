@@ -4,10 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from deepkoco.graph.delay import Delay, Deterministic, make_delay
+from deepkoco.graph.delay import Delay, DelayError, Deterministic, make_delay
 from deepkoco.graph.node import GraphError
 
 JITTERS = ("latest", "buffer")
+LONGEST_WINDOW = 1024
+"""Messages that a connection remembers: every executor keeps this history for every environment."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,7 @@ class Connection:
         sender: name of the sending node.
         receiver: name of the receiving node.
         delay: communication delay [s], a number, a law or its description.
-        window: how many of the last messages a step of the receiver sees.
+        window: how many of the last messages a step of the receiver sees, at most `LONGEST_WINDOW`.
         skip: a message sent at the very instant of a step is for the next step; breaks cycles.
         blocking: each step waits for the messages that the sender was to start since the last tick.
         jitter: "latest" takes a message as soon as it is there, "buffer" not before its nominal arrival.
@@ -37,11 +39,19 @@ class Connection:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "delay", make_delay(self.delay))
         if self.name is None:
             object.__setattr__(self, "name", self.sender)
-        if self.window < 1:
-            raise GraphError(f'connection "{self.key}": window {self.window} is less than 1')
+        try:
+            object.__setattr__(self, "delay", make_delay(self.delay))
+        except DelayError as error:
+            raise DelayError(f'connection "{self.key}": {error}') from error
+        if not isinstance(self.window, int) or self.window < 1:
+            raise GraphError(f'connection "{self.key}": window {self.window} is no whole number >= 1')
+        if self.window > LONGEST_WINDOW:
+            raise GraphError(
+                f'connection "{self.key}": window {self.window} is more than the {LONGEST_WINDOW} messages '
+                "that a connection remembers; keep longer histories in the state of a node"
+            )
         if self.jitter not in JITTERS:
             raise GraphError(
                 f'connection "{self.key}": jitter "{self.jitter}" is none of {", ".join(JITTERS)}'

@@ -3,12 +3,13 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from fractions import Fraction
+from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
-from deepkoco.graph.delay import Delay, exact_fraction, make_delay
+from deepkoco.graph.delay import Delay, DelayError, exact_fraction, make_delay
 
 State = dict[str, Tensor]
 Parameters = Mapping[str, Tensor]
@@ -71,15 +72,20 @@ class Node(ABC):
         advance: bool = False,
         phase: float | Fraction | None = None,
     ) -> None:
-        if not rate > 0 or rate == float("inf"):
+        if not isinstance(rate, Real) or not 0 < rate < float("inf"):
             raise GraphError(f'node "{name}": rate {rate} Hz is no positive number')
         if scheduling not in SCHEDULINGS:
             raise GraphError(f'node "{name}": scheduling "{scheduling}" is none of {", ".join(SCHEDULINGS)}')
-        if phase is not None and not phase >= 0:
-            raise GraphError(f'node "{name}": phase {phase} s is negative')
+        if phase is not None and not (isinstance(phase, Real) and 0 <= phase < float("inf")):
+            raise GraphError(f'node "{name}": phase {phase} s is no number >= 0')
         self.name = name
         self.rate = exact_fraction(rate)
-        self.delay = make_delay(delay)
+        try:
+            self.delay = make_delay(delay)
+        except DelayError as error:
+            raise DelayError(f'node "{name}": {error}') from error
+        if self.delay.loses:
+            raise DelayError(f'node "{name}": a computation cannot get lost; only messages can')
         self.scheduling = scheduling
         self.advance = advance
         self.phase = None if phase is None else exact_fraction(phase)

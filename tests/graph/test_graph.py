@@ -4,7 +4,8 @@ import pytest
 import torch
 from timing_reference import Accumulate
 
-from deepkoco.graph import Connection, Graph, GraphError, Node, Supervisor
+from deepkoco.graph import Connection, DelayError, Graph, GraphError, Node, Supervisor
+from deepkoco.graph.delay import Lossy
 
 
 class Picky(Accumulate):
@@ -54,6 +55,11 @@ def test_a_cycle_is_named():
             [Connection("a", "agent"), Connection("a", "agent", window=2)],
             'input "agent.a" is connected twice',
         ),
+        (
+            [agent(), Supervisor("boss", 5, initial_action=torch.zeros(2))],
+            [],
+            'node "boss" is a Supervisor, but the supervisor is "agent"; a graph has one',
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(nodes, connections, message):
@@ -72,7 +78,47 @@ def test_bad_settings_are_refused():
         Accumulate("a", -1)
     with pytest.raises(GraphError, match='scheduling "often" is none of frequency, phase'):
         Accumulate("a", 1, scheduling="often")
-    with pytest.raises(GraphError, match='"a->b": window 0 is less than 1'):
+    for rate in (float("nan"), 0, float("inf"), "fast"):
+        with pytest.raises(GraphError, match=f'node "a": rate {rate} Hz is no'):
+            Accumulate("a", rate)
+    with pytest.raises(GraphError, match='node "a": phase nan s is no number >= 0'):
+        Accumulate("a", 1, phase=float("nan"))
+    with pytest.raises(GraphError, match='"a->b": window 0 is no whole number >= 1'):
         Connection("a", "b", window=0)
+    with pytest.raises(GraphError, match='"a->b": window 2000 is more than the 1024 messages'):
+        Connection("a", "b", window=2000)
+    with pytest.raises(DelayError, match='node "a": .*nan s is no delay'):
+        Accumulate("a", 1, float("nan"))
+    with pytest.raises(DelayError, match=r'connection "a->b:late": .*-0.1 s is no delay'):
+        Connection("a", "b", -0.1, name="late")
+    with pytest.raises(DelayError, match='node "a": a computation cannot get lost'):
+        Accumulate("a", 1, Lossy(0.1, 0.5))
     with pytest.raises(GraphError, match='jitter "none" is none of latest, buffer'):
         Connection("a", "b", jitter="none")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"correlations": [{"channels": ["a", "b"], "value": 0.5}]},
+            '"b" is no node or connection; known: a',
+        ),
+        (
+            {"correlations": [{"channels": ["a", "agent"], "value": 0.5}]},
+            "rank correlation of a and agent: they belong to a and agent; .* of one publisher",
+        ),
+        (
+            {"correlations": [{"channels": ["a", "a->agent"], "value": v} for v in (0.1, 0.2)]},
+            'rank correlation: "a" is in two',
+        ),
+        (
+            {"stalls": [{"rate": 1, "duration": 0.1, "channels": ["b"]}]},
+            'stalls: "b" is no node or connection',
+        ),
+        ({"stalls": [{"rate": 1, "length": 0.1}]}, "stalls: .*unexpected keyword argument 'length'"),
+    ],
+)
+def test_what_is_not_tied_together_is_refused(options, message):
+    with pytest.raises(DelayError, match=message):
+        Graph([Accumulate("a", 10), agent()], [Connection("a", "agent")], **options)

@@ -9,20 +9,21 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from timing_reference import NEVER, Accumulate, Listed, graphs, random_graph, reference_timing
+from timing_reference import NEVER, Accumulate, Listed, ListedStalls, graphs, random_graph, reference_timing
 
 from deepkoco.graph import (
     Connection,
     Deterministic,
     Gaussian,
     Graph,
-    MeasuredTiming,
     Mixture,
     Supervisor,
     TimingError,
     draw_timing,
-    replay_timing,
+    extend_timing,
 )
+from deepkoco.graph.computation_graph import concatenate
+from deepkoco.graph.delay import Autoregressive, DelayError, Gamma, Lossy, RecordedDelays, Stalls
 from deepkoco.graph.timing_kernel import LOST
 
 
@@ -201,44 +202,6 @@ def test_messages_keep_order_are_causal_and_none_is_lost(graph, steps):
                 assert window.tolist() == list(range(window[-1] - connection.window + 1, window[-1] + 1))
 
 
-@settings(max_examples=60, deadline=None)
-@given(graph=graphs(), steps=st.integers(1, 5))
-def test_replaying_the_times_of_an_episode_gives_the_same_windows(graph, steps):
-    timing = timed(graph, steps)
-    in_seconds = lambda ticks: ticks / timing.resolution  # noqa: E731
-    measured = MeasuredTiming(
-        {node.name: in_seconds(timing.steps_of(n)[0]) for n, node in enumerate(graph.nodes)},
-        {node.name: in_seconds(timing.steps_of(n)[1]) for n, node in enumerate(graph.nodes)},
-        {c.key: in_seconds(timing.messages_of(e)[1]) for e, c in enumerate(graph.connections)},
-    )
-    again = replay_timing(graph, measured)
-    np.testing.assert_array_equal(again.boundary[:, -1], timing.boundary[:, -1])
-    for e in range(len(graph.connections)):
-        np.testing.assert_array_equal(again.windows_of(e), timing.windows_of(e))
-
-
-def test_a_lost_message_is_skipped_in_a_replay():
-    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
-    ticks = np.arange(4) / 10
-    received = np.array([0.01, np.inf, 0.21, 0.31])
-    measured = MeasuredTiming({"n0": ticks, "agent": ticks + 0.05}, {"n0": ticks, "agent": ticks + 0.06}, {
-        "n0->agent": received
-    })  # fmt: skip
-    assert replay_timing(graph, measured).windows_of(0)[:, 0].tolist() == [0, 0, 2, 3]
-
-
-def test_measured_times_that_cannot_be_are_refused():
-    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
-    ticks = np.arange(4) / 10
-    good = {"n0": ticks, "agent": ticks}
-    with pytest.raises(TimingError, match='node "n0": step 1 starts before'):
-        replay_timing(graph, MeasuredTiming(good, good | {"n0": ticks + 0.15}, {"n0->agent": ticks}))
-    with pytest.raises(TimingError, match='"n0->agent": message 0 arrives before it is sent'):
-        replay_timing(graph, MeasuredTiming(good, good, {"n0->agent": ticks - 0.01}))
-    with pytest.raises(TimingError, match="has no measured times"):
-        replay_timing(graph, MeasuredTiming(good, good, {}))
-
-
 def test_each_environment_draws_its_own_delays_and_a_seed_repeats_them():
     graph = chain(Connection("n0", "agent", Gaussian(0.05, 0.02)))
     first, again = timed(graph, 20, batch=3), timed(graph, 20, batch=3)
@@ -287,3 +250,127 @@ def test_nodes_that_drive_each_other_without_a_clock_are_refused():
     connections = [Connection("n0", "n0", skip=True, blocking=True), Connection("n0", "agent")]
     with pytest.raises(TimingError, match=r"does not come to its step 5: .*advance=True"):
         timed(Graph(nodes, connections), 5)
+
+
+def test_a_longer_timing_begins_as_the_shorter_one():
+    nodes = [Accumulate("n0", 30, Gaussian(0.01, 0.01)), agent(delay=Autoregressive(Gamma(2, 0.005), 0.9))]
+    loop = [Connection("n0", "agent", Lossy(Gaussian(0.03, 0.02), 0.1)), Connection("agent", "n0", skip=True)]
+    graph = Graph(nodes, loop, stalls=[Stalls(1.0, 0.1)])
+    short, long = timed(graph, 7, batch=3), timed(graph, 400, batch=3)
+    again = extend_timing(short, 400)
+    np.testing.assert_array_equal(again.t_received, long.t_received)
+    np.testing.assert_array_equal(again.windows, long.windows)
+    for row in range(3):
+        for n in range(2):
+            start, _ = short.steps_of(n, row)
+            np.testing.assert_array_equal(start, long.steps_of(n, row)[0][: len(start)])
+        windows = short.windows_of(0, row)
+        np.testing.assert_array_equal(windows, long.windows_of(0, row)[: len(windows)])
+    some = extend_timing(short.take(np.array([2, 0, 2])), 400)
+    np.testing.assert_array_equal(some.t_start[some.row[0]], long.t_start[2])
+    with pytest.raises(TimingError, match="7 steps already; 3 are fewer"):
+        extend_timing(short, 3)
+    with pytest.raises(TimingError, match="measured or joined"):
+        extend_timing(concatenate(graph, [short, short]), 9)
+
+
+def test_there_can_be_more_schedules_than_environments():
+    graph = chain(Connection("n0", "agent", Gaussian(0.05, 0.02)))
+    pool = timed(graph, 5, batch=2, rows=7)
+    assert pool.row.tolist() == [0, 1]
+    assert len({row.tobytes() for row in pool.t_received}) == 7
+    np.testing.assert_array_equal(pool.t_received, timed(graph, 5, batch=7).t_received)
+
+
+def test_each_schedule_can_have_parameters_of_its_own():
+    graph = chain(Connection("n0", "agent"), phase=0)
+    means = np.array([0.01, 0.2, 0.05])
+    law = {"law": "gaussian", "loc": torch.tensor(means), "scale": 0.001}
+    timing = timed(graph, 200, batch=3, delays={"n0->agent": law})
+    for row in range(3):
+        sent, received = timing.messages_of(0, row)
+        delay = (received - sent)[:190] / timing.resolution
+        assert abs(delay.mean() - means[row]) < 0.0005
+        assert 0.0005 < delay.std() < 0.0015
+    mixed = [Deterministic(0.02), {"law": "uniform", "low": 0.03, "high": 0.04}, Autoregressive(0.05, 0.5)]
+    timing = timed(graph, 20, batch=3, delays={"n0->agent": mixed})
+    for row, (low, high) in enumerate([(0.02, 0.02), (0.03, 0.04), (0.05, 0.05)]):
+        sent, received = timing.messages_of(0, row)
+        delay = np.round((received - sent) / timing.resolution, 9)
+        assert (delay >= low).all()
+        assert (delay <= high).all()
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ({"law": "gaussian", "loc": np.array([0.1, 0.2]), "scale": 0.1}, r"loc: expected 3 finite .*\(2,\)"),
+        (
+            {"law": "gaussian", "loc": np.array([0.1, -0.2, 0.1]), "scale": 0.1},
+            "schedule 1: loc: -0.2 s is no",
+        ),
+        ([Deterministic(0.1), Deterministic(0.2)], "expected 3 laws, one each, got 2"),
+        (np.zeros((3, 2)), r"expected 3 finite .* got shape \(3, 2\)"),
+        (float("nan"), "nan s is no delay"),
+        ("soon", "finite numbers of seconds"),
+    ],
+)
+def test_delays_of_a_reset_that_do_not_fit_are_refused(override, message):
+    with pytest.raises(TimingError, match='delay of "n0->agent": .*' + message):
+        timed(chain(Connection("n0", "agent")), 3, batch=3, delays={"n0->agent": override})
+
+
+def test_a_lost_message_holds_nothing_back_and_is_waited_for_until_it_is_sent():
+    # Message 1 is lost; sent at 0.12 s (computation 20 ms), which is when the step at 0.1 s goes on.
+    connection = Connection("n0", "agent", Listed((10, -1, 10, 10)), blocking=True)
+    timing = timed(chain(connection, sender_delay=Listed((20,)), phase=0), 3)
+    np.testing.assert_allclose(seconds(timing, "agent"), [0.03, 0.12, 0.23, 0.33], rtol=1e-12)
+    assert timing.windows_of(0)[:, 0].tolist() == [0, 0, 2, 3]
+
+
+def test_a_stall_holds_up_what_is_under_way_and_what_begins_in_it():
+    # Stall from 15 to 45 ms. n0 (100 Hz, 2 ms): the step at 10 ms is done before, that at 20 ms ends at 47.
+    stall = ListedStalls(1.0, 0.0, listed=((15, 30),))
+    nodes = [Accumulate("n0", 100, Listed((2,))), agent(20, phase=0)]
+    graph = Graph(nodes, [Connection("n0", "agent", Listed((4,)))], stalls=[stall])
+    timing = timed(graph, 1)
+    start, end = timing.steps_of(0)
+    assert (start[:4] / timing.resolution).tolist() == [0.0, 0.01, 0.02, 0.047]
+    assert (end[:4] / timing.resolution).tolist() == [0.002, 0.012, 0.047, 0.049]
+    # The message sent at 12 ms has 3 of its 4 ms behind it when the stall comes: there at 46 ms.
+    assert (timing.messages_of(0)[1][:3] / timing.resolution).tolist() == [0.006, 0.046, 0.051]
+
+
+def test_recorded_delays_are_played_together_and_each_once_a_round():
+    # Two recordings in which the delay tells recording and place; both channels have the same.
+    recordings = [{k: (np.arange(5) + 10 * r) / 1000 for k in ("n0", "n0->agent")} for r in (1, 2)]
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
+    timing = timed(graph, 60, batch=4, traces=RecordedDelays(recordings))
+    orders = set()
+    for row in range(4):
+        start, end = timing.steps_of(0, row)
+        sent, received = timing.messages_of(0, row)
+        played = np.rint((end - start) / timing.resolution * 1000).astype(int)[:60]
+        np.testing.assert_array_equal(played, np.rint((received - sent)[:60] / timing.resolution * 1000))
+        for round_ in played.reshape(-1, 10):
+            assert sorted(round_.tolist()) == [*range(10, 15), *range(20, 25)]
+            assert len({n // 10 for n in round_[:5].tolist()}) == 1
+        orders.add(tuple(played.tolist()))
+    assert len(orders) == 4
+    np.testing.assert_array_equal(
+        timing.t_end, extend_timing(timed(graph, 3, 4, traces=RecordedDelays(recordings)), 60).t_end
+    )
+
+
+def test_recordings_that_do_not_fit_are_refused():
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
+    with pytest.raises(TimingError, match='"n1": no such node'):
+        timed(graph, 3, traces=RecordedDelays([{"n1": np.ones(3)}]))
+    with pytest.raises(TimingError, match='"n0": a computation cannot get lost'):
+        timed(graph, 3, traces=RecordedDelays([{"n0": np.array([0.1, np.inf])}]))
+    with pytest.raises(DelayError, match='recording 1, "n0", number 1 of'):
+        RecordedDelays([{"n0": np.ones(3)}, {"n0": np.array([0.1, -0.1])}])
+    with pytest.raises(DelayError, match="recording 1 and recording 0 differ in n1"):
+        RecordedDelays([{"n0": np.ones(3)}, {"n0": np.ones(3), "n1": np.ones(3)}])
+    with pytest.raises(DelayError, match="there is no recording"):
+        RecordedDelays([])
