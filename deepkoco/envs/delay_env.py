@@ -172,9 +172,10 @@ class DelayGraphVectorEnv(GraphVectorEnv):
             start = torch.as_tensor(options["initial_state"], dtype=torch.float64)
         return {"world": {"state": start}, "sensor": {"start": start}}
 
-    def _command(self, actions: Any) -> Tensor:
+    def _command(self, actions: Any) -> np.ndarray:
         limit = self.task.command_limit
-        return (super()._command(actions) * self.action_scale).clamp(-limit, limit)
+        # Two ufuncs cost a third of np.clip for one number.
+        return np.minimum(np.maximum(super()._command(actions) * self.action_scale, -limit), limit)
 
 
 class DelayGraphEnv(GraphEnv):

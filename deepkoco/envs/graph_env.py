@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -46,7 +47,8 @@ class GraphVectorEnv(VectorEnv):
         randomize: ``"node.parameter"``, ``"sender->receiver"`` or ``"node"`` (a delay [s]) -> (low, high),
             drawn uniformly for every episode and environment.
         delay_traces: Most schedules held at once.
-        executor: ``eager``, ``fused``, ``cuda``, or ``auto``: the fastest for this machine.
+        executor: ``eager``, ``fused``, ``cuda``, or ``auto``: compiled (``fused``) where there is a C++ compiler
+            and every node can be compiled, else ``eager``.
         autoreset_mode: When an environment that has ended starts anew, as Gymnasium defines it.
 
     Raises:
@@ -98,10 +100,10 @@ class GraphVectorEnv(VectorEnv):
             {name: span for name, span in self._ranges.items() if name in timed}, self._delays,
         )  # fmt: skip
         self._action_shape = (num_envs, *supervisor.initial_action.shape)
-        self._action_type = supervisor.initial_action.dtype
+        self._action_type = supervisor.initial_action.numpy().dtype
         self._generator = torch.Generator()
-        self._executor = executor
-        self._runtime: BatchedRuntime | None = None
+        self._quiet = executor == "auto"
+        self._runtime = BatchedRuntime(graph, executor="fused" if executor == "auto" else executor)
         self._state: RuntimeState | None = None
         self._drawn: dict[str, Tensor] = {}
         self._elapsed = np.zeros(num_envs, np.int64)
@@ -111,6 +113,11 @@ class GraphVectorEnv(VectorEnv):
     def drawn(self) -> dict[str, np.ndarray]:
         """What the environments have drawn for their episodes from the ranges of ``randomize``, (B,) each."""
         return {name: value.numpy() for name, value in self._drawn.items()}
+
+    @property
+    def executor(self) -> str:
+        """What runs the graph, known after the first reset."""
+        return self._runtime.executor
 
     @property
     def state(self) -> RuntimeState:
@@ -157,7 +164,6 @@ class GraphVectorEnv(VectorEnv):
             self._restart(None)
             nothing = np.zeros(self.num_envs, bool)
             return self._observation(), np.zeros(self.num_envs), nothing, nothing.copy(), self._info()
-        assert self._runtime is not None
         self._state, _ = self._runtime.step(state, self._command(actions))
         self._elapsed += 1
         if waiting.any():
@@ -178,6 +184,15 @@ class GraphVectorEnv(VectorEnv):
             observation, info = self._observation(), self._info() | final
         return observation, reward, terminated, truncated, info
 
+    def advance(self, action: Any) -> dict[str, np.ndarray]:
+        """:meth:`step` for the only environment, and no more than that: it goes on where the episode has ended.
+
+        Returns:
+            The readings by name, without the batch; not to be written into.
+        """
+        self._state, _ = self._runtime.step(self.state, self._command(action))
+        return {name: value.numpy()[0] for name, value in self._state.readings.items()}
+
     def _restart(
         self, mask: np.ndarray | None, options: Mapping[str, Any] | None = None, new_traces: bool = False
     ) -> None:
@@ -191,23 +206,24 @@ class GraphVectorEnv(VectorEnv):
         # The traces have a stream of their own: how many are drawn changes nothing else of an episode.
         stream = torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
         timing, rows = self._traces.take(stream, mask, new_traces)
-        if timing is not None:
-            self._runtime = BatchedRuntime(self.graph, timing)
-        assert self._runtime is not None
         if mask is not None:
             rows = np.where(mask, rows, self.state.row)
             chosen = torch.from_numpy(mask)
             fresh = {name: torch.where(chosen, value, self._drawn[name]) for name, value in fresh.items()}
         timed = {name: value[torch.from_numpy(rows)] for name, value in self._traces.draws.items()}
         self._drawn = {name: timed[name] if name in timed else fresh[name] for name in self._ranges}
-        running = {} if mask is None else {"state": self.state, "mask": mask}
-        self._state, _ = self._runtime.reset(
-            self._parameters(self._drawn),
-            generator,
-            self._initial(options or {}, generator),
-            rows=rows,
-            **running,
-        )
+        with warnings.catch_warnings():
+            if self._quiet:
+                warnings.filterwarnings("ignore", ".*runs with the eager executor", RuntimeWarning)
+            self._state, _ = self._runtime.reset(
+                self._parameters(self._drawn),
+                generator,
+                self._initial(options or {}, generator),
+                timing=timing,
+                rows=rows,
+                state=self._state,
+                mask=mask,
+            )
         if mask is None:
             self._check_readings(self._state)
             mask = np.ones(self.num_envs, bool)
@@ -248,9 +264,9 @@ class GraphVectorEnv(VectorEnv):
         """Start states (B, ...) by node that replace those of `init`."""
         return options.get("initial") or {}
 
-    def _command(self, actions: Any) -> Tensor:
+    def _command(self, actions: Any) -> np.ndarray:
         """The supervisor's output (B, ...) for actions (B, ...)."""
-        return torch.as_tensor(np.asarray(actions), dtype=self._action_type).reshape(self._action_shape)
+        return np.asarray(actions, self._action_type).reshape(self._action_shape)
 
     def _observation(self) -> np.ndarray:
         space = self.single_observation_space
@@ -302,23 +318,30 @@ class GraphEnv(gymnasium.Env):
         self.metadata = {k: v for k, v in batch.metadata.items() if k != "autoreset_mode"}
         self.action_space = batch.single_action_space
         self.observation_space = batch.single_observation_space
+        self._type = batch.single_observation_space.dtype
+        self._left = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         super().reset(seed=seed)
         own = int(self.np_random.integers(2**31)) if seed is None else seed
         observation, info = self.batch.begin(own, self._batched(options or {}), new_traces=seed is not None)
-        return observation[0], _first(info)
+        self._left = self.batch.max_episode_steps
+        readings = self.batch.state.readings
+        self._ends, self._extra = "terminated" in readings, [n for n in readings if n not in READINGS]
+        return observation[0], {name: _plain(info[name][0]) for name in self._extra}
 
     def step(self, action: Any):
-        batch = self.batch
-        if batch._elapsed[0] >= batch.max_episode_steps:
+        if self._left <= 0:
             raise HorizonError(
-                f"the episode goes on beyond longest_episode = {batch.max_episode_steps} steps; "
+                f"the episode goes on beyond longest_episode = {self.batch.max_episode_steps} steps; "
                 "give a larger one to make()"
             )
-        batch._ended[0] = False  # going on after the end is up to the caller, as in Gymnasium
-        observation, reward, terminated, _, info = batch.step(np.asarray(action)[None])
-        return observation[0], float(reward[0]), bool(terminated[0]), False, _first(info)
+        self._left -= 1
+        readings = self.batch.advance(action)
+        terminated = bool(readings["terminated"]) if self._ends else False
+        observation = readings["observation"].astype(self._type)
+        info = {name: _plain(readings[name]) for name in self._extra}
+        return observation, float(readings["reward"]), terminated, False, info
 
     def _batched(self, options: Mapping[str, Any]) -> dict[str, Any]:
         """Options for one environment as options for a batch of one."""
@@ -333,9 +356,8 @@ class GraphEnv(gymnasium.Env):
         return None if pictures is None else pictures[0]
 
 
-def _first(info: Mapping[str, Any]) -> dict[str, Any]:
-    rows = {name: value[0] for name, value in info.items() if not name.startswith("_")}
-    return {name: float(row) if row.ndim == 0 else row for name, row in rows.items()}
+def _plain(value: np.ndarray) -> Any:
+    return float(value) if value.ndim == 0 else np.array(value)
 
 
 def _mask(mask: Any, batch: int) -> np.ndarray | None:

@@ -76,8 +76,11 @@ class EagerExecutor:
         state = self._run(state, trace)
         return self._observe(state, state.outputs[self.graph.supervisor][0])
 
-    def step(self, state: RuntimeState, action: Tensor, trace: Trace | None = None) -> RuntimeState:
+    def step(
+        self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
+    ) -> RuntimeState:
         """Give the supervisor's output and run everything up to its next step."""
+        action = torch.as_tensor(action, device=self.device)
         spent = np.flatnonzero(state.steps_left <= 0)
         if len(spent):
             raise HorizonError.of(int(spent[0]), state.schedule)

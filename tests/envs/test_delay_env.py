@@ -318,3 +318,40 @@ def test_rendering_shows_the_state():
     # Half a turn of the picture; the edges of shapes differ by their anti-aliasing.
     assert np.mean(np.abs(up[::-1, ::-1].astype(int) - hanging) > 30) < 0.01
     assert np.mean(np.abs(up.astype(int) - hanging) > 30) > 0.02
+
+
+EXACT = {"world_rate": 20.0, "integrator": "semi_implicit_euler"}
+CASES = {
+    "bare": EXACT,
+    "delays": {"actuation_delay": 0.023, "sensing_delay": 0.041, "action_history": 2},
+    "random delays": {"sensing_delay": {"law": "gaussian", "loc": 0.03, "scale": 0.01}, "noise": True},
+    "ranges": {"randomize": {"mass": (0.8, 1.2), "actuation_delay": (0.0, 0.05)}},
+}
+
+
+@pytest.mark.parametrize("case", sorted(CASES))
+def test_the_compiled_executor_gives_what_the_eager_one_gives(case: str):
+    """Beyond the limit of the episode, so that a reset is among the steps; angles of a free swing stay near."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (25, 6, 1))
+    both = []
+    for executor in ("eager", "auto"):
+        env = DelayGraphVectorEnv(6, max_episode_steps=20, executor=executor, **CASES[case], **FLAT)
+        both.append((*roll(env, actions, seed=3), env.executor))
+    (expected, rewards, eager), (observations, others, _) = both
+    assert eager == "eager"
+    np.testing.assert_allclose(observations, expected, atol=1e-5)
+    np.testing.assert_allclose(others, rewards, atol=1e-4)
+
+
+def test_one_environment_reads_what_a_batch_reads():
+    settings = {"actuation_delay": 0.023, "action_history": 2, "max_episode_steps": 50}
+    actions = np.random.default_rng(0).uniform(-2, 2, (30, 1)).astype(np.float32)
+    start = {"initial_state": np.array([1.0, 0.5])}
+    batch = DelayGraphVectorEnv(1, **settings, **FLAT)
+    together, rewards = roll(batch, actions[:, None], initial_state=start["initial_state"][None])
+    for executor in ("eager", "auto"):
+        alone = DelayGraphEnv(executor=executor, actuation_delay=0.023, action_history=2, **FLAT)
+        observations, own = roll(alone, actions, **start)
+        assert observations.dtype == np.float32
+        np.testing.assert_allclose(observations, together[:, 0], atol=1e-5)
+        np.testing.assert_allclose(own, rewards[:, 0], atol=1e-5)
