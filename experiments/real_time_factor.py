@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from deepkoco.graph.drawing.style import Picture
 
 RATE = 20  # [Hz]
-DELAYS = (0.0, 0.25, 0.5, 1.0, 2.0)  # of a period
+DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a period
 
 
 def pipeline(work: float, delay: float, spin: bool) -> Graph:
