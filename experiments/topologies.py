@@ -27,11 +27,15 @@ TOPOLOGIES = ("v2v", "uav", "unidirectional", "bidirectional", "unirandom")
 
 @dataclass(frozen=True)
 class Topology:
-    """Rates [Hz] of the nodes and (sender, receiver) pairs; every node also depends on its own last step."""
+    """Rates [Hz] of the nodes and (sender, receiver) pairs; every node also depends on its own last step.
+
+    With `every` a step depends on all messages that have come since the last one, else on the latest.
+    """
 
     name: str
     rates: tuple[float, ...]
     edges: tuple[tuple[int, int], ...]
+    every: bool
 
 
 class Episode(NamedTuple):
@@ -40,7 +44,7 @@ class Episode(NamedTuple):
     Attributes:
         kind, seq: (V,) node and step of each vertex, in the order of their times.
         time: (V,) float32 [s].
-        edges: (n, 2) vertices, sender and receiver, those of successive steps of a node included.
+        edges: (n, 2) vertices, sender and receiver, those of successive steps of a node included; by receiver.
     """
 
     kind: np.ndarray
@@ -71,7 +75,7 @@ def make_topology(name: str, nodes: int, generator: np.random.Generator) -> Topo
                 edges.add((i, 0))
             elif i + 1 < last:
                 edges.add((i, i + 1))
-        return Topology(name, rates, tuple(sorted(edges)))
+        return Topology(name, rates, tuple(sorted(edges)), every=False)
     rates = (*map(float, range(1, nodes)), FAST)
     edges = {(i, (i + 1) % nodes) for i in range(nodes)}
     if name == "bidirectional":
@@ -82,26 +86,31 @@ def make_topology(name: str, nodes: int, generator: np.random.Generator) -> Topo
             drawn = int(generator.integers(last))
             if drawn < len(free):  # the draw counts one candidate more than there is
                 edges.add((i, free[drawn]))
-    return Topology(name, rates, tuple(sorted(edges)))
+    return Topology(name, rates, tuple(sorted(edges)), every=True)
+
+
+def episode_seeds(seed: int, episodes: int) -> np.ndarray:
+    """Seeds of the delays of each episode."""
+    _, _, episode_seed = np.random.SeedSequence(seed).spawn(3)
+    return np.random.default_rng(episode_seed).integers(0, np.iinfo(np.int32).max, size=episodes)
 
 
 def generate(
-    name: str, nodes: int, sigma: float, seed: int, episodes: int, length: float
+    topology: str, nodes: int, sigma: float, seed: int, episodes: int, length: float
 ) -> tuple[Topology, list[Episode]]:
     """Draw the computation graphs of one cell of the evaluation.
 
     Args:
-        name: one of `TOPOLOGIES`.
+        topology: one of `TOPOLOGIES`.
         nodes: number of nodes N.
         sigma: noise of the delay process.
         seed: of topology and delays.
         episodes: number of graphs.
         length: duration that each node has ticks for [s].
     """
-    _, topology_seed, episode_seed = np.random.SeedSequence(seed).spawn(3)
-    topology = make_topology(name, nodes, np.random.default_rng(topology_seed))
-    seeds = np.random.default_rng(episode_seed).integers(0, np.iinfo(np.int32).max, size=episodes)
-    return topology, [_episode(topology, sigma, int(s), length) for s in seeds]
+    _, topology_seed, _ = np.random.SeedSequence(seed).spawn(3)
+    connected = make_topology(topology, nodes, np.random.default_rng(topology_seed))
+    return connected, [_episode(connected, sigma, int(s), length) for s in episode_seeds(seed, episodes)]
 
 
 def partition(topology: Topology, episodes: list[Episode]) -> Partitions:
@@ -111,7 +120,6 @@ def partition(topology: Topology, episodes: list[Episode]) -> Partitions:
     kind, seq = np.concatenate([e.kind for e in episodes]), np.concatenate([e.seq for e in episodes])
     edges = np.concatenate([e.edges + f for e, f in zip(episodes, first, strict=False)])
     edges = edges[kind[edges[:, 0]] != kind[edges[:, 1]]]
-    edges = edges[np.argsort(edges[:, 1], kind="stable")]
     base = np.searchsorted(edges[:, 1], np.arange(len(kind) + 1))
     return partition_graphs(len(topology.rates), SUPERVISOR, first, kind, seq, base, edges[:, 0])
 
@@ -135,8 +143,10 @@ def _episode(topology: Topology, sigma: float, seed: int, length: float) -> Epis
     for a, b in topology.edges:
         arrival = times[a].astype(np.float64) + 1 / topology.rates[a]
         tick = np.searchsorted(times[b].astype(np.float64), arrival, side="left" if a < b else "right")
-        # Of several messages for one tick the last one is seen.
-        seen = np.flatnonzero((tick < len(times[b])) & (tick != np.append(tick[1:], -1)))
+        seen = tick < len(times[b])
+        if not topology.every:
+            seen &= tick != np.append(tick[1:], -1)  # of several messages for one tick the last
+        seen = np.flatnonzero(seen)
         pairs.append(np.stack([base[a] + seen, base[b] + tick[seen]], axis=1))
     kind = np.repeat(np.arange(len(times)), np.diff(base))
     seq = np.arange(base[-1]) - base[kind]
@@ -146,7 +156,8 @@ def _episode(topology: Topology, sigma: float, seed: int, length: float) -> Epis
     place[order] = np.arange(len(order))
     edges = place[np.concatenate(pairs)]
     last = int(place[base[SUPERVISOR + 1] - 1])
-    kept = _ancestors(edges[np.argsort(-edges[:, 1], kind="stable")], last, len(order))
+    edges = edges[np.argsort(edges[:, 1], kind="stable")]
+    kept = _ancestors(edges, last, len(order))
     number = np.cumsum(kept) - 1
     edges = number[edges[kept[edges[:, 1]]]]
     return Episode(kind[order][kept], seq[order][kept], time[order][kept], edges)
@@ -162,10 +173,10 @@ def _process(theta, sigma, noise, count):
 
 @njit(cache=True)
 def _ancestors(edges, last, count):
-    """Mark what vertex `last` depends on; edges (n, 2) are sorted by their receiver, the latest first."""
+    """Mark what vertex `last` depends on; edges (n, 2) are sorted by their receiver."""
     kept = np.zeros(count, np.bool_)
     kept[last] = True
-    for i in range(len(edges)):
+    for i in range(len(edges) - 1, -1, -1):
         if kept[edges[i, 1]]:
             kept[edges[i, 0]] = True
     return kept

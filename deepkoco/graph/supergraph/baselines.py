@@ -44,7 +44,9 @@ def _largest(parts):
                 generation[v] = max(generation[v], generation[parts.pred[i]] + 1)
             last[k] = v
         # In the order of (generation, kind): the vertices up to a supervisor step are a partition.
-        order = begin + np.argsort(generation[begin:end] * parts.kinds + parts.kind[begin:end], kind="mergesort")
+        order = begin + np.argsort(
+            generation[begin:end] * parts.kinds + parts.kind[begin:end], kind="mergesort"
+        )
         part = np.zeros(end - begin, np.int64)
         j = 0
         size = 0

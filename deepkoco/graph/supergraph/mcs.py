@@ -166,9 +166,7 @@ class _Growth:
         generation = _generations(after)
         place = {s: i for i, s in enumerate(self.chain)}
         last = len(place)
-        self.chain = sorted(
-            after, key=lambda s: (generation[s], place.get(s, last), self.slot_kind[s], s)
-        )
+        self.chain = sorted(after, key=lambda s: (generation[s], place.get(s, last), self.slot_kind[s], s))
         return new
 
     def merged(self) -> Supergraph:

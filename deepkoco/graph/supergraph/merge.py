@@ -10,7 +10,7 @@ from deepkoco.graph.supergraph.embedding import grow
 from deepkoco.graph.supergraph.partition import AHEAD, GraphCycleError, partition_timing
 from deepkoco.graph.supergraph.search import find_slots
 
-EFFORT = 40
+EFFORT = 30
 """Effort of the search for the slots of a timing; it runs where someone waits for an environment."""
 
 

@@ -4,6 +4,7 @@ A pass is one run through the slots of a supergraph; it ends with the supervisor
 everything that supervisor step j depends on and no earlier pass has run.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +82,7 @@ def partition_graphs(
     first, pred_base = np.asarray(first, np.int64), np.asarray(pred_base, np.int64)
     kind, seq, pred = np.asarray(kind, np.int32), np.asarray(seq, np.int32), np.asarray(pred, np.int32)
     passes = np.array(
-        [np.count_nonzero(kind[a:b] == supervisor) for a, b in zip(first[:-1], first[1:], strict=True)],
+        [np.count_nonzero(kind[a:b] == supervisor) for a, b in pairwise(first)],
         dtype=np.int64,
     )
     if (passes == 0).any():
@@ -92,7 +93,7 @@ def partition_graphs(
     )
     if len(place) == 0:
         raise GraphCycleError("a step needs a message that is sent later: the computation graph has a cycle")
-    base, moved = _reorder(place, order, pred_base, pred)
+    base, moved = _reorder(place, order, kind, pred_base, pred)
     return Partitions(
         kinds,
         supervisor,
@@ -310,16 +311,24 @@ def _topological(own, pred_base, pred):
 
 
 @njit(cache=True)
-def _reorder(place, order, pred_base, pred):
+def _reorder(place, order, kind, pred_base, pred):
+    """Move the dependencies with the vertices; of several on one kind the latest stands for all."""
     base, moved = np.zeros_like(pred_base), np.empty_like(pred)
     size = 0
     for p in range(len(order)):
         v = order[p]
+        base[p] = size
         for i in range(pred_base[v], pred_base[v + 1]):
-            moved[size] = place[pred[i]]
-            size += 1
-        base[p + 1] = size
-    return base, moved
+            known = base[p]
+            while known < size and kind[order[moved[known]]] != kind[pred[i]]:
+                known += 1
+            if known == size:
+                moved[size] = place[pred[i]]
+                size += 1
+            else:
+                moved[known] = max(moved[known], place[pred[i]])
+    base[len(order)] = size
+    return base, moved[:size].copy()
 
 
 @njit(cache=True)

@@ -30,10 +30,11 @@ from deepkoco.graph.supergraph.windows import (
     make_windows,
 )
 
-EFFORT = 100
-"""Visits of every vertex that a search may spend; more for chains of more than 20 slots of a kind."""
+EFFORT = 75
+"""Visits of every vertex that a search may spend; more for chains of many slots of a kind."""
 
 _TRY = 10  # a try to reach one length may spend this part of the budget
+_PATIENCE = 5  # tries without any gain after which it ends
 _UPHILL = (8, 80)  # of 2048 moves, those that may leave 2 and 1 more vertices late
 _FILL = 48  # entries of the table of next slots that take as long as a visit
 _FAILURES = 8  # further windows from one embedding of all episodes
@@ -58,7 +59,7 @@ def find_slots(parts: Partitions, effort: int = EFFORT, seed: int = 0) -> np.nda
     longest = int(np.diff(parts.first).max())
     windows = make_windows(parts.kinds, longest)
     add_hardest(parts, pass_base, pass_first, windows)
-    budget = effort * parts.work * max(1, len(slots) // (10 * parts.kinds))
+    budget = effort * parts.work * max(1, len(slots) // (5 * parts.kinds))
     generator = np.array([np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] | np.uint64(1)])
     return _search(parts, slots, bound, pass_base, pass_first, windows, budget, generator).astype(np.int64)
 
@@ -115,7 +116,8 @@ def _search(parts, best, bound, pass_base, pass_first, windows, budget, generato
     least = bound.sum() - 1
     step = max(1, (len(best) - least) // 2)
     measured = False
-    while len(best) > least and visited[0] < budget:
+    in_vain = 0
+    while len(best) > least and visited[0] < budget and in_vain < _PATIENCE:
         size = len(best)
         slots[:size] = best
         count = np.zeros(parts.kinds, np.int64)
@@ -148,18 +150,22 @@ def _search(parts, best, bound, pass_base, pass_first, windows, budget, generato
             failures = _find_failures(
                 parts, size, next_slot, order, pass_base, pass_first, windows, position, last, visited
             )
-            if failures < 0:
-                return best  # no room for windows: stop with what there is
+            if failures < 0:  # no room for more windows: start collecting anew
+                windows.size[0] = 0
+                add_hardest(parts, pass_base, pass_first, windows)
+                break
             fits = failures == 0
         if not fits:
             step = max(1, step // 2)
             size, more, full = grow_slots(parts, slots, size, next_slot)
             visited[0] += more
             if full:
-                continue
+                size = len(best)
+        in_vain += 1
         if size < len(best):
             best = slots[:size].copy()
             measured = False
+            in_vain = 0
     return best
 
 
@@ -177,47 +183,82 @@ def _count_use(parts, slots, size, next_slot, position, last, use):
 
 @njit(cache=True)
 def _shorten(slots, size, target, bound, count, use, windows, next_slot, late, spare, generator, visited):
-    """Delete slots until `target` are left: those that fewest windows miss, little used ones first."""
-    tried = np.empty(size, np.bool_)
+    """Delete slots until `target` are left: those that no window uses, else those that fewest miss."""
     while size > target:
-        tried[:size] = False
-        chosen, fewest = -1, np.int64(1 << 60)
-        while fewest > 0:
-            slot = np.int64(-1)
-            for look in range(3):  # three draws, the least used of them
-                open_ = 0
-                drawn = np.int64(-1)
-                for i in range(size):
-                    if not tried[i] and count[slots[i]] > bound[slots[i]]:
-                        open_ += 1
-                if open_ == 0:
-                    break
-                skip = draw(generator, open_)
-                for i in range(size):
-                    if not tried[i] and count[slots[i]] > bound[slots[i]]:
-                        if skip == 0:
-                            drawn = i
-                            break
-                        skip -= 1
-                if slot < 0 or use[drawn] < use[slot]:
-                    slot = drawn
-            if slot < 0:
-                break
-            tried[slot] = True
-            spare[:slot] = slots[:slot]
-            spare[slot : size - 1] = slots[slot + 1 : size]
-            fill_next(spare, size - 1, next_slot)
-            visited[0] += size * len(count) // _FILL
-            missed = count_all_late(windows, next_slot, fewest - 1, late, visited)
-            if missed < fewest:
-                chosen, fewest = slot, missed
-        if chosen < 0:
-            return size
-        count[slots[chosen]] -= 1
-        slots[chosen : size - 1] = slots[chosen + 1 : size].copy()
-        use[chosen : size - 1] = use[chosen + 1 : size].copy()
-        size -= 1
+        shorter = _delete_unused(slots, size, target, bound, count, use, windows, next_slot, visited)
+        if shorter > target:
+            chosen = _choose_deletion(
+                slots, shorter, bound, count, use, windows, next_slot, late, spare, generator, visited
+            )
+            if chosen < 0:
+                return shorter
+            shorter = _delete(slots, shorter, chosen, count, use)
+        size = shorter
     return size
+
+
+@njit(cache=True)
+def _delete(slots, size, slot, count, use):
+    count[slots[slot]] -= 1
+    for i in range(slot, size - 1):
+        slots[i], use[i] = slots[i + 1], use[i + 1]
+    return size - 1
+
+
+@njit(cache=True)
+def _delete_unused(slots, size, target, bound, count, use, windows, next_slot, visited):
+    """Delete slots that run nothing in any window, so that all windows stay as they are; the idlest first."""
+    fill_next(slots, size, next_slot)
+    taken = np.zeros(size, np.bool_)
+    for w in range(windows.size[0]):
+        count_late(windows, w, next_slot, 1 << 60)
+        n = windows.first[w + 1] - windows.first[w]
+        visited[0] += n
+        for v in range(n):
+            taken[windows.position[v] & (LONGEST - 1)] = True
+    order = np.argsort(use[:size], kind="mergesort")
+    deleted = np.zeros(size, np.bool_)
+    surplus = size - target
+    for i in order:
+        if surplus > 0 and not taken[i] and count[slots[i]] > bound[slots[i]]:
+            deleted[i] = True
+            count[slots[i]] -= 1
+            surplus -= 1
+    n = 0
+    for i in range(size):
+        if not deleted[i]:
+            slots[n], use[n] = slots[i], use[i]
+            n += 1
+    return n
+
+
+@njit(cache=True)
+def _choose_deletion(slots, size, bound, count, use, windows, next_slot, late, spare, generator, visited):
+    """Choose the slot without which fewest vertices are late; -1 if all kinds are down to the bound."""
+    tried = np.zeros(size, np.bool_)
+    chosen, fewest = -1, np.int64(1 << 60)
+    while fewest > 0:
+        slot = np.int64(-1)
+        for _look in range(3):  # three draws, the least used of them
+            drawn, open_ = np.int64(-1), 0
+            for i in range(size):
+                if not tried[i] and count[slots[i]] > bound[slots[i]]:
+                    open_ += 1
+                    if draw(generator, open_) == 0:
+                        drawn = i
+            if drawn >= 0 and (slot < 0 or use[drawn] < use[slot]):
+                slot = drawn
+        if slot < 0:
+            break
+        tried[slot] = True
+        spare[:slot] = slots[:slot]
+        spare[slot : size - 1] = slots[slot + 1 : size]
+        fill_next(spare, size - 1, next_slot)
+        visited[0] += size * len(count) // _FILL
+        missed = count_all_late(windows, next_slot, fewest - 1, late, visited)
+        if missed < fewest:
+            chosen, fewest = slot, missed
+    return chosen
 
 
 @njit(cache=True)
@@ -296,6 +337,7 @@ def _find_failures(parts, size, next_slot, order, pass_base, pass_first, windows
             continue
         visited[0] += late - parts.first[e]
         end, length = np.int64(parts.deadline[late]), 1
+        known, failing = 0, 0  # passes that are too few, and enough
         while True:
             begin = max(0, end - length + 1)
             if not add_window(parts, pass_first[pass_base[e] :], e, begin, end, windows):
@@ -303,9 +345,14 @@ def _find_failures(parts, size, next_slot, order, pass_base, pass_first, windows
             w = windows.size[0] - 1
             visited[0] += 2 * (windows.first[w + 1] - windows.first[w])
             if count_late(windows, w, next_slot, 0) > 0:
-                break
-            windows.size[0] -= 1  # the cause lies further back
-            length *= 2
+                if length - known <= max(1, length // 8):
+                    break
+                windows.size[0] -= 1  # a shorter stretch may do
+                failing, length = length, (length + known) // 2
+            else:
+                windows.size[0] -= 1  # the cause lies further back
+                known = length
+                length = 2 * length if failing == 0 else (known + failing + 1) // 2
         order[1 : o + 1] = order[:o].copy()
         order[0] = e
         failures += 1

@@ -43,7 +43,7 @@ class Windows(NamedTuple):
     last_vertex: np.ndarray
 
 
-def make_windows(kinds: int, longest: int, windows: int = 4096, places: int = 1 << 18) -> Windows:
+def make_windows(kinds: int, longest: int, windows: int = 4096, places: int = 1 << 19) -> Windows:
     """Make room for windows of episodes of at most `longest` vertices."""
     places = max(places, 2 * longest)
     return Windows(
