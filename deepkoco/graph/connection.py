@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 from deepkoco.graph.delay import Delay, DelayError, Deterministic, make_delay
@@ -45,7 +46,7 @@ class Connection:
             object.__setattr__(self, "delay", make_delay(self.delay))
         except DelayError as error:
             raise DelayError(f'connection "{self.key}": {error}') from error
-        if not isinstance(self.window, int) or self.window < 1:
+        if not isinstance(self.window, Integral) or self.window < 1:
             raise GraphError(f'connection "{self.key}": window {self.window} is no whole number >= 1')
         if self.window > LONGEST_WINDOW:
             raise GraphError(

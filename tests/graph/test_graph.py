@@ -87,7 +87,7 @@ def test_bad_settings_are_refused():
         Connection("a", "b", window=0)
     with pytest.raises(GraphError, match='"a->b": window 2000 is more than the 1024 messages'):
         Connection("a", "b", window=2000)
-    with pytest.raises(DelayError, match='node "a": .*nan s is no delay'):
+    with pytest.raises(DelayError, match=r'node "a": .*nan s is no delay'):
         Accumulate("a", 1, float("nan"))
     with pytest.raises(DelayError, match=r'connection "a->b:late": .*-0.1 s is no delay'):
         Connection("a", "b", -0.1, name="late")

@@ -58,7 +58,7 @@ class Mixture(Delay):
         level = np.asarray(level, dtype=np.float64)
         levels, delays = self._brackets
         place = np.clip(np.searchsorted(levels, level), 1, len(levels) - 1)
-        return self._bisect(level, delays[place - 1], delays[place])
+        return self._bisect(level, delays[place - 1], delays[place], float(np.diff(delays).max()))
 
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         chosen = np.searchsorted(np.cumsum(self.weights)[:-1], generator.random(shape), side="right")
@@ -78,11 +78,13 @@ class Mixture(Delay):
         levels = ndtr(np.linspace(-8.3, 8.3, _CELLS + 1))
         levels[0], levels[-1] = 0.0, 1.0
         whole = np.full(levels.shape, self.highest * (1 + 1e-12))
-        return levels, self._bisect(levels, np.zeros_like(whole), whole)
+        return levels, self._bisect(levels, np.zeros_like(whole), whole, float(whole[0]))
 
-    def _bisect(self, level: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Halve until the smallest delay with cdf >= level is known; right for jumps of the cdf, too."""
-        width = float(np.max(high - low, initial=0.0))
+    def _bisect(self, level: np.ndarray, low: np.ndarray, high: np.ndarray, width: float) -> np.ndarray:
+        """Halve intervals of at most `width` until the smallest delay with cdf >= level is known.
+
+        Right for jumps of the cdf, too. The number of halvings does not depend on what else is looked up.
+        """
         for _ in range(max(math.ceil(math.log2(max(width, _SMALLEST) / _SMALLEST)), 0)):
             middle = 0.5 * (low + high)
             below = self.cdf(middle) < level

@@ -156,7 +156,7 @@ class LogNormal(Delay):
         above = np.asarray(delay, dtype=np.float64) - self.offset
         if self.constant:
             return (above >= self.median).astype(np.float64)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             score = np.log(above / self.median) / self.sigma
         return np.where(above > 0.0, ndtr(score), 0.0)
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from deepkoco.graph.delay import Delay, Deterministic, Gaussian, LogNormal, Mixture
 
-_GROUPS = 1024  # neighbours in rank are one weighted sample: the steps cost the same for long recordings
+_GROUPS = 512  # neighbours in rank are one weighted sample: the steps cost the same for long recordings
 _STEPS = 300
+_PATIENCE = 2  # sizes that are tried beyond the best so far
 _NARROWEST = 0.02  # standard deviation of a component, as a part of that between the quartiles
 
 
@@ -60,6 +61,8 @@ def _fits(values: np.ndarray, most: int, jacobian: float) -> list[NormalMixture]
         likelihood = float(np.log(np.maximum(density, 1e-300)).sum())
         bic = -2.0 * likelihood + jacobian + (3 * size - 1) * math.log(len(values))
         fits.append(NormalMixture(weights, means, deviations, bic))
+        if size - 1 - int(np.argmin([fit.bic for fit in fits])) >= _PATIENCE:
+            break
     return fits
 
 
