@@ -99,7 +99,13 @@ def describe_graph(graph: Graph) -> dict[str, Any]:
         ends = {"sender": connection.sender, "receiver": connection.receiver}
         options = {option: getattr(connection, option) for option in _OPTIONS}
         connections.append(ends | {"delay": _describe_delay(connection.law)} | options)
-    return {"supervisor": graph.supervisor, "nodes": nodes, "connections": connections}
+    return {
+        "supervisor": graph.supervisor,
+        "nodes": nodes,
+        "connections": connections,
+        "correlations": [correlation.to_dict() for correlation in graph.correlations],
+        "stalls": [stalls.to_dict() for stalls in graph.stalls],
+    }
 
 
 def graph_from_description(description: Mapping[str, Any]) -> Graph:
@@ -124,7 +130,11 @@ def graph_from_description(description: Mapping[str, Any]) -> Graph:
         Connection(**connection | {"delay": _delay(connection["delay"])})
         for connection in description["connections"]
     ]
-    return Graph(nodes, connections, description["supervisor"])
+    laws = [node.delay for node in nodes] + [connection.law for connection in connections]
+    if any(isinstance(law, RecordedDelay) for law in laws):
+        return Graph(nodes, connections, description["supervisor"])  # nothing can be drawn, coupled or not
+    coupling = {name: description[name] for name in ("correlations", "stalls")}
+    return Graph(nodes, connections, description["supervisor"], **coupling)
 
 
 def _describe_delay(law: Delay) -> dict[str, Any]:

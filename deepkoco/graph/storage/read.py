@@ -58,7 +58,7 @@ class _Contents:
 
     graph: Graph | None = None
     meta: dict[str, Any] | None = None
-    begun: list[Mapping[str, str]] = field(default_factory=list)
+    begun: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
     steps: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
     messages: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
     notes: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
@@ -101,14 +101,17 @@ def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
         raise EpisodeFileError(
             f"{path}: holds no description of a graph{cut}; it was not written by DeepKoCo"
         )
-    episodes = tuple(_episode(path, contents.graph, contents, e) for e in range(len(contents.begun)))
+    known = len(contents.begun)
+    if any(e >= known for place in (contents.steps, contents.messages, contents.notes) for e, _ in place):
+        raise EpisodeFileError(f"{path}: has messages of an episode that never began; the file is damaged")
+    episodes = tuple(_episode(path, contents.graph, contents, e) for e in range(known))
     run = RecordedRun(
         path=path,
         graph=contents.graph,
         episodes=episodes,
-        origins=tuple(int(begun["origin_ns"]) for begun in contents.begun),
+        origins=tuple(origin for origin, _ in contents.begun),
         meta=contents.meta,
-        episode_meta=tuple(json.loads(begun["meta"]) for begun in contents.begun),
+        episode_meta=tuple(meta for _, meta in contents.begun),
         complete=contents.damage is None,
         messages=contents.count,
     )
@@ -156,7 +159,7 @@ def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: 
                 )
             contents.meta = json.loads(record.metadata["meta"])
         case Metadata(name="episode"):
-            contents.begun.append(record.metadata)
+            contents.begun.append((int(record.metadata["origin_ns"]), json.loads(record.metadata["meta"])))
         case Attachment(name="graph.json"):
             try:
                 contents.graph = graph_from_description(json.loads(record.data))

@@ -1,5 +1,7 @@
 """What is written comes back bit for bit, and runs again to the last bit."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -9,8 +11,10 @@ from hypothesis.extra import numpy as hnp
 
 from deepkoco.graph import BatchedRuntime, Connection, Gaussian, Graph, Mixture, Supervisor, draw_timing
 from deepkoco.graph.episode import Episode, Note, record_episodes, replay_episode
+from deepkoco.graph.fitting import fit_delays
 from deepkoco.graph.storage import (
     EpisodeFileError,
+    RecordedNode,
     describe_graph,
     graph_from_description,
     read_episodes,
@@ -110,6 +114,38 @@ def test_a_known_delay_law_comes_back_as_itself_and_a_node_without_its_code():
         ValueError, match="holds its times and outputs but not the code of its class Supervisor"
     ):
         again.node("agent").step({}, {}, {})
+
+
+def test_what_couples_delays_comes_back():
+    supervisor = Supervisor("agent", 20, initial_action=torch.zeros(1))
+    sensor = RecordedNode("sensor", 20, kind="X")
+    law = Gaussian(0.01, 0.002)
+    graph = Graph(
+        [sensor, supervisor],
+        [Connection("sensor", "agent", law), Connection("sensor", "agent", law, name="again")],
+        correlations=[{"channels": ("sensor->agent", "sensor->agent:again"), "value": 0.8}],
+        stalls=[{"rate": 0.5, "duration": 0.1}],
+    )
+    again = graph_from_description(json.loads(json.dumps(describe_graph(graph))))
+    assert again.correlations == graph.correlations
+    assert again.stalls == graph.stalls
+
+
+def test_a_delay_model_is_fitted_from_what_was_read(tmp_path):
+    law = Gaussian(0.02, 0.004)
+    sent = np.arange(500) / 10
+    delay = law.sample(np.random.default_rng(0), (500,))
+    graph = Graph(
+        [RecordedNode("sensor", 10, kind="X"), Supervisor(rate=10, initial_action=torch.zeros(1))],
+        [Connection("sensor", "agent")],
+    )
+    key = "sensor->agent"
+    times = {"sensor": sent, "agent": sent}
+    episode = Episode(times, times, {}, {key: sent}, {key: sent + delay}, {})
+    read = read_episodes(write_episodes(tmp_path / "run.mcap", graph, [episode])).episodes[0]
+    fitted = fit_delays(read)
+    assert fitted.laws[key].mean == pytest.approx(0.02, rel=0.05)
+    assert fitted.laws[key] == fit_delays(episode).laws[key]
 
 
 def test_episodes_that_do_not_fit_the_graph_are_refused_and_leave_nothing(tmp_path):
