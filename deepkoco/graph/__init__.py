@@ -2,7 +2,25 @@
 
 from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.connection import Connection
-from deepkoco.graph.delay import Delay, DelayError, Deterministic, Empirical, Gaussian, Mixture, make_delay
+from deepkoco.graph.delay import (
+    Autoregressive,
+    Delay,
+    DelayError,
+    Deterministic,
+    Empirical,
+    Gamma,
+    Gaussian,
+    LogNormal,
+    Lossy,
+    Mixture,
+    OrnsteinUhlenbeck,
+    OverrunProcess,
+    RankCorrelation,
+    RecordedDelays,
+    Stalls,
+    Uniform,
+    make_delay,
+)
 from deepkoco.graph.episode import Episode, Note, record_episodes, replay_episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
@@ -13,6 +31,7 @@ from deepkoco.graph.storage import EpisodeFileError, EpisodeWriter, RecordedRun,
 from deepkoco.graph.timing import TimingError, draw_timing, extend_timing
 
 __all__ = [
+    "Autoregressive",
     "BatchedRuntime",
     "ComputationGraph",
     "Connection",
@@ -23,22 +42,31 @@ __all__ = [
     "Episode",
     "EpisodeFileError",
     "EpisodeWriter",
+    "Gamma",
     "Gaussian",
     "Graph",
     "GraphError",
     "HorizonError",
     "Input",
     "LogError",
+    "LogNormal",
+    "Lossy",
     "MeasuredTiming",
     "Mixture",
     "Node",
     "Note",
+    "OrnsteinUhlenbeck",
+    "OverrunProcess",
+    "RankCorrelation",
+    "RecordedDelays",
     "RecordedRun",
     "Recording",
     "RuntimeState",
     "Series",
+    "Stalls",
     "Supervisor",
     "TimingError",
+    "Uniform",
     "draw_timing",
     "extend_timing",
     "make_delay",
