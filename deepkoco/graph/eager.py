@@ -99,6 +99,10 @@ class EagerExecutor:
         record: tuple[str, ...],
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
         """Take steps with a policy's actions; see `BatchedRuntime.rollout`."""
+        left = state.steps_left
+        if np.any(left < steps):
+            first = int(np.argmax(left < steps))
+            raise HorizonError.of(first, state.schedule, int(left[first]), steps)
         taken: dict[str, list[Tensor]] = {name: [] for name in record}
         if isinstance(policy, Tensor):
             shape = tuple(state.outputs[self.graph.supervisor][0].shape[1:])

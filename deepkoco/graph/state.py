@@ -18,11 +18,12 @@ class HorizonError(RuntimeError):
     """An environment has taken all supervisor steps that its timing was drawn for."""
 
     @classmethod
-    def of(cls, environment: int, schedule: Schedule) -> "HorizonError":
+    def of(cls, environment: int, schedule: Schedule, left: int = 0, asked: int = 1) -> "HorizonError":
+        """The error for an environment that has too few steps left."""
         steps = schedule.timing.steps
+        said = f"has taken all {steps}" if left == 0 else f"has {left} left for {asked} steps of the {steps}"
         return cls(
-            f"environment {environment} has taken all {steps} supervisor steps of its timing; "
-            "draw a longer one or reset it"
+            f"environment {environment} {said} supervisor steps of its timing; draw a longer one or reset it"
         )
 
 

@@ -26,6 +26,8 @@ SCALARS = {
     torch.bool: "u8",
 }
 _NAME = re.compile(r"\bv\d+\b")
+_LATE = re.compile(r"\b([ak]\d+|[SXQTAR])\b")
+"""Arrays and arguments that the prologue does not have."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,7 @@ class Body:
             name = self._known[key] = self.fresh("v")
             operands = _NAME.findall(expression)
             early = bool(operands) and all(operand in self._early for operand in operands)
+            early = early and _LATE.search(expression) is None
             if early:
                 self._early[name] = (dtype, None)
             target = self.prologue if early else self.lines

@@ -255,16 +255,18 @@ static void scatter(const i32 *environment, const char *from, i64 count, i64 siz
   else scatter_as<1>(environment, from, count, to);
 }
 
-// Returns an environment that has fewer than `steps` steps left, or -1.
+// Returns the first environment that has fewer than `steps` steps left, or -1.
 static i64 short_of_steps(const Model &m, const char *fixed, const char *moving, i64 first, i64 last, i64 steps) {
+  i64 found = -1;
   for (i64 block = first; block < last; block++) {
     i32 step[W], environment[W];
     memcpy(step, moving + block * m.moving_bytes, sizeof step);
     memcpy(environment, fixed + block * m.fixed_bytes, sizeof environment);
     for (int l = 0; l < W; l++)
-      if (environment[l] >= 0 && step[l] + steps > m.steps) return environment[l];
+      if (environment[l] >= 0 && step[l] + steps > m.steps && (found < 0 || environment[l] < found))
+        found = environment[l];
   }
-  return -1;
+  return found;
 }
 
 extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, char *to, const Rollout *call) {

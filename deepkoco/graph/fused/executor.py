@@ -130,8 +130,10 @@ class FusedExecutor:
         record: tuple[str, ...],
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
         """Take steps one by one with a policy that is not compiled."""
-        if np.any(state.steps_left < steps):
-            raise HorizonError.of(int(np.argmin(state.steps_left)), state.schedule)
+        left = state.steps_left
+        if np.any(left < steps):
+            first = int(np.argmax(left < steps))
+            raise HorizonError.of(first, state.schedule, int(left[first]), steps)
         taken: dict[str, list[Tensor]] = {name: [] for name in record}
         for _ in range(steps):
             with torch.no_grad():

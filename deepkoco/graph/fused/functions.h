@@ -32,6 +32,8 @@ INLINE VF with_sign(VF a, VF s) { return from_bits<VF>(bits(a) | (bits(s) & i32(
 INLINE VD with_sign(VD a, VD s) { return from_bits<VD>(bits(a) | (bits(s) & i64(1ULL << 63))); }
 INLINE VF sqrt_(VF a) { return each(a, [](float x) { return __builtin_sqrtf(x); }); }
 INLINE VD sqrt_(VD a) { return each(a, [](double x) { return __builtin_sqrt(x); }); }
+template <class V> INLINE V times(V a, double c) { return a * typename Of<V>::T(c); }
+template <class V> INLINE V relu_(V a) { return sel(lt(a, splat<V>(0)), splat<V>(0), a); }
 template <class V> INLINE V sign_(V a) {
   const V zero = splat<V>(0), one = splat<V>(1);
   return sel(lt(zero, a), one, sel(lt(a, zero), -one, zero));

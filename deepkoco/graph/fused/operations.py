@@ -24,11 +24,11 @@ UNARY = {
     "reciprocal": "(1 / {0})",
     "square": "({0} * {0})",
     "exp": "exp_({0})",
-    "exp2": "exp_({0} * 0.6931471805599453)",
+    "exp2": "exp_(times({0}, 0.6931471805599453))",
     "expm1": "expm1_({0})",
     "log": "log_({0})",
-    "log2": "(log_({0}) * 1.4426950408889634)",
-    "log10": "(log_({0}) * 0.4342944819032518)",
+    "log2": "times(log_({0}), 1.4426950408889634)",
+    "log10": "times(log_({0}), 0.4342944819032518)",
     "log1p": "each({0}, [](auto x) {{ return std::log1p(x); }})",
     "sin": "sin_({0})",
     "cos": "cos_({0})",
@@ -36,7 +36,7 @@ UNARY = {
     "tanh": "tanh_({0})",
     "sigmoid": "(1 / (1 + exp_(-{0})))",
     "silu": "({0} / (1 + exp_(-{0})))",
-    "relu": "max_({0}, {0} * 0)",
+    "relu": "relu_({0})",
     "sinh": "each({0}, [](auto x) {{ return std::sinh(x); }})",
     "cosh": "each({0}, [](auto x) {{ return std::cosh(x); }})",
     "asin": "each({0}, [](auto x) {{ return std::asin(x); }})",
@@ -185,9 +185,8 @@ def _binary(template: str) -> Lowering:
     def function(body: Body, call: Call, x: Any, y: Any, **options: Any) -> Value:
         compute, operands = _common(body, call, x, y)
         dtype = supported(call.outputs[0].example.dtype)
-        if compute == torch.bool and "*" in template:
-            raise TraceError(f"{call.name} of booleans")
-        return body.pointwise(operands, compute, lambda a, b: template.format(a, b), dtype)
+        own = template.replace("*", "&") if compute == torch.bool else template
+        return body.pointwise(operands, compute, lambda a, b: own.format(a, b), dtype)
 
     return function
 
@@ -402,11 +401,11 @@ def _softplus(body: Body, call: Call, x: Value, beta: float = 1, threshold: floa
 
 def _gelu(body: Body, call: Call, x: Value, approximate: str = "none") -> Value:
     if approximate != "none":
-        inner = "0.7978845608028654 * ({0} + 0.044715 * {0} * {0} * {0})"
-        text = f"(0.5 * {{0}} * (1 + tanh_(cvt_like({{0}}, {inner}))))"
-        raise TraceError(f"{call.name} with approximate={approximate}: {text and 'no mapping'}")
-    erf = "each({0} * 0.7071067811865476, [](auto x) {{ return std::erf(x); }})"
-    return body.pointwise([x], x.dtype, lambda a: f"({a} * 0.5 * (1 + {erf.format(a)}))", x.dtype)
+        raise TraceError(f"{call.name} with approximate={approximate} has no mapping")
+    template = (
+        "(times({0}, 0.5) * (1 + each(times({0}, 0.7071067811865476), [](auto x) {{ return std::erf(x); }})))"
+    )
+    return body.pointwise([x], x.dtype, template.format, x.dtype)
 
 
 def _hardtanh(body: Body, call: Call, x: Value, low: float = -1, high: float = 1) -> Value:
@@ -464,6 +463,17 @@ def _accumulate(body: Body, rows: Value, dtype: torch.dtype, combine: str) -> Va
         f"{result.array.pointer}[r] = s; }}"
     )
     return result
+
+
+def _cross(body: Body, call: Call, a: Value, b: Value, dim: int = -1) -> Value:
+    dtype = supported(call.outputs[0].example.dtype)
+
+    def turned(x: Value, by: int) -> Value:
+        return body.rearrange([x], lambda t: t.roll(-by, dim))
+
+    left, right = ([turned(a, i), turned(b, 3 - i)] for i in (1, 2))
+    products = [body.pointwise(pair, dtype, lambda x, y: f"({x} * {y})", dtype) for pair in (left, right)]
+    return body.pointwise(products, dtype, lambda x, y: f"({x} - {y})", dtype)
 
 
 def _norm(
@@ -671,6 +681,7 @@ LOWER: dict[str, Lowering] = {
     "all": _reduce("({0} & {1})", True),
     "any": _reduce("({0} | {1})", False),
     "linalg_vector_norm": _norm,
+    "linalg_cross": _cross,
     "mm": _mm,
     "addmm": _addmm,
     "bmm": _bmm,

@@ -107,7 +107,8 @@ def run_rollout(
         spent = run(*bounds)
     else:
         with ThreadPoolExecutor(len(bounds) - 1) as pool:
-            spent = max(pool.map(run, bounds[:-1], bounds[1:]))
+            found = list(pool.map(run, bounds[:-1], bounds[1:]))
+            spent = min((environment for environment in found if environment >= 0), default=-1)
     if spent >= 0:
-        raise HorizonError.of(spent, state.schedule)
+        raise HorizonError.of(spent, state.schedule, int(state.steps_left[spent]), steps)
     return state.after(moving), taken

@@ -68,6 +68,14 @@ class FusedState(RuntimeState):
         return state
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of all environments, without the schedule that they share."""
+        place = self.place
+        arrays = self.row, place.environment, place.source, place.lane_of
+        buffers = self.fixed.rows(1), self.moving.rows(1)
+        return sum(array.nbytes for array in (*arrays, *buffers))
+
+    @property
     def records(self) -> tuple[Records, Records]:
         """The fixed and the moving records."""
         blocks, lanes = self.binding.blocks, self.binding.kernel.lanes
