@@ -222,7 +222,7 @@ class ClockedDriver(Driver):
     def log(self) -> dict[str, Any]:
         self._absorb()
         return {
-            "outputs": self.outputs,
+            "outputs": self._stacked(),
             "t_start": np.array(self._starts, dtype=np.int64),
             "t_end": np.array(self._ends, dtype=np.int64),
             "windows": [

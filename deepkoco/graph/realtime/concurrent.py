@@ -93,7 +93,10 @@ class ConcurrentRuntime(LiveRuntime):
     def _episode_of(self, step: int, logs: Mapping[str, Any]) -> Episode:
         if self._plan is None:
             return measured_episode(self.graph, logs)
-        outputs = {name: log["outputs"] for name, log in logs.items()}
+        outputs = {name: list(log["outputs"]) for name, log in logs.items()}
+        # Cut off by a failure, nodes have come less far: back to the last step that all have reached.
+        while step > 0 and any(len(outputs[name]) < self._last(name, step) for name in self._others):
+            step -= 1
         return planned_episode(self.graph, self._plan, step, outputs)
 
     @property

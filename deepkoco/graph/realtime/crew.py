@@ -75,6 +75,7 @@ class Crew:
         self.supervisor_inbox = Inbox()
         self.failure: NodeFailure | None = None
         self.priority_granted: bool | None = None
+        self.records: dict[str, dict[str, Any]] = {}  # by node name, after `stop`
         self._stopping, self._stopped = Lock(), False
         self._replies: queue.SimpleQueue[tuple[int, str, Any]] = queue.SimpleQueue()
         self._failures: queue.SimpleQueue[NodeFailure] = queue.SimpleQueue()
@@ -141,7 +142,7 @@ class Crew:
         self._replies.put((-1, "failed", None))
 
     def stop(self) -> None:
-        """Close every node and end every process; safe to call twice."""
+        """Close every node, end every process, keep what was recorded; safe to call twice."""
         with self._stopping:
             if self._stopped:
                 return
@@ -149,17 +150,38 @@ class Crew:
             for line in self._controls.values():
                 line.tell(-1, "stop", None)
             close_seats(self._seats)
-            deadline = time.monotonic() + FAREWELL
-            for process in self._processes.values():
-                process.join(max(0.0, deadline - time.monotonic()))
-                if process.is_alive():
-                    process.kill()
-                    process.join()
         if current_thread() is not self._watch:
             self._watch.join()
+        for position, seat in self._seats.items():
+            self._keep(position, seat.record())
+        self._bury()
         lines = (*self._controls.values(), *self._lines.values())
         for pipe in (self._heard, self._bell, *(line.pipe for line in lines)):
             pipe.close()
+
+    def _bury(self) -> None:
+        """Take the last words of the processes, until they have ended or their time is over."""
+        deadline = time.monotonic() + FAREWELL
+        open_: set[Any] = {line.pipe for line in self._controls.values()}
+        while open_ and (left := deadline - time.monotonic()) > 0:
+            for source in wait(list(open_), left):
+                pipe: Any = source
+                try:
+                    position, kind, payload = pipe.recv()
+                    if kind == "record":
+                        self._keep(position, payload)
+                        deadline = time.monotonic() + FAREWELL  # a long record takes its time
+                except (EOFError, OSError):
+                    open_.discard(pipe)
+        for process in self._processes.values():
+            process.join(max(0.0, deadline - time.monotonic()))
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+    def _keep(self, position: int, record: dict[str, Any] | None) -> None:
+        if record is not None:
+            self.records[self.graph.nodes[position].name] = record
 
     # ---------------------------------------------------------------- start
 

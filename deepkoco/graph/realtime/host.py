@@ -172,7 +172,8 @@ def serve(
                 sources.remove(source)
                 stopped |= source is control
     close_seats(seats)
-    answers.tell(-1, "bye", None)
+    for position, seat in seats.items():
+        answers.tell(position, "record", seat.record())
     if any(seat.is_alive() for seat in seats.values()):
         os._exit(1)  # a step that does not return must not hold up the end
 

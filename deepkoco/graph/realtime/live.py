@@ -52,6 +52,10 @@ class LiveRuntime(ABC):
         self._factor, self._record = factor, record
         self._crew: Crew | None = None
         self._running: RunningState | None = None
+        self._begun, self._salvaged = (
+            0,
+            None,
+        )  # last supervisor step and records of an episode that was cut off
         self._driver: Driver | None = None
         self._episode = 0
         self._others = [node.name for node in graph.nodes if node.name != graph.supervisor]
@@ -99,7 +103,7 @@ class LiveRuntime(ABC):
                 self._crew = Crew(self.graph, self._options)
             elif self._running is not None:
                 self._crew.ask({name: ("end", 0) for name in self._others})
-            self._running = None
+            self._running = self._salvaged = None
             self._episode += 1
             return self._go(self._crew, parameters, generator, initial)
 
@@ -142,12 +146,20 @@ class LiveRuntime(ABC):
     def finish(self) -> Episode:
         """End the episode and return what ran since the reset, up to the supervisor's last start.
 
+        After a failure or Ctrl-C it returns what had run until then.
+
         Raises:
-            ValueError: nothing was recorded.
+            ValueError: nothing was recorded, or the process of a node died with its record.
             NodeFailure: a node failed meanwhile.
         """
-        if self._running is None or not self._record:
+        if not self._record or (self._running is None and self._salvaged is None):
             raise ValueError("no episode is recorded: make the runtime with record=True and reset it")
+        if self._running is None:
+            assert self._salvaged is not None
+            lost = [name for name in self.graph.index if name not in self._salvaged]
+            if lost:
+                raise ValueError(f'the record of "{lost[0]}" is lost with its process')
+            return self._episode_of(self._begun, self._salvaged)
         assert self._driver is not None
         assert self._crew is not None
         step = int(self._running.step[0])
@@ -159,10 +171,14 @@ class LiveRuntime(ABC):
 
     def close(self) -> None:
         """Stop all nodes, close them, end their processes; safe to call twice."""
-        self._running = None
+        running, self._running = self._running, None
         crew, self._crew = self._crew, None
-        if crew is not None:
-            crew.stop()
+        if crew is None:
+            return
+        crew.stop()
+        if running is not None and self._driver is not None:
+            self._begun = int(running.step[0])
+            self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
 
     @abstractmethod
     def _plan_episode(self, timing: ComputationGraph | None, row: int) -> None:

@@ -1,12 +1,12 @@
 """Measured episodes: what really ran, and how well the schedule was kept."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from deepkoco.graph.episode import Episode
+from deepkoco.graph.episode import Episode, Note
 from deepkoco.graph.graph import Graph
 
 
@@ -20,7 +20,14 @@ def measured_episode(graph: Graph, logs: Mapping[str, Mapping[str, Any]]) -> Epi
         logs: by node name, what its driver logged: `t_start`, `t_end` [ns] and `outputs` of its steps; per
             input `windows` and `received` (seq, time [ns]).
     """
-    cut = logs[graph.supervisor]["t_start"][-1]
+    acted = logs[graph.supervisor]["t_start"]
+    for name, log in logs.items():
+        # A step that failed or was cut off has a start and no end: the episode ends before it.
+        if name != graph.supervisor and len(log["t_start"]) > len(log["t_end"]):
+            acted = acted[acted < log["t_start"][len(log["t_end"])]]
+    if not len(acted):
+        raise ValueError("the episode failed before the supervisor's first step: there is nothing to keep")
+    cut = acted[-1]
     t_start, t_end, outputs, sent, received, windows = {}, {}, {}, {}, {}, {}
     for node in graph.nodes:
         log = logs[node.name]
@@ -29,11 +36,11 @@ def measured_episode(graph: Graph, logs: Mapping[str, Mapping[str, Any]]) -> Epi
         ends = log["t_end"][:count]
         if node.name == graph.supervisor:
             # Its last step only starts.
-            ends = np.append(ends, cut)
             count -= 1
+            ends = np.append(ends[:count], cut)
         t_end[node.name] = ends / 1e9
         if count:
-            outputs[node.name] = np.stack(log["outputs"][:count])
+            outputs[node.name] = log["outputs"][:count]
     for connection in graph.connections:
         log = logs[connection.receiver]
         place = graph.inputs_of(connection.receiver).index(connection)
@@ -44,7 +51,29 @@ def measured_episode(graph: Graph, logs: Mapping[str, Mapping[str, Any]]) -> Epi
         arrival[seq[seq < count]] = times[seq < count] / 1e9
         received[connection.key] = arrival
         windows[connection.key] = log["windows"][place][: len(t_start[connection.receiver])]
-    return Episode(t_start, t_end, outputs, sent, received, windows)
+    episode = Episode(t_start, t_end, outputs, sent, received, windows)
+    return replace(episode, notes=_notes(graph, episode))
+
+
+def _notes(graph: Graph, episode: Episode) -> tuple[Note, ...]:
+    """Remark on what went wrong: overruns by node, lost messages by connection."""
+    notes = []
+    for node in graph.nodes:
+        times = node_times(graph, episode, node.name)
+        if times.overruns:
+            worst = int(times.computation.argmax())
+            text = (
+                f"{times.overruns} of {times.steps} steps took longer than a period; the longest, "
+                f"{times.computation[worst] * 1e3:.1f} ms, at tick {worst}"
+            )
+            notes.append(Note(float(episode.t_start[node.name][worst]), "warning", node.name, text))
+    for connection in graph.connections:
+        lost = message_times(graph, episode, connection.key).lost
+        if lost:
+            end = float(episode.t_start[graph.supervisor][-1])
+            text = f"{lost} messages of {connection.key} did not arrive"
+            notes.append(Note(end, "warning", connection.receiver, text))
+    return tuple(notes)
 
 
 @dataclass(frozen=True)

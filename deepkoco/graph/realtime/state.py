@@ -1,6 +1,6 @@
 """The state that the runtimes of one environment hand out, and the episode that they keep."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +61,9 @@ def check_step(running: RunningState | None, state: RunningState) -> None:
         )
 
 
-def planned_episode(graph: Graph, plan: Plan, step: int, outputs: dict[str, list[np.ndarray]]) -> Episode:
+def planned_episode(
+    graph: Graph, plan: Plan, step: int, outputs: Mapping[str, Sequence[np.ndarray]]
+) -> Episode:
     """Put together what ran before a supervisor step by a plan.
 
     Args:

@@ -68,6 +68,7 @@ def test_each_tick_runs_once_and_an_overrun_shifts_or_is_caught_up(scheduling):
     assert (start >= ticks).all()
     times = node_times(graph, episode, "slow")
     assert times.overruns >= 1
+    assert any(note.node == "slow" and "longer than a period" in note.text for note in episode.notes)
     assert times.steps == len(start)
     if scheduling == "frequency":
         # What the overrun took stays: all later ticks are 15 ms or more behind.
