@@ -115,13 +115,15 @@ class Gaussian(Delay):
         if self.scale == 0.0:
             return (delay >= self.loc).astype(np.float64)
         # Through the upper tails, which keep their digits where the distribution function is near 1.
-        tail = ndtr((self.loc - delay) / self.scale) / ndtr(self.loc / self.scale)
+        with np.errstate(over="ignore"):
+            tail = ndtr((self.loc - delay) / self.scale) / ndtr(self.loc / self.scale)
         return np.where(delay < 0.0, 0.0, 1.0 - tail)
 
     def quantile(self, level: np.ndarray) -> np.ndarray:
         scale = np.asarray(self.scale)
         safe = np.where(scale == 0.0, 1.0, scale)  # of a batch of laws some may be constant
-        tail = ndtr(self.loc / safe) * (1.0 - np.asarray(level))
+        with np.errstate(over="ignore"):
+            tail = ndtr(self.loc / safe) * (1.0 - np.asarray(level))
         return np.where(scale == 0.0, self.loc, np.maximum(self.loc - scale * ndtri(tail), 0.0))
 
 
