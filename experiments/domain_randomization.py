@@ -13,7 +13,7 @@ import sys
 from experiments.sac_on_unit import Bench, Study, main
 
 PARAMETERS = {
-    "rod_pendulum": {"mass": (0.7, 1.3), "length": (0.85, 1.15), "viscous": (0.0, 0.2)},
+    "rod_pendulum": {"mass": (0.75, 1.25), "length": (0.9, 1.1), "viscous": (0.0, 0.15)},
     "pendulum": {
         "inertia": (1.3e-4, 1.9e-4),
         "mass": (0.042, 0.06),
@@ -24,8 +24,8 @@ PARAMETERS = {
 }
 # Delays are drawn from a range, not known: one of each per episode [s].
 DELAYS = {
-    "rod_pendulum": {"actuation_delay": (0.0, 0.08), "sensing_delay": (0.0, 0.06)},
-    "pendulum": {"actuation_delay": (0.0, 0.03), "sensing_delay": (0.0, 0.03)},
+    "rod_pendulum": {"actuation_delay": (0.02, 0.08), "sensing_delay": (0.01, 0.06)},
+    "pendulum": {"actuation_delay": (0.005, 0.03), "sensing_delay": (0.005, 0.025)},
 }
 
 STUDY = Study(
@@ -35,13 +35,14 @@ STUDY = Study(
         "rod_pendulum": Bench(
             "deepkoco/RodPendulumDelay-v0",
             unit={
-                "parameters": {"mass": 1.2, "length": 1.08, "viscous": 0.1},
+                "parameters": {"mass": 1.15, "length": 1.05, "viscous": 0.05},
                 "effects": {
                     "actuation_delay": {"delay": {"mean": 0.05, "sd": 0.005}},
                     "sensing_delay": {"delay": {"mean": 0.03, "sd": 0.005}},
                 },
             },
-            steps=12_000,
+            steps=24_000,
+            updates_every=2,
         ),
         "pendulum": Bench(
             "deepkoco/Pendulum-v0",
