@@ -99,7 +99,7 @@ def draw(table: pd.DataFrame) -> Picture:
     from deepkoco.graph.drawing.style import PALETTE, Picture, figure_style
 
     with figure_style():
-        figure = Figure(figsize=(6, 4))
+        figure = Figure(figsize=(7, 4))
         axes = figure.subplots()
         for colour, (work, group) in zip(PALETTE, table.groupby("computation_ms"), strict=False):
             values = group.groupby("delay_periods").real_time_factor.agg(["median", "min", "max"])
@@ -112,7 +112,7 @@ def draw(table: pd.DataFrame) -> Picture:
         axes.set(
             xlabel="delay from world to camera [periods]", ylabel="real-time factor reached", yscale="log"
         )
-        axes.legend(title="computation a tick", fontsize=8)
+        axes.legend(title="computation a tick", fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return Picture("real_time_factor", figure, table)
 
 
