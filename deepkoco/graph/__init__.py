@@ -24,6 +24,7 @@ from deepkoco.graph.delay import (
 from deepkoco.graph.episode import Episode, Note, record_episodes, replay_episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
+from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, SimulatedRuntime, WallClockRuntime
 from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
 from deepkoco.graph.replay import MeasuredTiming, replay_timing
 from deepkoco.graph.runtime import BatchedRuntime, HorizonError, RuntimeState
@@ -34,6 +35,7 @@ __all__ = [
     "Autoregressive",
     "BatchedRuntime",
     "ComputationGraph",
+    "ConcurrentRuntime",
     "Connection",
     "Delay",
     "DelayError",
@@ -54,6 +56,7 @@ __all__ = [
     "MeasuredTiming",
     "Mixture",
     "Node",
+    "NodeFailure",
     "Note",
     "OrnsteinUhlenbeck",
     "OverrunProcess",
@@ -63,10 +66,12 @@ __all__ = [
     "Recording",
     "RuntimeState",
     "Series",
+    "SimulatedRuntime",
     "Stalls",
     "Supervisor",
     "TimingError",
     "Uniform",
+    "WallClockRuntime",
     "draw_timing",
     "extend_timing",
     "make_delay",
