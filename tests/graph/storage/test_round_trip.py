@@ -39,7 +39,7 @@ def recorded(graph, steps: int, batch: int = 2):
 def assert_equal(first: Episode, second: Episode) -> None:
     for part in PARTS:
         old, new = getattr(first, part), getattr(second, part)
-        assert list(old) == list(new)
+        assert old.keys() == new.keys()
         for key, array in old.items():
             assert array.dtype == new[key].dtype, (part, key)
             assert array.shape == new[key].shape, (part, key)
