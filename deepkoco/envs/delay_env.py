@@ -17,7 +17,8 @@ from deepkoco.engines import command_window
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
 from deepkoco.envs.delay_traces import Delays
-from deepkoco.envs.graph_env import GraphEnv, GraphVectorEnv
+from deepkoco.envs.graph_env import GraphEnv
+from deepkoco.envs.graph_vector_env import GraphVectorEnv
 from deepkoco.envs.nodes import SwingUpAgent
 from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
 from deepkoco.graph import Connection, Graph

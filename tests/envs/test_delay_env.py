@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 
 import deepkoco.envs
 from deepkoco.envs.delay_env import DelayGraphEnv, DelayGraphVectorEnv
@@ -263,6 +264,21 @@ def test_the_vector_form_starts_anew_after_the_last_step():
     assert not truncated.any()
     assert (reward == 0).all()
     assert [env.step(np.zeros((2, 1)))[3].all() for _ in range(3)] == [False, False, True]
+
+
+def test_the_vector_form_starts_anew_at_once_if_asked_to():
+    env = gymnasium.make_vec(
+        "deepkoco/RodPendulum-v0", num_envs=2, vectorization_mode="vector_entry_point", max_episode_steps=3,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+    )  # fmt: skip
+    env.reset(seed=0)
+    for _ in range(2):
+        results = [env.step(np.ones((2, 1))) for _ in range(3)]
+        assert [result[3].all() for result in results] == [False, False, True]
+        assert (results[2][1] != 0).all()
+        last = np.stack(results[2][4]["final_obs"])
+        assert last.shape == (2, 3)
+        assert (last != results[2][0]).any()
 
 
 def test_gymnasiums_time_limit_is_kept():

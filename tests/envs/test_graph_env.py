@@ -10,8 +10,10 @@ from counting import ACTIONS, OBSERVATIONS, counting_graph
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from deepkoco.envs.graph_env import GraphEnv, GraphVectorEnv
+from deepkoco.envs.graph_env import GraphEnv
+from deepkoco.envs.graph_vector_env import GraphVectorEnv
 from deepkoco.graph import Connection, Graph, GraphError, HorizonError, Supervisor
 
 STRIDES = (1.0, 2.0, 0.25, 5.0)
@@ -189,6 +191,16 @@ def test_an_action_in_vain_does_not_use_up_the_episode():
         _, _, terminated, truncated, _ = env.step(np.full((4, 1), 0.01))
         ends += terminated | truncated
     assert (ends == 4).all()
+
+
+def test_gymnasiums_wrappers_count_the_episodes():
+    env = RecordEpisodeStatistics(together())
+    env.reset(seed=0)
+    lengths = []
+    for _ in range(30):
+        *_, info = env.step(np.ones((4, 1)))
+        lengths += info["episode"]["l"][info["_episode"]].tolist() if "episode" in info else []
+    assert {int(length) for length in lengths} == {5, 3, LIMIT, 1}  # 5 / stride, rounded up
 
 
 def test_an_episode_longer_than_its_traces_is_told():

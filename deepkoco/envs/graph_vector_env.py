@@ -1,0 +1,311 @@
+"""Gymnasium environments from a graph, a batch at once."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from torch import Tensor
+
+from deepkoco.envs.delay_traces import Delays, DelayTraces, Ranges
+from deepkoco.envs.settings import SettingsError, check_range
+from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor
+from deepkoco.graph.node import State
+
+READINGS = ("observation", "reward", "terminated")
+Values = Mapping[str, Mapping[str, Tensor | float]]
+
+
+class GraphVectorEnv(VectorEnv):
+    """Environments that step together on one graph, whose supervisor is the agent.
+
+    An action is the supervisor's output; what an environment returns is what the supervisor's `observe`
+    reads: ``observation`` (B, ...), ``reward`` (B,) and, where episodes can end, ``terminated`` (B,) bool.
+    Further readings (B, ...) go to ``info`` under their names. The readings of a step are those of the
+    transition that ends there: a reward of the state before keeps that state in the supervisor's own.
+
+    Environments end independently of each other and start anew as ``autoreset_mode`` says. Each draws delays
+    and randomized parameters of its own at each episode; delays come from a pool of ``delay_traces``
+    schedules that all share (:class:`DelayTraces`), so that thousands of environments need no more memory
+    for them than hundreds.
+
+    Args:
+        num_envs: Environments B.
+        graph: Nodes and connections; the supervisor overrides `observe`.
+        action_space: Of one environment; an action has the size of the supervisor's output.
+        observation_space: Of one environment, a Box.
+        max_episode_steps: Steps after which an episode is cut (``truncated``).
+        parameters: Values of parameters by node and name.
+        randomize: ``"node.parameter"``, ``"sender->receiver"`` or ``"node"`` (a delay [s]) -> (low, high),
+            drawn uniformly for every episode and environment.
+        delay_traces: Most schedules held at once.
+        executor: ``eager``, ``fused``, ``cuda``, or ``auto``: compiled (``fused``) where there is a C++ compiler
+            and every node can be compiled, else ``eager``.
+        autoreset_mode: When an environment that has ended starts anew, as Gymnasium defines it.
+
+    Raises:
+        ValueError: A setting is wrong; the message says which and what it may be.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int,
+        graph: Graph,
+        action_space: spaces.Space,
+        observation_space: spaces.Box,
+        max_episode_steps: int,
+        parameters: Values | None = None,
+        randomize: Ranges | None = None,
+        delay_traces: int = 256,
+        executor: str = "auto",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        for name, number in (
+            ("num_envs", num_envs),
+            ("max_episode_steps", max_episode_steps),
+            ("delay_traces", delay_traces),
+        ):
+            if number < 1:
+                raise SettingsError(f"{name} = {number}; give 1 or more")
+        supervisor = graph.node(graph.supervisor)
+        if not isinstance(supervisor, Supervisor) or type(supervisor).observe is Supervisor.observe:
+            raise GraphError(
+                f'supervisor "{graph.supervisor}" reads nothing: override `observe` of Supervisor to return '
+                "observation and reward"
+            )
+        self.num_envs, self.graph, self.max_episode_steps = num_envs, graph, max_episode_steps
+        self.single_action_space, self.single_observation_space = action_space, observation_space
+        self.action_space = batch_space(action_space, num_envs)
+        self.observation_space = batch_space(observation_space, num_envs)
+        self._mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self._mode}
+        self._values = {node: dict(values) for node, values in (parameters or {}).items()}
+        self._ranges = dict(randomize or {})
+        timed = self._timed()
+        for name, span in self._ranges.items():
+            check_range(name, span, *self._bounds(name))
+        # One step more than an episode has: those that start anew at the next step take it in vain.
+        self._traces = DelayTraces(
+            graph, max_episode_steps + 1, num_envs, delay_traces,
+            {name: span for name, span in self._ranges.items() if name in timed}, self._delays,
+        )  # fmt: skip
+        self._action_shape = (num_envs, *supervisor.initial_action.shape)
+        self._action_type = supervisor.initial_action.numpy().dtype
+        self._generator = torch.Generator()
+        self._quiet = executor == "auto"
+        self._runtime = BatchedRuntime(graph, executor="fused" if executor == "auto" else executor)
+        self._state: RuntimeState | None = None
+        self._drawn: dict[str, Tensor] = {}
+        self._elapsed = np.zeros(num_envs, np.int64)
+        self._ended = np.zeros(num_envs, bool)
+
+    @property
+    def drawn(self) -> dict[str, np.ndarray]:
+        """What the environments have drawn for their episodes from the ranges of ``randomize``, (B,) each."""
+        return {name: value.numpy() for name, value in self._drawn.items()}
+
+    @property
+    def executor(self) -> str:
+        """What runs the graph, known after the first reset."""
+        return self._runtime.executor
+
+    @property
+    def state(self) -> RuntimeState:
+        """What the graph remembers now.
+
+        Raises:
+            ResetNeeded: Before the first reset.
+        """
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        return self._state
+
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Start new episodes.
+
+        Args:
+            seed: Seed of every draw; None goes on with the draws of before.
+            options: ``reset_mask`` (B,) bool: who starts anew, by default all; ``initial``: by node name,
+                states (B, ...) that replace those of the nodes' `init`.
+        """
+        new_traces = seed is not None
+        if seed is None and self._np_random is None:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        return self.begin(seed, options or {}, new_traces)
+
+    def begin(self, seed: int | None, options: Mapping[str, Any], new_traces: bool):
+        """:meth:`reset`, with a say in whether its seed also draws the pool of delay traces anew."""
+        if seed is not None:
+            super().reset(seed=seed)
+        mask = _mask(options.get("reset_mask"), self.num_envs)
+        if mask is not None and self._state is None:
+            raise gymnasium.error.ResetNeeded("reset_mask: the first reset starts all environments")
+        self._restart(mask, options, new_traces and mask is None)
+        return self._observation(), self._info()
+
+    def step(self, actions: Any):
+        """Give the actions (B, ...) and go on to the agent's next step."""
+        state, waiting = self.state, self._ended
+        if waiting.any() and self._mode == AutoresetMode.DISABLED:
+            raise gymnasium.error.ResetNeeded(
+                f"environment {np.flatnonzero(waiting)[0]} has ended: reset it with reset_mask first"
+            )
+        if waiting.all():
+            self._restart(None)
+            nothing = np.zeros(self.num_envs, bool)
+            return self._observation(), np.zeros(self.num_envs), nothing, nothing.copy(), self._info()
+        self._state, _ = self._runtime.step(state, self._command(actions))
+        self._elapsed += 1
+        if waiting.any():
+            self._restart(waiting)
+        readings = self._state.readings
+        reward = readings["reward"].numpy().astype(np.float64)
+        terminated = np.zeros(self.num_envs, bool)
+        if "terminated" in readings:
+            terminated = readings["terminated"].numpy().astype(bool) & ~waiting
+        reward[waiting] = 0.0
+        truncated = self._elapsed >= self.max_episode_steps
+        self._ended = ended = terminated | truncated
+        observation, info = self._observation(), self._info()
+        if self._mode == AutoresetMode.SAME_STEP and ended.any():
+            final = {"final_obs": _rows(observation, ended), "_final_obs": ended.copy()}
+            final |= {"final_info": info, "_final_info": ended.copy()}
+            self._restart(None if ended.all() else ended)
+            observation, info = self._observation(), self._info() | final
+        return observation, reward, terminated, truncated, info
+
+    def advance(self, action: Any) -> dict[str, np.ndarray]:
+        """:meth:`step` for the only environment, and no more than that: it goes on where the episode has ended.
+
+        Returns:
+            The readings by name, without the batch; not to be written into.
+        """
+        self._state, _ = self._runtime.step(self.state, self._command(action))
+        return {name: value.numpy()[0] for name, value in self._state.readings.items()}
+
+    def _restart(
+        self, mask: np.ndarray | None, options: Mapping[str, Any] | None = None, new_traces: bool = False
+    ) -> None:
+        """Start the environments in ``mask``, or all, anew."""
+        generator = self._generator.manual_seed(int(self.np_random.integers(2**62)))
+        fresh = {
+            name: low + (high - low) * torch.rand(self.num_envs, generator=generator, dtype=torch.float64)
+            for name, (low, high) in self._ranges.items()
+            if name not in self._traces.ranges
+        }
+        # The traces have a stream of their own: how many are drawn changes nothing else of an episode.
+        stream = torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
+        timing, rows = self._traces.take(stream, mask, new_traces)
+        if mask is not None:
+            rows = np.where(mask, rows, self.state.row)
+            chosen = torch.from_numpy(mask)
+            fresh = {name: torch.where(chosen, value, self._drawn[name]) for name, value in fresh.items()}
+        timed = {name: value[torch.from_numpy(rows)] for name, value in self._traces.draws.items()}
+        self._drawn = {name: timed[name] if name in timed else fresh[name] for name in self._ranges}
+        with warnings.catch_warnings():
+            if self._quiet:
+                warnings.filterwarnings("ignore", ".*runs with the eager executor", RuntimeWarning)
+            self._state, _ = self._runtime.reset(
+                self._parameters(self._drawn),
+                generator,
+                self._initial(options or {}, generator),
+                timing=timing,
+                rows=rows,
+                state=self._state,
+                mask=mask,
+            )
+        if mask is None:
+            self._check_readings(self._state)
+            mask = np.ones(self.num_envs, bool)
+        self._elapsed = np.where(mask, 0, self._elapsed)
+        self._ended = self._ended & ~mask
+
+    def _timed(self) -> set[str]:
+        """Names in ``randomize`` that say when things happen; these are drawn with the traces."""
+        return set(self.graph.index) | {connection.key for connection in self.graph.connections}
+
+    def _bounds(self, name: str) -> tuple[float, float, str]:
+        """Smallest and largest value that a name in ``randomize`` may have, and its unit."""
+        if name in self._timed():
+            return 0.0, math.inf, "s"
+        node, _, parameter = name.partition(".")
+        if node not in self.graph.index or not parameter:
+            known = f"{', '.join(sorted(self._timed()))} or NODE.PARAMETER"
+            raise SettingsError(f'randomize: "{name}" is none of {known}')
+        return -math.inf, math.inf, ""
+
+    def _delays(self, draws: Mapping[str, Tensor]) -> Delays:
+        """Delays (R,) [s] by connection key or node name, from what the traces have drawn."""
+        return {name: value.numpy() for name, value in draws.items()}
+
+    def _parameters(self, drawn: Mapping[str, Tensor]) -> Mapping[str, Mapping[str, Tensor]]:
+        """Parameters of every node, from what the environments have drawn."""
+        values = {
+            node: {k: torch.as_tensor(v, dtype=torch.float64) for k, v in own.items()}
+            for node, own in self._values.items()
+        }
+        for name, value in drawn.items():
+            node, _, parameter = name.partition(".")
+            if name not in self._traces.draws:
+                values.setdefault(node, {})[parameter] = value
+        return values
+
+    def _initial(self, options: Mapping[str, Any], generator: torch.Generator) -> Mapping[str, State]:
+        """Start states (B, ...) by node that replace those of `init`."""
+        return options.get("initial") or {}
+
+    def _command(self, actions: Any) -> np.ndarray:
+        """The supervisor's output (B, ...) for actions (B, ...)."""
+        return np.asarray(actions, self._action_type).reshape(self._action_shape)
+
+    def _observation(self) -> np.ndarray:
+        space = self.single_observation_space
+        return self.state.readings["observation"].numpy().astype(space.dtype)
+
+    def _info(self) -> dict[str, Any]:
+        info: dict[str, Any] = {}
+        for name, value in self.state.readings.items():
+            if name not in READINGS:
+                info |= {name: value.numpy(), f"_{name}": np.ones(self.num_envs, bool)}
+        return info
+
+    def _check_readings(self, state: RuntimeState) -> None:
+        wanted = {"observation": (self.num_envs, *(self.single_observation_space.shape or ()))}
+        wanted |= {"reward": (self.num_envs,)}
+        if "terminated" in state.readings:
+            wanted["terminated"] = (self.num_envs,)
+        for name, shape in wanted.items():
+            there = state.readings.get(name)
+            if there is None or tuple(there.shape) != shape:
+                found = "is missing" if there is None else f"has shape {tuple(there.shape)}"
+                raise GraphError(
+                    f'supervisor "{self.graph.supervisor}": reading "{name}" {found}, not {shape}'
+                )
+
+
+def _mask(mask: Any, batch: int) -> np.ndarray | None:
+    if mask is None:
+        return None
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (batch,):
+        raise ValueError(f"reset_mask: give a bool array of shape ({batch},), not {mask!r}")
+    if not mask.any():
+        raise ValueError("reset_mask: no environment is chosen")
+    return None if mask.all() else mask
+
+
+def _rows(observations: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Copies of the rows ``where`` as an array of objects, None elsewhere."""
+    result = np.empty(len(where), dtype=object)
+    for i in np.flatnonzero(where):
+        result[i] = observations[i].copy()
+    return result
