@@ -20,11 +20,13 @@ from scipy.stats import anderson_ksamp, kstwobign, spearmanr
 
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timing
 from deepkoco.graph.fitting import DelayModel, find_stalls, fit_delays
+from deepkoco.graph.fitting.mixture_fit import fit_mixture
 from deepkoco.graph.fitting.model import normal_scores
 from experiments.real_delays_report import draw_distances, draw_distributions, draw_stalls, report
 
 WARM_UP = 1.0  # [s]; the first samples of most channels are several times as long
 TOLERANCE = 1.0  # [s]; the clocks of channels are known from their sample numbers alone
+STRETCH = 2.5  # [s]
 SIMULATED = 20  # recordings simulated for each measured one
 
 
@@ -75,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         whole = fit_delays(delays, rates, warm_up=WARM_UP, tolerance=TOLERANCE)
         for key, law in half.laws.items():
             begin = int(np.ceil(WARM_UP * rates[key]))
-            channels.append({"dataset": name, **compare(key, first[key][begin:], second[key], law)})
+            halves = compare(key, first[key][begin:], second[key], law)
+            channels.append({"dataset": name, **halves, **interleaved(delays[key][begin:], rates[key])})
         simulated = simulate(name, setup, rates, whole, options.seed)
         stalls.append({"dataset": name, **compare_stalls(delays, rates, simulated, half, setup.duration)})
         ranks += [
@@ -93,7 +96,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     draw_distributions(figures["pendulum_real_20hz"], partial / "distributions.png")
     draw_distances(channels, partial / "distances.png")
     draw_stalls(figures["vx300s_real_3hz"], partial / "stalls.png")
-    (partial / "README.md").write_text(report(channels, stalls, ranks, options.seed, SIMULATED, WARM_UP))
+    (partial / "README.md").write_text(
+        report(channels, stalls, ranks, options.seed, SIMULATED, WARM_UP, STRETCH)
+    )
     os.replace(partial, options.out)
     return 0
 
@@ -139,6 +144,19 @@ def compare(key: str, first: np.ndarray, second: np.ndarray, law: Delay) -> dict
         "p_model_independent": round(significance(distances[0], len(first), len(second)), 4),
         "p_anderson_darling": round(anderson_darling(draws[::step], thinned), 4),
         "ks_fit": round(model_distance(first, law), 4),
+    }
+
+
+def interleaved(delays: np.ndarray, rate: float) -> dict[str, Any]:
+    """Fit every other stretch of a channel and test the stretches between: what drifts is in both."""
+    even = np.arange(len(delays)) // max(int(STRETCH * rate), 1) % 2 == 0
+    law = fit_mixture(delays[even])
+    distance, time = model_distance(delays[~even], law), correlation_time(delays)
+    sizes = even.sum(), (~even).sum()
+    return {
+        "ks_interleaved": round(distance, 4),
+        "p_interleaved": round(significance(distance, *(size / time for size in sizes)), 4),
+        "p_interleaved_independent": round(significance(distance, *sizes), 4),
     }
 
 
