@@ -1,6 +1,8 @@
 """`deepkoco show` and `deepkoco export`: numbers, pictures, one line per mistake, nothing overwritten."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -92,3 +94,16 @@ def test_bad_requests_are_told_in_one_line(recording, tmp_path, capsys, monkeypa
 def test_what_is_no_recording_is_told(tmp_path, capsys):
     assert main(["show", str(tmp_path / "none.mcap")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from deepkoco.cli import main\n"
+        "for words in (['show', '--help'], ['export', '--help']):\n"
+        "    try: main(words)\n"
+        "    except SystemExit as end: assert end.code == 0\n"
+        "assert not {'torch', 'pandas', 'numpy', 'rich', 'matplotlib'} & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for word in ("--pictures", "--html", "--partial", "OUT", "example"):
+        assert word in done.stdout
