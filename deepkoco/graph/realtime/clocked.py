@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.delay import Delay, exact_seconds
+from deepkoco.graph.delay.law import Stream
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import Input
 from deepkoco.graph.realtime.driver import Driver
@@ -171,6 +172,9 @@ class ClockedDriver(Driver):
         self._shift = 0  # [ns]
         self._start = self._end = 0  # [ns]
         self._random = np.random.default_rng(schedule.seed)
+        period = float(1 / schedule.rate)
+        self._computation = schedule.computation and schedule.computation.stream(1, period)
+        self._communication = {e: law.stream(1, period) for e, law in schedule.communication.items()}
         self._starts: list[int] = []
         self._ends: list[int] = []
         self._windows: list[list[tuple[int, ...]]] = [[] for _ in schedule.inputs]
@@ -205,17 +209,19 @@ class ClockedDriver(Driver):
 
     def finish(self, output: Tensor) -> None:
         end = max(self._now(), self._start)
-        if self.schedule.computation is not None:
-            end = max(end, self._start + self._draw(self.schedule.computation))
+        if self._computation is not None:
+            end = max(end, self._start + round(self._draw(self._computation) * NANO))
         self._keep(output)
         self._ends.append(end)
         if self.schedule.frequency:
             # An own overrun shifts later ticks, waiting does not.
             self._shift += max(0, end - self._start - math.ceil(NANO / self.schedule.rate))
         for outlet in self.outlets:
-            law = self.schedule.communication.get(outlet.edge)
-            due = end if law is None else end + self._draw(law)
-            outlet.send(Message(self.inbox.episode, outlet.edge, self.tick, end, due, output))
+            stream = self._communication.get(outlet.edge)
+            delay = 0.0 if stream is None else self._draw(stream)
+            if delay < math.inf:  # else the message is lost
+                due = end + round(delay * NANO)
+                outlet.send(Message(self.inbox.episode, outlet.edge, self.tick, end, due, output))
         self._end = end
         self.tick += 1
 
@@ -259,5 +265,5 @@ class ClockedDriver(Driver):
                 latest = max(latest, queue.waiting[seq][1])
         return latest
 
-    def _draw(self, law: Delay) -> int:
-        return round(float(law.sample(self._random, (1, 1))[0, 0]) * NANO)
+    def _draw(self, stream: Stream) -> float:
+        return float(stream.draw(self._random, 1)[0, 0])

@@ -39,7 +39,8 @@ class ConcurrentRuntime(LiveRuntime):
             are not named live in threads of the caller's process.
         factories: by node name, functions of a module that make the node in its process.
         real_time_factor: simulated seconds per second, at most; infinity: as fast as it goes.
-        sync: whether the nodes are in step. If not, the delays of the graph are simulated on the clock.
+        sync: whether the nodes are in step. If not, the delays of the graph are simulated on the clock, each law
+            by itself (couplings of several channels need a drawn timing).
         seed: of the simulated delays, where they are not in step.
         time_limit: longest step [s]; a node that takes longer has failed.
         beat_limit: longest time without a heartbeat of a process [s].

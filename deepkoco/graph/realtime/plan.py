@@ -8,6 +8,7 @@ import numpy as np
 from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.graph import Graph
+from deepkoco.graph.timing_kernel import LOST
 
 
 class Window(NamedTuple):
@@ -91,7 +92,7 @@ class TimingPlan(Plan):
             window = timing.windows_of(edge, row).astype(np.int64)
             times = timing.messages_of(edge, row)
             # One column more, for windows before any message was sent.
-            sent_at, received_at = (np.append(t / timing.resolution, np.nan) for t in times)
+            sent_at, received_at = (np.append(self._seconds(t), np.nan) for t in times)
             seq.append(window)
             sent.append(np.where(window < 0, -np.inf, sent_at[np.maximum(window, -1)]))
             received.append(np.where(window < 0, -np.inf, received_at[np.maximum(window, -1)]))
@@ -106,7 +107,11 @@ class TimingPlan(Plan):
 
     def arrivals(self, connection: Connection, count: int) -> np.ndarray:
         edge = self.graph.connections.index(connection)
-        return self.timing.messages_of(edge, self.row)[1][:count] / self.timing.resolution
+        return self._seconds(self.timing.messages_of(edge, self.row)[1][:count])
+
+    def _seconds(self, ticks: np.ndarray) -> np.ndarray:
+        """Times of messages [s]; one that never arrives has infinity."""
+        return np.where(ticks < LOST // 2, ticks / self.timing.resolution, np.inf)
 
 
 class TimingNodePlan(NodePlan):

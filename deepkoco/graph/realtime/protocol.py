@@ -86,7 +86,7 @@ class ProtocolPlan(Plan):
                     f"{float(1 / node.rate):g} s; draw a timing instead"
                 )
         for connection in graph.connections:
-            if not connection.law.constant:
+            if not connection.law.constant or connection.law.loses:
                 raise ProtocolError(f'connection "{connection.key}": random delay; draw a timing instead')
             if connection.blocking:
                 raise ProtocolError(f'connection "{connection.key}": blocks; draw a timing instead')

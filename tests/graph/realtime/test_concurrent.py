@@ -4,6 +4,7 @@ import math
 import pickle
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from live_nodes import Timed, act, assert_same, devices, loop, run
 from timing_reference import Accumulate, graphs
 
 from deepkoco.graph import (
+    BatchedRuntime,
     Connection,
     Gaussian,
     Graph,
@@ -21,6 +23,7 @@ from deepkoco.graph import (
     HorizonError,
     Supervisor,
     draw_timing,
+    record_episodes,
     replay_episode,
 )
 from deepkoco.graph.realtime import ConcurrentRuntime, SimulatedRuntime
@@ -49,6 +52,17 @@ def test_processes_equal_the_simulated_runtime_bitwise(factor):
             assert_same(expected, runtime.finish())
 
 
+def test_messages_that_are_lost_are_lost_in_every_runtime():
+    graph = loop()
+    lossy = {"sensor->agent": {"law": "lossy", "delay": 0.002, "probability": 0.4}}
+    timing = draw_timing(graph, np.random.default_rng(0), 20, 1, lossy)
+    generator = torch.Generator().manual_seed(0)
+    expected = record_episodes(BatchedRuntime(graph, timing), act, {}, generator)[0][0]
+    assert np.isinf(expected.t_received["sensor->agent"]).sum() > 3
+    assert_same(expected, run(SimulatedRuntime(graph, timing), 20))
+    assert_same(expected, run(ConcurrentRuntime(graph, timing), 20))
+
+
 def test_by_the_protocol_runs_equal_the_simulated_ones_without_any_horizon():
     graph = loop()
     expected = run(SimulatedRuntime(graph), 60)
@@ -75,8 +89,8 @@ def test_the_real_time_factor_is_kept():
     graph = loop()
     timing = draw_timing(graph, np.random.default_rng(0), 10, 1)
     with ConcurrentRuntime(graph, timing, real_time_factor=2.0) as runtime:
-        runtime.reset({}, torch.Generator())
         begin = time.monotonic()
+        runtime.reset({}, torch.Generator())
         runtime.run(act, 10)
         # Ten steps of the agent are 200 ms, at factor 2 at least 100 ms; no step may come before its time.
         assert time.monotonic() - begin > 0.099
@@ -163,6 +177,20 @@ def test_an_asynchronous_episode_keeps_its_delays_and_replays_bitwise():
     again, _ = replay_episode(graph, episode, {}, torch.Generator().manual_seed(0))
     for name, outputs in episode.outputs.items():
         np.testing.assert_array_equal(outputs, again.outputs[name])
+
+
+def test_an_asynchronous_run_loses_messages_as_its_laws_say():
+    graph = loop()
+    connections = [
+        replace(c, delay={"law": "lossy", "delay": 0.002, "probability": 0.5}) if c.receiver == "agent" else c
+        for c in graph.connections
+    ]
+    graph = Graph(graph.nodes, connections)
+    episode = run(ConcurrentRuntime(graph, real_time_factor=4.0, sync=False, seed=1), 30)
+    lost = np.isinf(episode.t_received["sensor->agent"])
+    assert 10 < lost.sum() < len(lost) - 10
+    assert not np.isin(np.flatnonzero(lost), episode.windows["sensor->agent"]).any()
+    assert any("did not arrive" in note.text for note in episode.notes)
 
 
 def test_messages_travel_as_plain_numbers():

@@ -75,8 +75,8 @@ def test_each_tick_runs_once_and_an_overrun_shifts_or_is_caught_up(scheduling):
         assert (start[4:] >= ticks[4:] + 0.015).all()
         assert (times.lateness >= -1e-9).all()
     else:
-        # Ticks 4 and 5 fell into the overrun: tick 5 starts when tick 4 ends, not a period later.
-        assert start[5] - end[4] < 0.01 or start[5] < 0.05 + 0.01
+        # Ticks 4 and 5 fell into the overrun; those after it come at their own times again.
+        assert (start[6:] - ticks[6:]).min() < 0.015
     assert_replays(graph, episode)
 
 
