@@ -122,24 +122,28 @@ class DelayLine:
         agent = self.graph.index["agent"]
         edges = {c.key: e for e, c in enumerate(self.graph.connections)}
         commands, samples = edges["agent->world"], [edges[f"sensor {t}->agent"] for t in self.terms]
+        steps = np.arange(self._steps + 1)
         arrival = np.zeros((self.batch, self._steps), np.int64)
         sample = np.zeros((len(self.terms), self.batch, self._steps + 1), np.int64)
         for seed, size in np.unique(self._group[environments, :2], axis=0).tolist():
             timing = draw_timing(self.graph, np.random.default_rng(seed), self._steps, size)
             self._ticks = timing.steps_of(agent)[0]
-            for b in environments[self._group[environments, 0] == seed]:
-                row = int(timing.row[self._group[b, 2]])
-                arrival[b] = _arrivals(timing.messages_of(commands, row)[1])
+            own = environments[self._group[environments, 0] == seed]
+            rows = timing.row[self._group[own, 2]][:, None]
+            layout = timing.layout
+            arrival[own] = _arrivals(timing.t_received[rows, layout.message_base[commands] + steps[:-1]])
+            for term, edge in enumerate(samples):
                 # Before the first arrival the agent sees what the reset returned: sample 0.
-                sample[:, b] = [np.maximum(timing.windows_of(edge, row)[:, 0], 0) for edge in samples]
+                seen = timing.windows[rows, layout.window_base[edge] + steps]
+                sample[term, own] = np.maximum(seen, 0)
         if len(environments) < self.batch:
             others = np.setdiff1d(np.arange(self.batch), environments)
             arrival[others], sample[:, others] = self._arrival[others], self._sample[:, others]
         self._arrival, self._sample = arrival, sample
-        for b in environments:
-            there = np.searchsorted(arrival[b], self._ticks[:-1], "right")
-            self.held = max(self.held, int((np.arange(self._steps) - there).max()) + 2)
-        age = np.arange(self._steps + 1) - sample // int(self.samples_per_step)
+        for row in np.unique(arrival[environments], axis=0):
+            there = np.searchsorted(row, self._ticks[:-1], "right")
+            self.held = max(self.held, int((steps[:-1] - there).max()) + 2)
+        age = steps - sample // int(self.samples_per_step)
         self.kept = max(self.kept, int(age.max()) + 1)
 
 
@@ -182,7 +186,7 @@ def step_rate(env: Any, given: float | None) -> Fraction:
 def episode_steps(env: Any) -> int:
     """Steps of an episode where the environment has a limit, else a first guess."""
     limit = env.spec.max_episode_steps if env.spec is not None else None
-    return (limit or 1000) + 2
+    return (limit or 256) + 2
 
 
 def seeded(seed: int | None) -> np.random.Generator:
@@ -252,5 +256,5 @@ def _range(key: Any, size: int) -> slice:
 
 
 def _arrivals(received: np.ndarray) -> np.ndarray:
-    """Arrivals without losses: a command that never arrives holds for no time before the next one."""
-    return np.minimum.accumulate(received[::-1])[::-1]
+    """Arrivals without losses (R, steps): one that never comes holds for no time before the next one."""
+    return np.minimum.accumulate(received[:, ::-1], axis=1)[:, ::-1]
