@@ -58,6 +58,7 @@ def test_draws_are_delays_and_a_seed_repeats_them(law, seed):
     assert (streamed <= law.highest).all()
 
 
+@settings(deadline=None)
 @given(law=simple, level=st.floats(0, 1 - 2**-53))
 def test_the_quantile_is_the_smallest_delay_of_its_probability(law, level):
     delay = float(law.quantile(np.array(level)))
@@ -86,6 +87,7 @@ def test_the_highest_delay_is_that_of_the_rarest_draw():
     assert Mixture((Deterministic(0.1), Empirical((0.2, 0.4))), (1, 1)).highest == 0.4
 
 
+@settings(deadline=None)
 @given(law=laws)
 def test_a_law_survives_yaml(law):
     assert make_delay(yaml.safe_load(yaml.safe_dump(law.to_dict()))) == law
@@ -131,6 +133,7 @@ def test_distribution_functions_agree_with_scipy(law, oracle):
     assert kstest(law.sample(np.random.default_rng(1), (2000,)), oracle.cdf).pvalue > 0.01
 
 
+@settings(deadline=None)
 @given(loc=st.floats(0, 0.2), scale=st.floats(0.01, 0.2))
 def test_the_truncated_mean_agrees_with_scipy(loc, scale):
     expected = truncnorm.mean(-loc / scale, np.inf, loc=loc, scale=scale)

@@ -72,7 +72,8 @@ class Uniform(Delay):
     def cdf(self, delay: np.ndarray) -> np.ndarray:
         if self.constant:
             return (np.asarray(delay) >= self.low).astype(np.float64)
-        return np.clip((np.asarray(delay) - self.low) / (self.high - self.low), 0.0, 1.0)
+        with np.errstate(over="ignore"):
+            return np.clip((np.asarray(delay) - self.low) / (self.high - self.low), 0.0, 1.0)
 
     def quantile(self, level: np.ndarray) -> np.ndarray:
         return np.minimum(self.low + (self.high - self.low) * np.asarray(level), self.high)
