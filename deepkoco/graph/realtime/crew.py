@@ -1,13 +1,15 @@
 """The crew: all nodes of a graph in their threads and processes, watched over and stopped together."""
 
+import atexit
 import pickle
 import queue
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import Pipe as pipe_pair
-from multiprocessing import get_context
+from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection as Pipe
 from multiprocessing.connection import wait
 from threading import Lock, Thread, current_thread
@@ -17,7 +19,7 @@ import numpy as np
 
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Node
-from deepkoco.graph.realtime.failure import NodeFailure
+from deepkoco.graph.realtime.failure import NodeFailure, failure_of
 from deepkoco.graph.realtime.host import (
     BEAT_PERIOD,
     HostPlan,
@@ -82,6 +84,7 @@ class Crew:
         self._heard, self._bell = pipe_pair(False)
         self._receivers = tuple(graph.index[c.receiver] for c in graph.connections)
         self._start(self._plans())
+        atexit.register(self.stop)  # a caller who forgets to close must not leave a motor running
 
     def tell(self, name: str, command: str, payload: Any = None) -> None:
         """Give a node an order."""
@@ -150,6 +153,7 @@ class Crew:
             for line in self._controls.values():
                 line.tell(-1, "stop", None)
             close_seats(self._seats)
+        atexit.unregister(self.stop)
         if current_thread() is not self._watch:
             self._watch.join()
         for position, seat in self._seats.items():
@@ -226,7 +230,7 @@ class Crew:
     def _start(self, plans: Mapping[int, HostPlan]) -> None:
         remote = sorted(set(plans) - {HERE})
         # A server that has the package loaded forks the processes: quick, and without the caller's threads.
-        context = get_context("forkserver")
+        context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
         context.set_forkserver_preload(["deepkoco.graph.realtime.host"])
         shape = len(self.graph.nodes), 4
         board = context.RawArray("q", shape[0] * shape[1])
@@ -304,9 +308,9 @@ class Crew:
                 while not self._failures.empty():
                     self.fail(self._failures.get())
                 self._check_times(time.monotonic_ns())
-            except OSError:
-                if not self._stopped:  # else the pipes were closed under the watch, as they should
-                    raise
+            except Exception as error:
+                # Without the watch nobody would notice anything; where all is stopped, pipes are closed.
+                self.fail(failure_of(self.graph.supervisor, -1, error, traceback.format_exc()))
 
     def _read(self, source: Any, control: bool) -> bool:
         """Read what a pipe holds; return whether it is still open."""

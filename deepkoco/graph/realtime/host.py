@@ -144,6 +144,8 @@ def serve(
         shape: of the board.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller takes Ctrl-C and stops all
+    ended: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
     torch.set_num_threads(1)
     if plan.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {plan.core})
@@ -157,7 +159,7 @@ def serve(
         seat.start()
     sources: list[Any] = [control, *pipes.values()]
     stopped = False
-    while not stopped:
+    while not stopped and not ended:
         table[list(seats), BEAT] = time.monotonic_ns()
         for source in wait(sources, BEAT_PERIOD):
             assert isinstance(source, Pipe)

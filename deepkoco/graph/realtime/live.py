@@ -18,7 +18,7 @@ from deepkoco.graph.node import GraphError, Input, State
 from deepkoco.graph.realtime.crew import Crew, CrewOptions
 from deepkoco.graph.realtime.driver import Driver, Outlet
 from deepkoco.graph.realtime.failure import failure_of
-from deepkoco.graph.realtime.runner import Runner
+from deepkoco.graph.realtime.runner import InitialStateError, Runner
 from deepkoco.graph.realtime.seat import make_driver, reset_runner
 from deepkoco.graph.realtime.state import Policy, RunningState, check_step, running_state
 from deepkoco.graph.runtime import NodeParameters
@@ -225,7 +225,7 @@ class LiveRuntime(ABC):
             else:
                 answer = crew.ask({node.name: ("reset", payload)})[node.name]
             if "error" in answer:
-                raise ValueError(answer["error"])
+                raise InitialStateError(answer["error"])
             outputs[node.name] = answer["output"]
             generator.set_state(torch.from_numpy(answer["generator"].copy()))
         origin = time.monotonic_ns() + (0 if self._factor == math.inf else HEAD_START)
@@ -278,7 +278,8 @@ class _Stopping:
         return None
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if error is not None:
+        # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
+        if error is not None and not isinstance(error, InitialStateError):
             self._runtime.close()
 
 

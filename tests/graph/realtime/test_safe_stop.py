@@ -155,19 +155,37 @@ SCRIPT = """
             print("runs", flush=True)
             runtime.run(act, 100000)
 """
+FORGETFUL = """
+    import sys
+    sys.path[:0] = {paths!r}
+    import torch
+    from live_nodes import act, devices
+    from deepkoco.graph.realtime import ConcurrentRuntime
+    if __name__ == "__main__":
+        runtime = ConcurrentRuntime(devices({folder!r}), processes={{"motor": 1}})
+        runtime.reset({{}}, torch.Generator())
+        runtime.run(act, 3)
+"""
+
+
+def start(text: str, folder: Path) -> subprocess.Popen[str]:
+    here = Path(__file__).parent
+    script = folder / "script.py"
+    script.write_text(textwrap.dedent(text.format(paths=[str(here), str(here.parent)], folder=str(folder))))
+    environment = {**os.environ, "PYTHONPATH": str(here.parents[2]), "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen([sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def test_a_script_that_ends_without_closing_leaves_the_nodes_closed(tmp_path):
+    caller = start(FORGETFUL, tmp_path)
+    caller.communicate(timeout=60)
+    assert caller.returncode == 0
+    graph = devices(tmp_path)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
 
 
 def test_a_killed_caller_leaves_the_nodes_closed(tmp_path):
-    here = Path(__file__).parent
-    script = tmp_path / "script.py"
-    paths = [str(here), str(here.parent)]
-    script.write_text(textwrap.dedent(SCRIPT.format(paths=paths, folder=str(tmp_path))))
-    caller = subprocess.Popen(
-        [sys.executable, str(script)],
-        env={**os.environ, "PYTHONPATH": str(here.parents[2]), "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    caller = start(SCRIPT, tmp_path)
     assert caller.stdout is not None
     assert caller.stdout.readline() == "runs\n"
     caller.kill()
