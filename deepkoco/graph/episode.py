@@ -15,7 +15,7 @@ from deepkoco.graph.replay import MeasuredTiming, replay_timing
 from deepkoco.graph.runtime import BatchedRuntime, NodeParameters, RuntimeState, Trace
 
 _NEVER = np.iinfo(np.int64).max // 8  # ticks: an arrival after this is none
-Policy = Callable[[dict[str, Input]], Tensor]
+Policy = Callable[[Mapping[str, Input]], Tensor]
 
 
 class Note(NamedTuple):
