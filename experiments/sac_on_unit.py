@@ -1,7 +1,8 @@
 """Studies of one kind: SAC trained in variants of a simulator, evaluated on a unit; resumable run by run.
 
 A run is one training: a system, a condition (what its simulator knows) and a seed. Its folder holds
-``learning.csv``, ``policy.pt`` and, written last, ``evaluation.csv``; a run that has it is not done again.
+``learning.csv``, ``policy.pt`` when it is trained, and ``evaluation.csv`` when it is evaluated; what is there is
+not done again.
 """
 
 from __future__ import annotations
@@ -217,39 +218,47 @@ def _agent(study: Study, run: Run, env: gymnasium.Env, steps: int) -> Any:
 
 def _train_and_evaluate(study: Study, run: Run, folder: Path, steps: int | None, episodes: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    steps = steps or study.benches[run.system].steps
-    env = _simulator(study, run)
-    agent = _agent(study, run, env, steps)
-    agent.learn(steps)
-    env.close()
+    if not (folder / "policy.pt").exists():
+        _train(study, run, folder, steps or study.benches[run.system].steps)
+    with _simulator(study, run) as simulator, _unit(study, run, "simulated") as unit:
+        agent = _trained(study, run, folder, simulator)
+        worlds = {"simulator": simulator, "unit": unit}
+        parts = [_evaluate(agent, world, episodes).assign(place=place) for place, world in worlds.items()]
+    _write_table(folder / "evaluation.csv", pd.concat(parts).assign(**asdict(run)))
+
+
+def _train(study: Study, run: Run, folder: Path, steps: int) -> None:
+    with _simulator(study, run) as env:
+        agent = _agent(study, run, env, steps)
+        agent.learn(steps)
     returns = [(round(i["l"]), i["r"]) for i in agent.ep_info_buffer]
     learning = pd.DataFrame({"steps": np.cumsum([n for n, _ in returns]), "cost": [-r for _, r in returns]})
     _write_table(folder / "learning.csv", learning)
     partial = folder / ".policy.tmp"
     torch.save(agent.policy.state_dict(), partial)
     os.replace(partial, folder / "policy.pt")
-    parts = []
-    for place, made in (("simulator", _simulator(study, run)), ("unit", _unit(study, run, "simulated"))):
-        with made as world:
-            parts.append(_evaluate(agent, world, episodes).assign(place=place))
-    table = pd.concat(parts).assign(**asdict(run))
-    _write_table(folder / "evaluation.csv", table)
+
+
+def _trained(study: Study, run: Run, folder: Path, env: gymnasium.Env) -> Any:
+    agent = _agent(study, run, env, 1)
+    agent.policy.load_state_dict(torch.load(folder / "policy.pt", weights_only=True))
+    return agent
 
 
 def _evaluate_on_wall_clock(study: Study, run: Run, folder: Path, episodes: int) -> None:
-    env = _simulator(study, run)
-    agent = _agent(study, run, env, 1)
-    agent.policy.load_state_dict(torch.load(folder / "policy.pt", weights_only=True))
-    with _unit(study, run, "wall") as unit:
+    with _simulator(study, run) as simulator, _unit(study, run, "wall") as unit:
+        agent = _trained(study, run, folder, simulator)
         table = _evaluate(agent, unit, episodes).assign(place="unit_wall", **asdict(run))
     _write_table(folder / "wall.csv", table)
 
 
 def _evaluate(agent: Any, env: gymnasium.Env, episodes: int) -> pd.DataFrame:
-    """Run the mean action from the same start states for every agent."""
-    rows = []
+    """Run the mean action from start states that are the same for every agent, in the simulator and on the unit."""
+    rows, task, system = [], env.unwrapped.task, env.unwrapped.system  # type: ignore[attr-defined]
     for episode in range(episodes):
-        observation, _ = env.reset(seed=EVALUATION_SEED + episode)
+        seed = EVALUATION_SEED + episode
+        start = task.start(system, 1, torch.Generator().manual_seed(seed))[0].numpy()
+        observation, _ = env.reset(seed=seed, options={"initial_state": start})
         cost, angles, over = 0.0, [], False
         while not over:
             action, _ = agent.predict(observation, deterministic=True)
