@@ -1,14 +1,14 @@
 """Speed of rollouts on the delay graph, by executor and batch; with --peer against REX on the same work.
 
 The work is that of `rollout_work.py`. With --peer both run in turn in one go, so that what else the machine
-does hits both; medians and the spread between quartiles are printed. Seconds are of the wall clock.
+does hits both; medians and the spread between quartiles are printed, per second of the clock and per
+second of processor time, which tells more where other things run.
 """
 
 import argparse
 import csv
 import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -25,6 +25,7 @@ from experiments import rollout_work
 STEPS = 200
 SCHEDULES = 20
 POPULATION, POPULATION_STEPS = 200, 1050
+LEAST_SECONDS = 0.1  # of one measurement: shorter work is repeated
 ROOT = Path(__file__).resolve().parent.parent
 PEER = ROOT / ".venv-peers" / "bin" / "python"
 
@@ -44,14 +45,14 @@ class OurWork:
         self._runs: dict[tuple[str, int], Any] = {}
         self._runtimes: dict[str, BatchedRuntime] = {}
 
-    def run(self, kind: str, batch: int) -> float:
-        """Run "rollout" or "population" once; return seconds. The first call of a kind warms up."""
+    def run(self, kind: str, batch: int, times: int = 1) -> tuple[float, float]:
+        """Run "rollout" or "population" some times; return seconds of the clock and of the processor."""
         if (kind, batch) not in self._runs:
             self._runs[kind, batch] = self._prepare(kind, batch)
+        begin, cpu = time.perf_counter(), time.process_time()
+        for _ in range(times):
             self._runs[kind, batch]()
-        begin = time.perf_counter()
-        self._runs[kind, batch]()
-        return time.perf_counter() - begin
+        return time.perf_counter() - begin, time.process_time() - cpu
 
     def _prepare(self, kind: str, batch: int) -> Any:
         steps, rows = (STEPS, SCHEDULES) if kind == "rollout" else (POPULATION_STEPS, 1)
@@ -113,12 +114,12 @@ class PeerWork:
         self.first: dict[tuple[str, int], dict[str, float]] = {}
         self.memory: dict[tuple[str, int], float] = {}
 
-    def run(self, kind: str, batch: int) -> float:
-        """Run "rollout" or "population" once; return seconds."""
-        answer = self._ask({"do": kind, "batch": batch})
+    def run(self, kind: str, batch: int, times: int = 1) -> tuple[float, float]:
+        """Run "rollout" or "population" some times; return seconds of the clock and of the processor."""
+        answer = self._ask({"do": kind, "batch": batch, "times": times})
         if answer["first"] is not None:
             self.first[kind, batch], self.memory[kind, batch] = answer["first"], answer["memory"]
-        return answer["seconds"]
+        return answer["seconds"], answer["cpu"]
 
     def close(self) -> None:
         assert self._process.stdin is not None
@@ -198,32 +199,31 @@ def timed(code: str, **environment: str) -> float:
 
 
 def measure(workers: dict[str, Any], kind: str, batch: int, repeats: int, steps: int) -> list[dict[str, Any]]:
-    """Run all in turn; agent steps per second, median and quartiles."""
-    seconds: dict[str, list[float]] = {name: [] for name in workers}
-    for worker in workers.values():
+    """Run all in turn; agent steps per second of the clock and of the processor: median and quartiles."""
+    taken: dict[str, list[tuple[float, float]]] = {name: [] for name in workers}
+    times = {}
+    for name, worker in workers.items():
         worker.run(kind, batch)
+        times[name] = max(1, round(LEAST_SECONDS / worker.run(kind, batch)[0]))
     for _ in range(repeats):
         for name, worker in workers.items():
-            seconds[name].append(worker.run(kind, batch))
+            taken[name].append(worker.run(kind, batch, times[name]))
     rows = []
-    for name, values in seconds.items():
-        low, middle, high = np.quantile(
-            [batch * steps / value for value in values], [0.25, 0.5, 0.75]
-        ).tolist()
-        row = {
-            "work": kind,
-            "batch": batch,
-            "executor": name,
-            "steps_per_s": middle,
-            "low": low,
-            "high": high,
-        }
-        if "rex" in seconds and name != "rex":
-            ratios = [theirs / ours for theirs, ours in zip(seconds["rex"], values, strict=True)]
-            row["ratio_to_rex"] = statistics.median(ratios)
-            row["ratio_low"], row["ratio_high"] = np.quantile(ratios, [0.25, 0.75]).tolist()
+    for name in workers:
+        row: dict[str, Any] = {"work": kind, "batch": batch, "executor": name}
+        for clock, column in (("s", 0), ("cpu_s", 1)):
+            own = np.array([batch * steps * times[name] / pair[column] for pair in taken[name]])
+            row |= _spread(f"steps_per_{clock}", own)
+            if "rex" in workers and name != "rex":
+                theirs = np.array([batch * steps * times["rex"] / pair[column] for pair in taken["rex"]])
+                row |= _spread(f"ratio_to_rex_per_{clock}", own / theirs)
         rows.append(row)
     return rows
+
+
+def _spread(name: str, values: np.ndarray) -> dict[str, float]:
+    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75]).tolist()
+    return {name: middle, f"{name}_low": low, f"{name}_high": high}
 
 
 def main(arguments: list[str] | None = None) -> int:

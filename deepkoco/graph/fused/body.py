@@ -162,7 +162,7 @@ class Body:
         """A new array, not yet filled."""
         name = self.fresh()
         self.lines.append(f"{VECTORS[dtype]} {name}[{max(math.prod(shape), 1)}];")
-        return Value(tuple(shape), dtype, array=Array(name, "local", _contiguous(shape)))
+        return Value(tuple(shape), dtype, array=Array(name, "local", contiguous(shape)))
 
     def pointwise(
         self,
@@ -197,17 +197,17 @@ class Body:
         arrays = [broadcast(self, self.stored(v), shape) for v in values]
         result = self.local(shape, dtype)
         assert result.array is not None
-        loops, index = _loops(shape)
+        loops, index = loops_over(shape)
         operands = []
         for v, t in zip(arrays, types, strict=True):
             assert v.array is not None
-            element = v.array.at(_position(v.array, index), v.dtype)
+            element = v.array.at(position(v.array, index), v.dtype)
             if v.dtype != t and t == torch.bool:
                 element = f"ne({element}, {self.literal(0, v.dtype)})"
             elif v.dtype != t:
                 element = f"cvt<{VECTORS[t]}>({element})"
             operands.append(element)
-        place = _position(result.array, index)
+        place = position(result.array, index)
         self.lines.append(f"{loops} {result.array.pointer}[{place}] = {expression(*operands)};")
         return result
 
@@ -233,7 +233,7 @@ class Body:
         empty = memory.as_strided(value.shape, value.array.strides, value.array.offset)
         view = function(empty)
         if view._base is None and view is not empty:
-            if value.array.kind != "local" or value.array.strides != _contiguous(value.shape):
+            if value.array.kind != "local" or value.array.strides != contiguous(value.shape):
                 value = self.copy(value)
                 assert value.array is not None
             empty = torch.empty(value.shape, device="meta")
@@ -245,6 +245,14 @@ class Body:
         if result.size <= REGISTERS:
             return Value(result.shape, dtype, tuple(self.names(result)))
         return result
+
+    def gathered(self, value: Value) -> Value:
+        """The value in a contiguous array of lane vectors."""
+        value = self.stored(value)
+        array = value.array
+        assert array is not None
+        ready = array.kind == "local" and array.offset == 0 and array.strides == contiguous(value.shape)
+        return value if ready else self.copy(value)
 
     def copy(self, value: Value) -> Value:
         """The value in a contiguous array of its own."""
@@ -306,7 +314,7 @@ def _number(number: float | bool, dtype: torch.dtype) -> str:
     return f"{number.hex()}{suffix}"
 
 
-def _contiguous(shape: Sequence[int]) -> tuple[int, ...]:
+def contiguous(shape: Sequence[int]) -> tuple[int, ...]:
     return tuple(math.prod(shape[i + 1 :]) for i in range(len(shape)))
 
 
@@ -319,14 +327,16 @@ def _flat(value: Value) -> list[int]:
     return index.flatten().tolist()
 
 
-def _loops(shape: Sequence[int]) -> tuple[str, list[str]]:
+def loops_over(shape: Sequence[int]) -> tuple[str, list[str]]:
     """Nested loops over a shape, and the index of each dimension."""
     index = [f"i{d}" if size > 1 else "0" for d, size in enumerate(shape)]
     loops = [f"for (int i{d} = 0; i{d} < {size}; i{d}++)" for d, size in enumerate(shape) if size > 1]
+    if loops:
+        loops[-1] = f"LOOP {loops[-1]}"
     return " ".join(loops), index
 
 
-def _position(array: Array, index: Sequence[str]) -> str:
+def position(array: Array, index: Sequence[str]) -> str:
     terms = [str(array.offset)] if array.offset else []
     terms += [
         f"{i} * {stride}" if stride != 1 else i

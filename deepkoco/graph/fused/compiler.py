@@ -12,6 +12,7 @@ from pathlib import Path
 FLAGS = (
     "-std=c++17",
     "-O2",
+    "-fopenmp-simd",
     "-march=native",
     "-fno-math-errno",
     "-fno-trapping-math",

@@ -12,11 +12,13 @@ typedef uint8_t u8;
 #define SPECIAL template <> INLINE_MEMBER
 
 #if W == 1
+#define LOOP _Pragma("omp simd") // the machine's vectors go over elements instead of environments
 typedef float VF;
 typedef double VD;
 typedef i32 VI;
 typedef i64 VL;
 #else
+#define LOOP
 typedef float VF __attribute__((vector_size(4 * W)));
 typedef double VD __attribute__((vector_size(8 * W)));
 typedef i32 VI __attribute__((vector_size(4 * W)));
@@ -157,17 +159,55 @@ template <int K, int N, int R, int C, class V, class T>
 static void matvec(const V *x, const T *w, const V *bias, V *out) {
   const V zero = splat<V>(0);
 #if W == 1
-  for (int n = 0; n < N; n++) out[n] = bias ? bias[n] : zero;
-  for (int k = 0; k < K; k++)
-    for (int n = 0; n < N; n++) out[n] += x[k] * w[k * R + n * C];
+  // One environment: the lanes of the machine's vectors are columns of the matrix.
+  const int P = 64 / sizeof(T);
+  typedef T Row __attribute__((vector_size(64)));
+  int n = 0;
+  if (C == 1) {
+    const int tile = N / P < 4 ? (N / P ? N / P : 1) : 4;
+    for (; n + P * tile <= N; n += P * tile) {
+      Row sum[tile] = {};
+      if (bias) memcpy(sum, bias + n, sizeof sum);
+      for (int k = 0; k < K; k++) {
+#pragma GCC unroll 4
+        for (int j = 0; j < tile; j++) {
+          Row row;
+          memcpy(&row, w + k * R + n + j * P, sizeof row);
+          sum[j] += x[k] * row;
+        }
+      }
+      memcpy(out + n, sum, sizeof sum);
+    }
+  }
+  for (; n < N; n++) {
+    V sum = bias ? bias[n] : zero;
+    int k = 0;
+    if (R == 1 && K >= P) {
+      Row parts = {};
+      for (; k + P <= K; k += P) {
+        Row own, row;
+        memcpy(&own, x + k, sizeof own);
+        memcpy(&row, w + k + n * C, sizeof row);
+        parts += own * row;
+      }
+      for (int j = 0; j < P; j++) sum += parts[j];
+    }
+    for (; k < K; k++) sum += x[k] * w[k * R + n * C];
+    out[n] = sum;
+  }
 #else
   const int tile = N < 8 ? N : 8;
   for (int first = 0; first < N; first += tile) {
     V sum[tile];
     const int n0 = first + tile <= N ? first : N - tile; // the last tile may repeat some columns
+#pragma GCC unroll 16
     for (int j = 0; j < tile; j++) sum[j] = bias ? bias[n0 + j] : zero;
-    for (int k = 0; k < K; k++)
-      for (int j = 0; j < tile; j++) sum[j] += x[k] * w[k * R + (n0 + j) * C];
+    for (int k = 0; k < K; k++) {
+      const V own = x[k];
+#pragma GCC unroll 16
+      for (int j = 0; j < tile; j++) sum[j] += own * w[k * R + (n0 + j) * C];
+    }
+#pragma GCC unroll 16
     for (int j = 0; j < tile; j++) out[n0 + j] = sum[j];
   }
 #endif

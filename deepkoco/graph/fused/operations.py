@@ -10,7 +10,17 @@ from typing import Any
 
 import torch
 
-from deepkoco.graph.fused.body import SCALARS, VECTORS, Array, Body, Value, supported
+from deepkoco.graph.fused.body import (
+    SCALARS,
+    VECTORS,
+    Array,
+    Body,
+    Value,
+    broadcast,
+    loops_over,
+    position,
+    supported,
+)
 from deepkoco.graph.fused.trace import Call, Ref, TraceError
 
 Lowering = Callable[..., Value | tuple[Value, ...]]
@@ -254,13 +264,11 @@ def _join(body: Body, call: Call, parts: Sequence[Value], dim: int = 0) -> Value
 
 
 def _fill(body: Body, target: Array, value: Value) -> None:
-    from deepkoco.graph.fused.body import _loops, _position
-
     source = body.stored(value)
     assert source.array is not None
-    loops, index = _loops(value.shape)
-    element = source.array.at(_position(source.array, index), value.dtype)
-    body.lines.append(f"{loops} {target.pointer}[{_position(target, index)}] = {element};")
+    loops, index = loops_over(value.shape)
+    element = source.array.at(position(source.array, index), value.dtype)
+    body.lines.append(f"{loops} {target.pointer}[{position(target, index)}] = {element};")
 
 
 def _add(body: Body, call: Call, x: Any, y: Any, alpha: float = 1) -> Value:
@@ -523,11 +531,9 @@ def product(body: Body, call: Call, a: Value, b: Value, c: Value | None) -> Valu
     shared = b.array is not None and b.array.kind == "shared"
     if rows == 1 and shared and b.dtype == a.dtype == dtype:
         assert b.array is not None
-        x, bias = body.stored(body.copy(a) if a.array else a), None
+        x, bias = body.gathered(a), None
         if c is not None:
-            from deepkoco.graph.fused.body import broadcast
-
-            bias = body.stored(body.copy(broadcast(body, c, (1, columns))))
+            bias = body.gathered(broadcast(body, c, (1, columns)))
         result = body.local((1, columns), dtype)
         assert result.array is not None
         assert x.array is not None
@@ -698,6 +704,4 @@ LOWER: dict[str, Lowering] = {
 
 def source_like(body: Body, source: Any, like: Value) -> Value:
     """A value or number, broadcast to the shape of another."""
-    from deepkoco.graph.fused.body import broadcast
-
     return broadcast(body, _as_value(body, source, like.dtype), like.shape)

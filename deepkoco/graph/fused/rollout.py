@@ -48,10 +48,17 @@ class CompiledPolicy:
 
         trace = traced("policy", run, examples)
         self.source = policy_source(graph, trace, readings, specs[graph.supervisor], kernel.lanes)
-        self.pack = self.source.pack
+        self._weights, self._views = self.source.pool(parameters)
         self._library = load(self.source.text)
         self.address = ctypes.cast(self._library.policy, ctypes.c_void_p).value
         self.looks = any(name == "t_start" or name.startswith("i.") for name in self.source.uses)
+
+    @torch.no_grad()
+    def pack(self, parameters: Mapping[str, Tensor]) -> np.ndarray:
+        """The parameters as the kernel reads them, until the next call."""
+        for name, view in self._views.items():
+            view.copy_(parameters[name])
+        return self._weights
 
 
 def run_rollout(

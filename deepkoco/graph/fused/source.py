@@ -15,9 +15,9 @@ from deepkoco.graph.fused.body import (
     Array,
     Body,
     Value,
-    _contiguous,
-    _loops,
-    _position,
+    contiguous,
+    loops_over,
+    position,
 )
 from deepkoco.graph.fused.operations import lower
 from deepkoco.graph.fused.program import TIMES, Program
@@ -105,7 +105,7 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
     readings, reading_size = lay_out(supervisor.readings)
     pool, hoisted = Pool(), _Hoisted()
     texts, prologues, staged, uses = [], [], {}, {}
-    for position, (n, p) in enumerate(by_name.items()):
+    for index, (n, p) in enumerate(by_name.items()):
         staged[n], uses[n] = False, set()
         if p.trace is None:
             continue
@@ -125,7 +125,7 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
             _store(body, "Y", outputs["output"])
         early, lines = body.finish(hoisted.place)
         prologues += [f"  {{ // {n}", *(f"    {line}" for line in early), "  }"] if early else []
-        texts += [f"static void body_{position}({_ARGUMENTS}) {{ // {n}"]
+        texts += [f"static void body_{index}({_ARGUMENTS}) {{ // {n}"]
         texts += [f"  {line}" for line in _pool_lines(body, pool, "K")]
         texts += [f"  {line}" for line in lines] + ["}", ""]
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
@@ -190,13 +190,19 @@ class PolicySource:
     constants: np.ndarray
     uses: set[str]
 
-    def pack(self, parameters: Mapping[str, Tensor]) -> np.ndarray:
-        """The parameters as the kernel reads them."""
-        pool = Pool()
+    def pool(self, parameters: Mapping[str, Tensor]) -> tuple[np.ndarray, dict[str, Tensor]]:
+        """The parameters as the kernel reads them, and views by name into which later ones are copied."""
+        pool, starts = Pool(), {}
         for name, transposed in self.order:
             value = parameters[name].detach().to("cpu")
-            pool.add((value.t() if transposed else value).contiguous())
-        return np.concatenate([pool.join(), self.constants])
+            starts[name] = pool.add((value.t() if transposed else value).contiguous())
+        weights, views = np.concatenate([pool.join(), self.constants]), {}
+        for name, transposed in self.order:
+            value = parameters[name]
+            size = value.numel() * value.element_size()
+            flat = torch.from_numpy(weights[starts[name] : starts[name] + size]).view(value.dtype)
+            views[name] = flat.view(value.t().shape).t() if transposed else flat.view(value.shape)
+        return weights, views
 
 
 def policy_source(
@@ -222,7 +228,7 @@ def policy_source(
         dtype, shape = ref.example.dtype, tuple(ref.example.shape)
         pointer = body.fresh("k")
         heads.append(f"const {SCALARS[dtype]} *{pointer} = (const {SCALARS[dtype]} *)(weights + {start});")
-        strides = (1, shape[0]) if turned else _contiguous(shape)
+        strides = (1, shape[0]) if turned else contiguous(shape)
         inputs[name] = Value(shape, dtype, array=Array(pointer, "shared", strides))
     inputs |= _seen(body, graph, graph.supervisor, trace, uses)
     for key, place in readings.items():
@@ -329,7 +335,7 @@ def _load(body: Body, pointer: str, ref: Ref, early: bool = False) -> Value:
     """A tensor of a record."""
     shape, dtype = tuple(ref.example.shape), ref.example.dtype
     if ref.example.numel() > REGISTERS:
-        return Value(shape, dtype, array=Array(pointer, "lanes", _contiguous(shape)))
+        return Value(shape, dtype, array=Array(pointer, "lanes", contiguous(shape)))
     add = body.parameter if early else body.emit
     names = (add(dtype, f"ld<{VECTORS[dtype]}>({pointer}, {i})") for i in range(ref.example.numel()))
     return Value(shape, dtype, tuple(names))
@@ -354,9 +360,9 @@ def _store(body: Body, pointer: str, value: Value) -> None:
     if value.array is None:
         body.lines += [f"st({pointer}, {i}, {element});" for i, element in enumerate(value.elements)]
         return
-    loops, index = _loops(value.shape)
-    target = _position(Array("", "lanes", _contiguous(value.shape)), index)
-    element = value.array.at(_position(value.array, index), value.dtype)
+    loops, index = loops_over(value.shape)
+    target = position(Array("", "lanes", contiguous(value.shape)), index)
+    element = value.array.at(position(value.array, index), value.dtype)
     body.lines.append(f"{loops} st({pointer}, {target}, {element});")
 
 
