@@ -36,7 +36,7 @@ from deepkoco.graph.realtime.seat import BEAT, BUSY_SINCE, CLOSED_AT, TICK, Seat
 Factory = Callable[[], Node]
 HERE = 0  # host number of the caller's own process
 START_LIMIT = 60.0  # longest time that `open` and `init` of a node take [s]
-FAREWELL = 1.0  # what a process gets to end after it was told to [s]
+FAREWELL = 5.0  # what a process gets to end after it was told to [s]
 
 
 @dataclass(frozen=True)
@@ -165,6 +165,11 @@ class Crew:
 
     def _bury(self) -> None:
         """Take the last words of the processes, until they have ended or their time is over."""
+        now = time.monotonic_ns()
+        for name, host in self.hosts.items():
+            beat = int(self._board[self.graph.index[name], BEAT])
+            if beat and now - beat > self.options.beat_limit * 1e9:
+                self._processes[host].kill()  # it stands still and will not say anything
         deadline = time.monotonic() + FAREWELL
         open_: set[Any] = {line.pipe for line in self._controls.values()}
         while open_ and (left := deadline - time.monotonic()) > 0:
@@ -324,6 +329,8 @@ class Crew:
                     position, kind, payload = source.recv()
                     if kind == "priority":
                         self.priority_granted = payload
+                    elif kind == "record":
+                        self._keep(position, payload)
                     elif position >= 0:
                         self._reply(position, kind, payload)
         except (EOFError, OSError):

@@ -148,9 +148,10 @@ SCRIPT = """
     sys.path[:0] = {paths!r}
     import torch
     from live_nodes import act, devices
-    from deepkoco.graph.realtime import WallClockRuntime
+    from deepkoco.graph.realtime import ConcurrentRuntime
     if __name__ == "__main__":
-        with WallClockRuntime(devices({folder!r})) as runtime:
+        processes = {{"motor": 1, "camera": 1}}
+        with ConcurrentRuntime(devices({folder!r}), processes=processes, real_time_factor=1.0) as runtime:
             runtime.reset({{}}, torch.Generator())
             print("runs", flush=True)
             runtime.run(act, 100000)
