@@ -7,7 +7,7 @@ the computation graph, that of the generations of `networkx.topological_generati
 import numpy as np
 from numba import njit
 
-from deepkoco.graph.supergraph.embedding import Supergraph
+from deepkoco.graph.supergraph.embedding import Supergraph, embed
 from deepkoco.graph.supergraph.partition import Partitions
 
 
@@ -23,7 +23,12 @@ def topological(parts: Partitions) -> Supergraph:
 
 def _full(parts: Partitions, generations: int) -> Supergraph:
     kinds = np.delete(np.arange(parts.kinds), parts.supervisor)
-    return Supergraph(np.tile(kinds, generations), np.repeat(np.arange(generations), len(kinds)))
+    while True:
+        full = Supergraph(np.tile(kinds, generations), np.repeat(np.arange(generations), len(kinds)))
+        if embed(parts, full) is not None:
+            return full
+        # Steps that nothing waits for, or that may not run as early as the order would have them.
+        generations += 1
 
 
 @njit(cache=True)

@@ -23,7 +23,7 @@ def grow_common(parts: Partitions, backtrack: int = BACKTRACK) -> Supergraph:
     """Grow a supergraph partition by partition (`mcs`).
 
     Args:
-        parts: the episodes.
+        parts: the episodes; a step is held back by nothing but what it depends on (no `earliest`).
         backtrack: partitions, at most, that are matched again after the supergraph has grown.
     """
     growth = _Growth(parts)
