@@ -83,7 +83,8 @@ def test_every_partition_embeds_and_efficiency_is_what_a_plain_count_gives(metho
     assert (found.work, found.passes, found.size) == (ran, passes, len(supergraph.kind) + 1)
     assert found.efficiency == ran / (found.size * passes)
     np.testing.assert_allclose(found.utilisation.sum(), ran / passes)
-    assert found.utilisation.max() <= 1 and found.utilisation[-1] == 1
+    assert found.utilisation.max() <= 1
+    assert found.utilisation[-1] == 1
     assert found.efficiency <= efficiency_bound(parts, releases=True) + 1e-12
     assert efficiency_bound(parts, releases=True) <= efficiency_bound(parts) + 1e-12
 
