@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.graph import ComputationGraph, Graph, draw_timing
+from deepkoco.envs.settings import SettingsError, check_range
+from deepkoco.graph import ComputationGraph, Graph, draw_timing, make_delay
 
 Ranges = Mapping[str, tuple[float, float]]
-Delays = Mapping[str, np.ndarray]
+Delays = Mapping[str, Any]
 FEWEST = 32  # traces of a pool with random delays, so that one environment need not draw at every reset
 
 
@@ -29,8 +31,8 @@ class DelayTraces:
         batch: Environments B.
         most: Largest number of traces.
         ranges: Name -> (low, high): numbers drawn uniformly for each trace.
-        delays: From these draws, each (R,), the delays (R,) [s] by connection key or node name; None takes
-            the draws themselves.
+        delays: From these draws, each (R,), the delays by connection key or node name, as `draw_timing` takes
+            them; None takes the draws themselves, in seconds.
     """
 
     def __init__(
@@ -97,3 +99,29 @@ class DelayTraces:
         )
         self._unused = np.arange(self.rows)
         return draw_timing(self.graph, generator, self.steps, self.rows, delays, self.rows)
+
+
+def law_ranges(name: str, law: Mapping[str, Any], known: set[str]) -> dict[str, tuple[float, float]]:
+    """Ranges in the description of a delay law, by ``name.number``.
+
+    Args:
+        name: Connection or node whose delay it is.
+        law: Description in which pairs (low, high) stand for some of the numbers.
+        known: Names of connections and nodes.
+
+    Raises:
+        SettingsError: The name is not known, or a range is none.
+        DelayError: The law is not known, or one end of its ranges is no delay.
+    """
+    if name not in known:
+        raise SettingsError(f'randomize: "{name}" is none of {", ".join(sorted(known))}')
+    ranges = {}
+    for key, value in law.items():
+        if key in ("law", "samples", "components", "weights") or not isinstance(value, (tuple, list)):
+            continue
+        check_range(f"{name}.{key}", value, 0.0, np.inf, "")
+        ranges[f"{name}.{key}"] = (float(value[0]), float(value[1]))
+    for end in (0, 1):
+        make_delay({key: ranges[f"{name}.{key}"][end] if f"{name}.{key}" in ranges else value
+                    for key, value in law.items()})  # fmt: skip
+    return ranges

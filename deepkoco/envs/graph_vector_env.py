@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from deepkoco.envs.delay_traces import Delays, DelayTraces, Ranges
+from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor
 from deepkoco.graph.node import State
@@ -45,7 +45,8 @@ class GraphVectorEnv(VectorEnv):
         max_episode_steps: Steps after which an episode is cut (``truncated``).
         parameters: Values of parameters by node and name.
         randomize: ``"node.parameter"``, ``"sender->receiver"`` or ``"node"`` (a delay [s]) -> (low, high),
-            drawn uniformly for every episode and environment.
+            drawn uniformly for every episode and environment; a delay may also be the description of a law
+            with (low, high) in the place of some of its numbers.
         delay_traces: Most schedules held at once.
         executor: ``eager``, ``fused``, ``cuda``, or ``auto``: compiled (``fused``) where there is a C++ compiler
             and every node can be compiled, else ``eager``.
@@ -65,7 +66,7 @@ class GraphVectorEnv(VectorEnv):
         observation_space: spaces.Box,
         max_episode_steps: int,
         parameters: Values | None = None,
-        randomize: Ranges | None = None,
+        randomize: Mapping[str, tuple[float, float] | Mapping[str, Any]] | None = None,
         delay_traces: int = 256,
         executor: str = "auto",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -90,10 +91,18 @@ class GraphVectorEnv(VectorEnv):
         self._mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
         self._values = {node: dict(values) for node, values in (parameters or {}).items()}
-        self._ranges = dict(randomize or {})
         timed = self._timed()
-        for name, span in self._ranges.items():
-            check_range(name, span, *self._bounds(name))
+        self._ranges: dict[str, tuple[float, float]] = {}
+        self._laws: dict[str, Mapping[str, Any]] = {}
+        for name, span in (randomize or {}).items():
+            if isinstance(span, Mapping):
+                self._laws[name] = span
+                own = law_ranges(name, span, known=timed)
+                timed |= set(own)
+                self._ranges |= own
+            else:
+                check_range(name, span, *self._bounds(name))
+                self._ranges[name] = span
         # One step more than an episode has: those that start anew at the next step take it in vain.
         self._traces = DelayTraces(
             graph, max_episode_steps + 1, num_envs, delay_traces,
@@ -169,10 +178,10 @@ class GraphVectorEnv(VectorEnv):
         if waiting.any():
             self._restart(waiting)
         readings = self._state.readings
-        reward = readings["reward"].numpy().astype(np.float64)
+        reward = readings["reward"].cpu().numpy().astype(np.float64)
         terminated = np.zeros(self.num_envs, bool)
         if "terminated" in readings:
-            terminated = readings["terminated"].numpy().astype(bool) & ~waiting
+            terminated = readings["terminated"].cpu().numpy().astype(bool) & ~waiting
         reward[waiting] = 0.0
         truncated = self._elapsed >= self.max_episode_steps
         self._ended = ended = terminated | truncated
@@ -191,7 +200,7 @@ class GraphVectorEnv(VectorEnv):
             The readings by name, without the batch; not to be written into.
         """
         self._state, _ = self._runtime.step(self.state, self._command(action))
-        return {name: value.numpy()[0] for name, value in self._state.readings.items()}
+        return {name: value.cpu().numpy()[0] for name, value in self._state.readings.items()}
 
     def _restart(
         self, mask: np.ndarray | None, options: Mapping[str, Any] | None = None, new_traces: bool = False
@@ -245,8 +254,12 @@ class GraphVectorEnv(VectorEnv):
         return -math.inf, math.inf, ""
 
     def _delays(self, draws: Mapping[str, Tensor]) -> Delays:
-        """Delays (R,) [s] by connection key or node name, from what the traces have drawn."""
-        return {name: value.numpy() for name, value in draws.items()}
+        """Delays by connection key or node name, (R,) [s] or laws, from what the traces have drawn."""
+        numbers = {name: value.numpy() for name, value in draws.items()}
+        delays: dict[str, Any] = {name: value for name, value in numbers.items() if name in self._timed()}
+        for name, law in self._laws.items():
+            delays[name] = {key: numbers.get(f"{name}.{key}", value) for key, value in law.items()}
+        return delays
 
     def _parameters(self, drawn: Mapping[str, Tensor]) -> Mapping[str, Mapping[str, Tensor]]:
         """Parameters of every node, from what the environments have drawn."""
@@ -270,13 +283,13 @@ class GraphVectorEnv(VectorEnv):
 
     def _observation(self) -> np.ndarray:
         space = self.single_observation_space
-        return self.state.readings["observation"].numpy().astype(space.dtype)
+        return self.state.readings["observation"].cpu().numpy().astype(space.dtype)
 
     def _info(self) -> dict[str, Any]:
         info: dict[str, Any] = {}
         for name, value in self.state.readings.items():
             if name not in READINGS:
-                info |= {name: value.numpy(), f"_{name}": np.ones(self.num_envs, bool)}
+                info |= {name: value.cpu().numpy().copy(), f"_{name}": np.ones(self.num_envs, bool)}
         return info
 
     def _check_readings(self, state: RuntimeState) -> None:

@@ -146,6 +146,29 @@ def test_delays_and_parameters_are_drawn_anew_for_those_that_start_anew():
         np.testing.assert_allclose(delay, env.drawn["agent->counter"][b], atol=1e-9)
 
 
+def test_the_numbers_of_a_delay_law_may_be_drawn_too():
+    law = {"law": "uniform", "low": (0.0, 0.1), "high": 0.3}
+    env = GraphVectorEnv(
+        40,
+        counting_graph(),
+        ACTIONS,
+        OBSERVATIONS,
+        30,
+        {"counter": {"stride": 0.01}},
+        {"agent->counter": law},
+    )
+    env.reset(seed=0)
+    lows = env.drawn["agent->counter.low"]
+    assert lows.min() >= 0.0
+    assert np.ptp(lows) > 0.05
+    timing, edge = env.state.schedule.timing, 0
+    assert timing.layout.connections[edge] == "agent->counter"
+    for b in range(40):
+        sent, received = timing.messages_of(edge, int(env.state.row[b]))
+        first = (received - sent)[0] / timing.resolution  # later ones may have waited for those before
+        assert lows[b] - 1e-9 <= first <= 0.3 + 1e-9
+
+
 def test_more_environments_than_traces_share_them():
     env = GraphVectorEnv(
         50, counting_graph(), ACTIONS, OBSERVATIONS, LIMIT, {"counter": {"stride": 1.0}},
@@ -239,6 +262,9 @@ def test_a_supervisor_that_reads_too_little_is_refused(supervisor, message):
         ({"randomize": {"stride": (0, 1)}}, '"stride" is none of agent, agent->counter'),
         ({"randomize": {"agent->counter": (-0.1, 1)}}, "give .low, high. inside .0.0, inf"),
         ({"randomize": {"counter.stride": (2, 1)}}, "low, high"),
+        ({"randomize": {"counter": {"law": "uniform", "low": (0.1, 0.0), "high": 1.0}}}, "counter.low"),
+        ({"randomize": {"counter": {"law": "uniform", "low": (0.1, 2.0), "high": 1.0}}}, "uniform"),
+        ({"randomize": {"stride": {"law": "uniform", "low": 0.0, "high": 1.0}}}, '"stride" is none of'),
         ({"delay_traces": 0}, "delay_traces = 0"),
         ({"autoreset_mode": "sometimes"}, "sometimes"),
     ],
