@@ -116,6 +116,11 @@ class Body:
             self._early[name] = (dtype, expression)
         return self._known[key]
 
+    def quotient(self, a: str, b: str, dtype: torch.dtype) -> str:
+        """C++ of a / b; of what is known before the first step, the reciprocal is taken once."""
+        early = b in self._early and not (a in self._early or a.startswith("splat"))
+        return f"({a} * {self.emit(dtype, f'(1 / {b})')})" if early else f"({a} / {b})"
+
     def literal(self, number: float | bool, dtype: torch.dtype) -> str:
         """A constant as a lane vector."""
         return f"splat<{VECTORS[dtype]}>({_number(number, dtype)})"

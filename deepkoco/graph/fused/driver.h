@@ -106,6 +106,10 @@ static void blend_sized(char *to, const char *from, i64 count, i64 size, const i
 static void write(Block &b, const NodeInfo &n, const i32 *seq, const char *value) {
   const i64 bytes = n.count * n.size * W;
   char *ring = b.moving + n.ring;
+  if (b.uniform) {
+    memcpy(ring + (seq[0] & n.ring_mask) * bytes, value, bytes);
+    return;
+  }
   for (i32 q = 0; q <= n.ring_mask; q++) {
     i32 where[W];
     bool some = false, all = true;
@@ -120,18 +124,45 @@ static void write(Block &b, const NodeInfo &n, const i32 *seq, const char *value
   }
 }
 
-// Collect what node `n` sees at its steps `seq`.
-static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
+// Times of a message [s]; minus infinity of an initial output.
+INLINE void times_of(const Model &m, const EdgeInfo &e, i64 row, i32 message, double &sent, double &received) {
+  sent = received = -__builtin_inf();
+  if (message < 0) return;
+  const i64 step = row * m.step_columns + m.node[e.sender].step_base + message;
+  if (e.flags & 2) sent = seconds(m.t_end[step], m);
+  if (e.flags & 4) received = seconds(m.t_received[row * m.message_columns + e.message_base + message], m);
+}
+
+// Collect what node `n` sees at its step `seq`, the same in all lanes.
+static void look_together(const Block &b, const NodeInfo &n, i32 seq, View &v) {
   const Model &m = b.m;
-  const int lanes = b.uniform ? 1 : W;
+  const i64 row = b.row[0];
+  int j = 0;
+  if (n.flags & 1) v.times[0] = splat<VD>(seconds(m.t_start[row * m.step_columns + n.step_base + seq], m));
+  for (const EdgeInfo *e = m.edge + n.first_edge; e < m.edge + n.first_edge + n.edges; e++) {
+    const NodeInfo &s = m.node[e->sender];
+    const i32 *messages = m.windows + row * m.window_columns + e->window_base + i64(seq) * e->window;
+    for (i32 i = 0; i < e->window; i++, j++) {
+      v.data[j] = b.moving + s.ring + (messages[i] & s.ring_mask) * s.count * s.size * W;
+      if (!e->flags) continue;
+      double sent, received;
+      times_of(m, *e, row, messages[i], sent, received);
+      v.seq[j] = splat<VL>(i64(messages[i]));
+      v.times[1 + j] = splat<VD>(sent);
+      v.times[1 + PLACES + j] = splat<VD>(received);
+    }
+  }
+}
+
+// Collect what node `n` sees at the steps `seq` of the lanes.
+static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
+  if (b.uniform) return look_together(b, n, seq[0], v);
+  const Model &m = b.m;
   char *stage = v.stage;
   int j = 0;
   if (n.flags & 1)
-    for (int l = 0; l < lanes; l++) {
-      const double t = seconds(m.t_start[b.row[l] * m.step_columns + n.step_base + seq[l]], m);
-      if (b.uniform) v.times[0] = splat<VD>(t);
-      else put(v.times[0], l, t);
-    }
+    for (int l = 0; l < W; l++)
+      put(v.times[0], l, seconds(m.t_start[b.row[l] * m.step_columns + n.step_base + seq[l]], m));
   for (const EdgeInfo *e = m.edge + n.first_edge; e < m.edge + n.first_edge + n.edges; e++) {
     const NodeInfo &s = m.node[e->sender];
     const i64 bytes = s.count * s.size * W;
@@ -139,7 +170,7 @@ static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
     for (i32 i = 0; i < e->window; i++, j++) {
       i32 message[W], cell[W];
       bool same = true;
-      for (int l = 0; l < lanes; l++) {
+      for (int l = 0; l < W; l++) {
         message[l] = m.windows[b.row[l] * m.window_columns + e->window_base + i64(seq[l]) * e->window + i];
         cell[l] = message[l] & s.ring_mask;
         same &= cell[l] == cell[0];
@@ -150,30 +181,34 @@ static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
         v.data[j] = stage;
         stage += bytes;
       }
-      if (!e->flags) continue;
-      for (int l = 0; l < lanes; l++) {
-        const bool initial = message[l] < 0;
-        const double never = -__builtin_inf();
-        const i64 row = b.row[l];
-        double sent = never, received = never;
-        if (e->flags & 2 && !initial) sent = seconds(m.t_end[row * m.step_columns + s.step_base + message[l]], m);
-        if (e->flags & 4 && !initial)
-          received = seconds(m.t_received[row * m.message_columns + e->message_base + message[l]], m);
-        if (b.uniform) {
-          v.seq[j] = splat<VL>(i64(message[l]));
-          v.times[1 + j] = splat<VD>(sent);
-          v.times[1 + PLACES + j] = splat<VD>(received);
-        } else {
-          put(v.seq[j], l, message[l]);
-          put(v.times[1 + j], l, sent);
-          put(v.times[1 + PLACES + j], l, received);
-        }
+      for (int l = 0; l < W && e->flags; l++) {
+        double sent, received;
+        times_of(m, *e, b.row[l], message[l], sent, received);
+        put(v.seq[j], l, message[l]);
+        put(v.times[1 + j], l, sent);
+        put(v.times[1 + PLACES + j], l, received);
       }
     }
   }
 }
 
-static void run_node(Block &b, int index, const i32 *seq, const char *H, View &v) {
+// All lanes run step `seq` of a node: nothing is masked or copied.
+static void run_together(Block &b, int index, i32 seq, const char *H, View &v) {
+  const NodeInfo &n = b.m.node[index];
+  char *state = b.moving + n.state;
+  char *output = b.moving + n.ring + (seq & n.ring_mask) * n.count * n.size * W;
+  look_together(b, n, seq, v);
+  if (!(n.flags & 2)) {
+    BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, state, output, b.m.constants);
+    return;
+  }
+  char new_state[STATE * W];
+  BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, new_state, output, b.m.constants);
+  memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
+}
+
+// Some lanes run steps `seq` of a node, the others (-1) keep what they had.
+static void run_masked(Block &b, int index, const i32 *seq, const char *H, View &v) {
   const NodeInfo &n = b.m.node[index];
   const i64 bytes = n.count * n.size * W, state_bytes = (8 * n.n8 + 4 * n.n4 + n.n1) * W;
   char *state = b.moving + n.state, *ring = b.moving + n.ring;
@@ -203,23 +238,23 @@ static void run_node(Block &b, int index, const i32 *seq, const char *H, View &v
 }
 
 // Everything before the supervisor step at which each lane is, then what the supervisor reads there.
-static void run_slots(Block &b, const char *H, const char *action, View &v) {
+static void run_slots(Block &b, const char *H, const char *action, View &v, bool observes) {
   const Model &m = b.m;
   for (i64 s = 0; s < m.slots; s++) {
+    if (b.uniform) {
+      const i32 seq = seq_at(m, b.row[0], b.step[0], s);
+      if (seq >= 0) run_together(b, m.slot[s], seq, H, v);
+      continue;
+    }
     i32 seq[W];
     bool some = false;
-    if (b.uniform) {
-      const i32 q = seq_at(m, b.row[0], b.step[0], s);
-      for (int l = 0; l < W; l++) seq[l] = q;
-      some = q >= 0;
-    } else
-      for (int l = 0; l < W; l++) {
-        seq[l] = seq_at(m, b.row[l], b.step[l], s);
-        some |= seq[l] >= 0;
-      }
-    if (some) run_node(b, m.slot[s], seq, H, v);
+    for (int l = 0; l < W; l++) {
+      seq[l] = seq_at(m, b.row[l], b.step[l], s);
+      some |= seq[l] >= 0;
+    }
+    if (some) run_masked(b, m.slot[s], seq, H, v);
   }
-  if (!OBSERVES) return;
+  if (!OBSERVES || !observes) return;
   const NodeInfo &n = m.node[m.supervisor];
   look(b, n, b.step, v);
   char new_state[STATE * W];
@@ -276,6 +311,8 @@ extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, 
   if (spent >= 0) return spent;
   const NodeInfo &n = m.node[m.supervisor];
   const i64 bytes = n.count * n.size;
+  // Readings that nobody sees and that leave nothing behind are worked out at the last step only.
+  const bool seen = r.policy || r.outputs || n.n8 || n.n4 || n.n1;
   View v;
   char H[HOISTED * W];
   char action[ACTION * W];
@@ -296,7 +333,7 @@ extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, 
       if (r.out_actions) scatter(environment, action, n.count, n.size, r.out_actions + t * m.batch * bytes);
       write(b, n, b.step, action);
       for (int l = 0; l < W; l++) b.step[l]++;
-      run_slots(b, H, action, v);
+      run_slots(b, H, action, v, seen || t == r.steps - 1);
       for (i64 k = 0; k < r.outputs; k++)
         scatter(environment, moving + m.readings + r.reading_offset[k] * W, r.reading_count[k], r.reading_size[k],
                 r.out_readings[k] + t * m.batch * r.reading_count[k] * r.reading_size[k]);
@@ -325,6 +362,6 @@ extern "C" void start(const Model *model, const char *fixed, char *moving) {
     const char *own = fixed + block * m.fixed_bytes;
     Block b = open_block(m, own, moving + block * m.moving_bytes);
     prologue(own, H);
-    run_slots(b, H, b.moving + m.node[m.supervisor].ring, v);
+    run_slots(b, H, b.moving + m.node[m.supervisor].ring, v, true);
   }
 }

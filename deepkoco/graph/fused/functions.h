@@ -42,12 +42,15 @@ template <class V> INLINE V sign_(V a) {
 template <class V> struct Limits;
 template <> struct Limits<VF> {
   static constexpr float whole = 8388608.0f; // from here on every number is whole
+  static constexpr float shift = 12582912.0f; // added to a small number, leaves it rounded in the last bits
   static constexpr float turns = 8192.0f;    // largest angle whose reduction is exact to the last bits [rad]
 };
 template <> struct Limits<VD> {
   static constexpr double whole = 4503599627370496.0;
+  static constexpr double shift = 6755399441055744.0;
   static constexpr double turns = 1e6;
 };
+template <class V> INLINE V whole_number(V a) { return (a + Limits<V>::shift) - Limits<V>::shift; } // if small
 template <class V> INLINE V rint_(V a) { // to the nearest, halves to even
   const V whole = splat<V>(Limits<V>::whole);
   const V size = abs_(a);
@@ -99,50 +102,46 @@ template <class V, class T, int N> INLINE V horner(V x, const T (&c)[N]) {
   for (int i = 1; i < N; i++) r = r * x + c[i];
   return r;
 }
-INLINE VF sine_series(VF x) {
-  static constexpr float c[] = {1.0f / 362880, -1.0f / 5040, 1.0f / 120, -1.0f / 6};
+INLINE VF sine_series(VF x) { // |x| <= pi / 2
+  static constexpr float c[] = {1.0f / 6227020800, -1.0f / 39916800, 1.0f / 362880,
+                                -1.0f / 5040,      1.0f / 120,       -1.0f / 6};
   const VF y = x * x;
   return x + x * y * horner(y, c);
-}
-INLINE VF cosine_series(VF x) {
-  static constexpr float c[] = {-1.0f / 3628800, 1.0f / 40320, -1.0f / 720, 1.0f / 24, -0.5f};
-  const VF y = x * x;
-  return 1 + y * horner(y, c);
 }
 INLINE VD sine_series(VD x) {
-  static constexpr double c[] = {-1.0 / 1307674368000, 1.0 / 6227020800, -1.0 / 39916800, 1.0 / 362880,
-                                 -1.0 / 5040,          1.0 / 120,        -1.0 / 6};
+  static constexpr double c[] = {-1.0 / 25852016738884976640000.0, 1.0 / 51090942171709440000.0,
+                                 -1.0 / 121645100408832000.0,      1.0 / 355687428096000.0,
+                                 -1.0 / 1307674368000.0,           1.0 / 6227020800.0,
+                                 -1.0 / 39916800,                  1.0 / 362880,
+                                 -1.0 / 5040,                      1.0 / 120,
+                                 -1.0 / 6};
   const VD y = x * x;
   return x + x * y * horner(y, c);
 }
-INLINE VD cosine_series(VD x) {
-  static constexpr double c[] = {1.0 / 20922789888000, -1.0 / 87178291200, 1.0 / 479001600, -1.0 / 3628800,
-                                 1.0 / 40320,          -1.0 / 720,         1.0 / 24,        -0.5};
-  const VD y = x * x;
-  return 1 + y * horner(y, c);
-}
-// pi/2 in three parts; the first ones have zeros at the end, so that their products with a quadrant are exact.
-INLINE VF reduced(VF a, VF q) {
-  return ((a - q * 0x1.92p+0f) - q * 0x1.fb4p-12f) - q * 0x1.4442d2p-24f;
-}
+// pi in three parts; the first ones have zeros at the end, so that their products with a number of half turns
+// are exact.
+INLINE VF reduced(VF a, VF q) { return ((a - q * 0x1.92p+1f) - q * 0x1.fb4p-11f) - q * 0x1.4442d2p-23f; }
 INLINE VD reduced(VD a, VD q) {
-  return ((a - q * 0x1.921fb544p+0) - q * 0x1.0b4611a6p-34) - q * 0x1.3198a2e037073p-69;
+  return ((a - q * 0x1.921fb544p+1) - q * 0x1.0b4611a6p-33) - q * 0x1.3198a2e037073p-68;
 }
-template <class V> INLINE V circle(V a, int quarter) {
-  if (any(~lt(abs_(a), splat<V>(Limits<V>::turns)))) {
-    if (quarter) return each(a, [](auto x) { return std::cos(x); });
-    return each(a, [](auto x) { return std::sin(x); });
-  }
-  const V q = rint_(a * typename Of<V>::T(0.63661977236758134308));
-  const V r = reduced(a, q);
-  const auto n = cvt<typename Of<V>::I>(q) + quarter;
-  const V s = sine_series(r), c = cosine_series(r);
-  const typename Of<V>::I zero = splat<typename Of<V>::I>(0);
-  const V chosen = sel(ne(n & 1, zero), c, s);
-  return sel(ne(n & 2, zero), -chosen, chosen);
+INLINE VF odd_sign(VF shifted) { return from_bits<VF>(bits(shifted) << 31); } // -0 for odd numbers
+INLINE VD odd_sign(VD shifted) { return from_bits<VD>(bits(shifted) << 63); }
+template <class V> INLINE V flip(V a, V sign) { return from_bits<V>(bits(a) ^ bits(sign)); }
+// sin(r + n pi) = (-1)^n sin(r)
+template <class V> INLINE V sin_(V a) {
+  typedef typename Of<V>::T T;
+  if (any(~lt(abs_(a), splat<V>(Limits<V>::turns)))) return each(a, [](T x) { return std::sin(x); });
+  const V shifted = a * T(0.31830988618379067154) + Limits<V>::shift;
+  return flip(sine_series(reduced(a, shifted - Limits<V>::shift)), odd_sign(shifted));
 }
-template <class V> INLINE V sin_(V a) { return circle(a, 0); }
-template <class V> INLINE V cos_(V a) { return circle(a, 1); }
+// cos(r + (n + 1/2) pi) = -(-1)^n sin(r)
+template <class V> INLINE V cos_(V a) {
+  typedef typename Of<V>::T T;
+  if (any(~lt(abs_(a), splat<V>(Limits<V>::turns)))) return each(a, [](T x) { return std::cos(x); });
+  const V shifted = (a * T(0.31830988618379067154) - T(0.5)) + Limits<V>::shift;
+  const V r = reduced(a, (shifted - Limits<V>::shift) + T(0.5));
+  return flip(sine_series(-r), odd_sign(shifted));
+}
 
 // e^r - 1 for |r| <= ln(2) / 2
 INLINE VF small_exponential(VF r) {
@@ -166,24 +165,25 @@ template <class V> INLINE V exp_(V a) {
   typedef typename Of<V>::T T;
   const V high = splat<V>(Exponential<V>::high), low = splat<V>(Exponential<V>::low);
   const V x = sel(lt(high, a), high, sel(lt(a, low), low, a));
-  const V n = rint_(x * T(1.4426950408889634));
-  const V half = rint_(n * T(0.5)); // in two steps: 2^n alone may be out of range where e^x is not
+  const V n = whole_number(x * T(1.4426950408889634));
+  const V half = whole_number(n * T(0.5)); // in two steps: 2^n alone may be out of range where e^x is not
   const V r = (1 + small_exponential(without_powers(x, n))) * power_of_two(half) * power_of_two(n - half);
   return sel(ne(a, a), a, r);
 }
 template <class V> INLINE V expm1_(V a) {
   typedef typename Of<V>::T T;
-  const V n = rint_(a * T(1.4426950408889634));
-  const V scale = power_of_two(n);
-  const V r = scale * small_exponential(without_powers(a, n)) + (scale - 1);
   const V limit = splat<V>(Exponential<V>::one * 2);
+  const V x = sel(lt(abs_(a), limit), a, splat<V>(0));
+  const V n = whole_number(x * T(1.4426950408889634));
+  const V scale = power_of_two(n);
+  const V r = scale * small_exponential(without_powers(x, n)) + (scale - 1);
   return sel(lt(abs_(a), limit), r, exp_(a) - 1);
 }
 template <class V> INLINE V tanh_(V a) {
   typedef typename Of<V>::T T;
   const V limit = splat<V>(Exponential<V>::one), size = abs_(a);
   const V x = 2 * sel(lt(size, limit), size, limit);
-  const V n = rint_(x * T(1.4426950408889634));
+  const V n = whole_number(x * T(1.4426950408889634));
   const V scale = power_of_two(n);
   const V e = scale * small_exponential(without_powers(x, n)) + (scale - 1);
   return sel(ne(a, a), a, with_sign(e / (e + 2), a));

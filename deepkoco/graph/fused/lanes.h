@@ -121,10 +121,18 @@ template <class V> INLINE V ld(const char *p, i64 i) { return Memory<V>::load(p,
 template <class V> INLINE void st(char *p, i64 i, V v) { Memory<V>::store(p, i, v); }
 
 INLINE bool any(VB a) {
+#if W == 1
+  return a.m;
+#elif W == 8 && defined(__AVX__)
+  return __builtin_ia32_movmskps256(from_bits<VF>(a.m));
+#elif W == 16 && defined(__AVX512DQ__)
+  return __builtin_ia32_cvtd2mask512(a.m);
+#else
   i32 t[W], r = 0;
   memcpy(t, &a.m, sizeof t);
   for (int l = 0; l < W; l++) r |= t[l];
   return r != 0;
+#endif
 }
 
 template <class V> struct Lane { typedef typename Of<V>::T T; };

@@ -296,7 +296,9 @@ def _sum(body: Body, call: Call, x: Any, y: Any, sign: str, alpha: float) -> Val
 def _div(body: Body, call: Call, x: Any, y: Any, rounding_mode: str | None = None) -> Value:
     dtype = supported(call.outputs[0].example.dtype)
     _, operands = _common(body, call, x, y)
-    template = {None: "({0} / {1})", "floor": "floordiv_({0}, {1})", "trunc": "trunc_({0} / {1})"}
+    template = {"floor": "floordiv_({0}, {1})", "trunc": "trunc_({0} / {1})"}
+    if rounding_mode is None:
+        return body.pointwise(operands, dtype, lambda a, b: body.quotient(a, b, dtype), dtype)
     return body.pointwise(operands, dtype, lambda a, b: template[rounding_mode].format(a, b), dtype)
 
 

@@ -24,7 +24,8 @@ def elementary(x: Tensor) -> Tensor:
     functions = (
         torch.sin, torch.cos, torch.tanh, torch.exp, torch.expm1, torch.log, torch.log1p, torch.sqrt, torch.abs,
         torch.floor, torch.ceil, torch.round, torch.trunc, torch.sign, torch.sigmoid, torch.relu, torch.square,
-        torch.atan, torch.erf, F.softplus, F.elu, F.leaky_relu, F.silu, lambda x: F.gelu(x.clamp(-9, 9)), F.hardtanh, torch.neg,
+        torch.atan, torch.erf, F.softplus, F.elu, F.leaky_relu, F.silu, F.hardtanh, torch.neg,
+        lambda x: F.gelu(x.clamp(-9, 9)),
         lambda x: x**3, lambda x: x**0.5, lambda x: x**2.5, lambda x: 2.0 - x, lambda x: x.clamp(-1, 2),
         lambda x: x.clamp(min=0.25), lambda x: torch.remainder(x, 2.0), lambda x: torch.remainder(x, -0.7),
         lambda x: torch.fmod(x, 0.7), lambda x: torch.where(x > 0.5, x, 1.0), lambda x: x.isnan().to(x.dtype),
