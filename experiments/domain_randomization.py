@@ -41,7 +41,7 @@ STUDY = Study(
                     "sensing_delay": {"delay": {"mean": 0.03, "sd": 0.005}},
                 },
             },
-            steps=24_000,
+            steps=48_000,
             updates_every=2,
         ),
         "pendulum": Bench(
@@ -58,7 +58,7 @@ STUDY = Study(
                     "sensing_delay": {"delay": {"mean": 0.014, "sd": 0.003}},
                 },
             },
-            steps=20_000,
+            steps=60_000,
             updates_every=2,
             gamma=0.99,
         ),
