@@ -71,7 +71,9 @@ def grow(parts: Partitions, slots: np.ndarray) -> np.ndarray:
     Returns:
         (L',) kinds of the slots, the given ones in their order among them.
     """
-    room = _with_room(np.asarray(slots, np.int32), 2 * parts.kinds + len(slots))
+    if len(slots) > MOST:
+        raise ValueError(f"{len(slots)} slots are more than {MOST}")
+    room = _with_room(np.asarray(slots, np.int32), min(2 * parts.kinds + len(slots), MOST - len(slots)))
     size = len(slots)
     while True:
         next_slot = np.empty((len(room) + 1, parts.kinds), np.int16)

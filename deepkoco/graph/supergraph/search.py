@@ -15,6 +15,7 @@ from numba import njit
 
 from deepkoco.graph.supergraph.embedding import (
     LONGEST,
+    MOST,
     embed_episode,
     fill_next,
     grow,
@@ -106,7 +107,7 @@ def add_hardest(parts, pass_base, pass_first, windows):
 
 @njit(cache=True)
 def _search(parts, best, bound, pass_base, pass_first, windows, budget, generator):
-    room = 2 * len(best) + 2 * parts.kinds
+    room = min(2 * len(best) + 2 * parts.kinds, MOST)
     next_slot = np.empty((room + 1, parts.kinds), np.int16)
     slots, spare = np.empty(room, np.int32), np.empty(room, np.int32)
     use, late = np.empty(room, np.int64), np.empty(len(windows.late), np.int64)
