@@ -112,7 +112,9 @@ class GraphVectorEnv(VectorEnv):
         self._action_type = supervisor.initial_action.numpy().dtype
         self._generator = torch.Generator()
         self._quiet = executor == "auto"
-        self._runtime = BatchedRuntime(graph, executor="fused" if executor == "auto" else executor)
+        if executor == "auto":
+            executor = "fused" if all(node.pure for node in graph.nodes) else "eager"
+        self._runtime = BatchedRuntime(graph, executor=executor)
         self._state: RuntimeState | None = None
         self._drawn: dict[str, Tensor] = {}
         self._elapsed = np.zeros(num_envs, np.int64)

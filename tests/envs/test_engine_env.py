@@ -4,11 +4,13 @@ import warnings
 
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
 
 from deepkoco.engines import UnitEngine
 from deepkoco.envs.delay_env import DelayGraphEnv
 from deepkoco.envs.engine_env import EngineEnv
+from deepkoco.envs.graph_env import GraphEnv
 from deepkoco.graph import HorizonError
 from deepkoco.unit import make_unit
 
@@ -41,6 +43,19 @@ def test_in_mujoco_the_episode_is_the_same():
     both = (roll(EngineEnv(engine=engine, **DELAYS), **START) for engine in ("ode", "mujoco"))
     for ours, theirs in zip(*both, strict=True):
         np.testing.assert_allclose(theirs, ours, atol=1e-4)
+
+
+def test_a_machine_that_is_held_also_runs_in_the_environment_of_a_graph():
+    pytest.importorskip("mujoco")
+    env = EngineEnv(engine="mujoco", **DELAYS)
+    nominal = env.system.default_parameters() | {"start": torch.tensor(START["initial_state"])}
+    same = GraphEnv(env.graph, env.action_space, env.observation_space, parameters={"world": nominal})
+    same.reset(seed=0)
+    env.reset(seed=0, options=START)
+    for action in ACTIONS:
+        ours, theirs = env.step(action), same.step(action * env.action_scale)
+        np.testing.assert_array_equal(ours[0], theirs[0])
+        assert ours[1] == theirs[1]
 
 
 def test_on_a_unit_the_agent_sees_measurements():

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from counting import ACTIONS, OBSERVATIONS, counting_graph
+from counting import ACTIONS, OBSERVATIONS, Counter, CountingAgent, counting_graph
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
@@ -214,6 +214,33 @@ def test_an_action_in_vain_does_not_use_up_the_episode():
         _, _, terminated, truncated, _ = env.step(np.full((4, 1), 0.01))
         ends += terminated | truncated
     assert (ends == 4).all()
+
+
+class Branching(Counter):
+    """Decides on a number, which no compiled kernel can."""
+
+    def step(self, parameters, state, inputs):
+        if float(inputs["agent"].data.sum()) > 1e6:
+            raise ArithmeticError
+        return super().step(parameters, state, inputs)
+
+
+def test_what_cannot_be_compiled_runs_all_the_same():
+    graph = counting_graph()
+    branching = Graph([Branching("counter", 10), CountingAgent()], graph.connections)
+    options = {"parameters": {"counter": {"stride": 2.0}}}
+    both = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for own in (graph, branching):
+            env = GraphEnv(own, ACTIONS, OBSERVATIONS, **options)
+            env.reset(seed=0)
+            both.append([env.step(np.array([0.5]))[:3] for _ in range(4)])
+            names = env.batch.executor
+    assert names == "eager"
+    np.testing.assert_array_equal([s[0] for s in both[0]], [s[0] for s in both[1]])
+    with pytest.warns(RuntimeWarning, match="eager"):
+        GraphEnv(branching, ACTIONS, OBSERVATIONS, executor="fused", **options).reset(seed=0)
 
 
 def test_gymnasiums_wrappers_count_the_episodes():
