@@ -99,7 +99,7 @@ def make_parameters() -> dict[str, dict[str, Tensor]]:
     return {"world": {name: value.to(torch.float32) for name, value in values.items()}}
 
 
-def make_policy() -> nn.Module:
+def make_policy() -> nn.Sequential:
     """Two layers of tanh units with weights from a fixed seed."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

@@ -1,7 +1,7 @@
 """Kernels: compiled graphs, and the tables that a schedule gives them."""
 
 import ctypes
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from torch import Tensor
@@ -105,7 +105,7 @@ class Binding:
             sizes = [dt.itemsize * int(np.prod(s, dtype=_i64)) for dt, s in [program.output]]
             cells = 1 << (int(schedule.depth[n]) - 1).bit_length()
             self.rings[item.name] = Ring(end, cells)
-            counts = dict.fromkeys((8, 4, 1), 0)
+            counts: dict[int, int] = {8: 0, 4: 0, 1: 0}
             for key, (kind, form) in program.state.items():
                 if key not in program.constant:
                     counts[kind.itemsize] += int(np.prod(form, dtype=_i64))
@@ -170,8 +170,8 @@ class Binding:
         )
         self.model = ctypes.addressof(self.struct)
         dtype, shape = kernel.programs[layout.supervisor].output
-        self.readings = {
-            name: replace(field, offset=field.offset + source.reading_start)
+        self.readings: dict[str, Field] = {
+            name: Field(field.dtype, field.shape, field.offset + source.reading_start)
             for name, field in source.readings.items()
         }
         self.input_names = tuple(str(c.name) for c in graph.inputs_of(graph.supervisor))
@@ -185,7 +185,7 @@ class Binding:
                 (field, 1)
                 for field in (
                     NUMBER,
-                    replace(NUMBER, offset=4),
+                    Field(NUMBER.dtype, (), 4),
                     *source.parameters.values(),
                     *source.fixed.values(),
                 )

@@ -1,6 +1,7 @@
 """Memory whose address is known without asking numpy, which takes longer than a step of one environment."""
 
 import ctypes
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -32,7 +33,8 @@ class Memory:
 
     def view(self, dtype: type | np.dtype, count: int = -1, offset: int = 0) -> np.ndarray:
         """Numbers (count,) from an offset [bytes]."""
-        return np.frombuffer(self._bytes if self._array is None else self._array, dtype, count, offset)
+        own: Any = self._bytes if self._array is None else self._array
+        return np.frombuffer(own, dtype, count, offset)
 
     def rows(self, count: int) -> np.ndarray:
         """All bytes as (count, ...) uint8."""
@@ -44,5 +46,6 @@ def address(array: np.ndarray | Tensor) -> int:
     if isinstance(array, Tensor):
         return array.data_ptr()
     if array.flags.writeable and array.size:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        own: Any = array
+        return ctypes.addressof(ctypes.c_char.from_buffer(own))
     return array.ctypes.data

@@ -7,6 +7,7 @@ large numbers come first, so that everything is aligned to its own size.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ NUMPY = {
     torch.int32: np.int32,
     torch.bool: np.bool_,
 }
+Key = TypeVar("Key")
 Spec = tuple[torch.dtype, tuple[int, ...]]
 """Type of a tensor and its shape without the batch."""
 
@@ -50,7 +52,7 @@ NUMBER = Field(torch.int32, (), 0)
 """What a record begins with: the step in the moving one, the environment in the fixed one."""
 
 
-def lay_out(specs: Mapping[str, Spec], start: int = 0) -> tuple[dict[str, Field], int]:
+def lay_out(specs: Mapping[Key, Spec], start: int = 0) -> tuple[dict[Key, Field], int]:
     """Place tensors one after the other, those of large numbers first; return the fields and the end."""
     fields, offset = {}, start
     for name, (dtype, shape) in sorted(specs.items(), key=lambda item: -item[1][0].itemsize):

@@ -45,7 +45,10 @@ class FusedState(RuntimeState):
         fixed, moving: records of the blocks; `fixed` is shared by all states of an episode.
     """
 
-    __setattr__ = object.__setattr__
+    binding: Binding
+    place: Place
+    fixed: Memory
+    moving: Memory
 
     def __init__(
         self,
@@ -56,15 +59,13 @@ class FusedState(RuntimeState):
         fixed: Memory,
         moving: Memory,
     ) -> None:
-        self.binding, self.place, self.row, self.parameters = binding, place, row, parameters
-        self.schedule = binding.schedule
-        self.fixed, self.moving = fixed, moving
+        self.__dict__.update(binding=binding, place=place, row=row, parameters=parameters)
+        self.__dict__.update(schedule=binding.schedule, fixed=fixed, moving=moving)
 
     def after(self, moving: Memory) -> "FusedState":
         """The same environments with other moving records."""
         state = object.__new__(FusedState)
-        state.__dict__.update(self.__dict__)
-        state.moving = moving
+        state.__dict__.update(self.__dict__, moving=moving)
         return state
 
     @property

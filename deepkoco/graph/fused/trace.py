@@ -83,7 +83,7 @@ def trace(
     return Trace(
         recorder.inputs,
         tuple(recorder.calls),
-        {name: recorder.refs.get(id(value), value) for name, value in outputs.items()},
+        {name: recorder.refs.get(id(value)) or value for name, value in outputs.items()},
     )
 
 
