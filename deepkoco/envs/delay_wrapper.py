@@ -11,14 +11,14 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
-from deepkoco.envs.delay_line import (
-    DelayLine,
+from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
     read_sensing,
     seeded,
     step_rate,
 )
+from deepkoco.envs.delay_line import DelayLine
 from deepkoco.graph import make_delay
 from deepkoco.graph.delay import exact_fraction
 

@@ -12,14 +12,14 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
-from deepkoco.envs.delay_line import (
-    DelayLine,
+from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
     read_sensing,
     seeded,
     step_rate,
 )
+from deepkoco.envs.delay_line import DelayLine
 from deepkoco.envs.delay_wrapper import first_action, with_history
 from deepkoco.graph import make_delay
 from deepkoco.graph.delay import exact_fraction

@@ -11,7 +11,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 
-from deepkoco.envs.delay_line import DelayLine, DelayWrapperError
+from deepkoco.envs.delay_arguments import DelayWrapperError
+from deepkoco.envs.delay_line import DelayLine
 from deepkoco.envs.delay_wrapper import DelayWrapper
 from deepkoco.envs.vector_delay_wrapper import VectorDelayWrapper
 from deepkoco.graph import make_delay
