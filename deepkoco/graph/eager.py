@@ -141,8 +141,8 @@ class EagerExecutor:
         row, step = state.row, state.step
         if (row == row[0]).all() and (step == step[0]).all():
             row, step = row[:1], step[:1]  # one order for all: look it up once
-        table = state.schedule.table[row, step].astype(np.int64)
-        running: np.ndarray = np.greater_equal(table, 0)
+        table: Any = state.schedule.table[row, step].astype(np.int64)
+        running = table >= 0
         some, every = running.any(axis=0).tolist(), running.all(axis=0).tolist()
         for slot, position in enumerate(state.schedule.slots.tolist()):
             if not some[slot]:

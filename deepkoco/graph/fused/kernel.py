@@ -134,14 +134,6 @@ class Binding:
             end += -(-cells * sizes[0] // 8) * 8
         self.node, self.edge = node, np.array(edges, dtype=EDGE)
         self.fixed_size, self.moving_size = source.fixed_size, end
-        self.readings = np.dtype(
-            {
-                "names": list(source.readings),
-                "formats": [(NUMPY[field.dtype], field.shape) for field in source.readings.values()],
-                "offsets": [source.reading_start + field.offset for field in source.readings.values()],
-                "itemsize": end,
-            }
-        )
         tables = schedule.tables
         self._kept = (tables, source.constants)  # the pointers below point into these
         self.struct = Model(
