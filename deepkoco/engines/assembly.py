@@ -14,6 +14,7 @@ from deepkoco.engines.simulated import MujocoEngine, OdeEngine
 from deepkoco.engines.unit import UnitEngine
 from deepkoco.graph import Connection, Delay, Graph, Supervisor, make_delay
 
+HOP = 2e-3  # what a message is expected to take between processes [s]
 ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (OdeEngine, MujocoEngine, UnitEngine)}
 
 
@@ -37,7 +38,8 @@ def make_graph(
         agent: The supervisor; None: one that takes actions and reads nothing.
         control_rate: Its rate, where none is given [Hz].
         actuation_delay: From the agent to the world [s]. A unit's own delays come on top.
-        sensing_delay: From the sensor to the agent [s], likewise.
+        sensing_delay: From the sensor to the agent [s], likewise. In real time, where messages take what they
+            take, delays only say when the agent looks first: not before it can have been sent a measurement.
 
     Raises:
         EngineError: The object or the engine is not known, or they do not go together.
@@ -46,11 +48,12 @@ def make_graph(
     if agent is None:
         agent = Supervisor("agent", control_rate, initial_action=torch.zeros(1, dtype=torch.float64))
     world, sensor = maker.nodes(robot.dynamics)
-    actuation, rate = make_delay(actuation_delay), float(agent.rate)
+    actuation, sensing, rate = make_delay(actuation_delay), make_delay(sensing_delay), float(agent.rate)
+    hop = make_delay(HOP if maker.real_time else 0.0)
     connections = [
-        Connection("world", "sensor"),
-        Connection("world", agent.name, name="truth"),
-        Connection("sensor", agent.name, delay=make_delay(sensing_delay)),
+        Connection("world", "sensor", delay=hop),
+        Connection("world", agent.name, delay=hop, name="truth"),
+        Connection("sensor", agent.name, delay=max(sensing, hop, key=lambda law: law.mean)),
         Connection(
             agent.name,
             "world",
