@@ -1,0 +1,108 @@
+"""Everything about the speed of the graph, against its peers: `python -m experiments.graph_benchmark [--out FOLDER]`.
+
+Runs the benchmarks one after the other, each ours and the peer's in turn on the same work, keeps what each
+prints beside its CSV, and writes a README that says where the figures come from. `scripts/peers.sh` installs
+the peers. A benchmark that is done is skipped, so an interrupted run goes on where it was; delete its text
+file to repeat it. On two cores all of it takes about two hours, most of them in the peers' searches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from experiments.provenance import as_markdown
+
+BATCHES = ("1", "16", "64", "256", "1024", "4096", "16384")
+
+
+def benchmarks(folder: Path) -> dict[str, tuple[str, list[str]]]:
+    """Title and module with arguments of each benchmark, by the name of its text file."""
+    return {
+        "rollout": (
+            "Rollouts against REX: agent steps per second, start-up, population",
+            ["experiments.rollout_speed", "--batch", *BATCHES, "--peer", "--start-up", "--population",
+             "--out", str(folder / "rollout.csv")],
+        ),
+        "memory": (
+            "Memory of an environment",
+            ["experiments.environment_memory", "--out", str(folder / "memory.csv")],
+        ),
+        "single_environment": (
+            "One environment through Gymnasium, against Pendulum-v1 and EAGERx",
+            ["experiments.single_environment", "--peer", "--out", str(folder / "single_environment.csv")],
+        ),
+        "large_graph": ("A hundred nodes, 256 environments", ["experiments.large_graph"]),
+        "supergraph": (
+            "Supergraphs against the peer package",
+            ["experiments.supergraph_efficiency", "--table", "--output", str(folder / "supergraph")],
+        ),
+    }  # fmt: skip
+
+
+def run(console: Console, module: list[str], text: Path) -> bool:
+    """Run one benchmark, show what it prints and keep it in a file once it has succeeded."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    partial = text.with_name(f".{text.name}.partial")
+    with partial.open("w", encoding="utf-8") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", *module], env=environment, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout is not None
+        for line in process.stdout:
+            console.print(line, end="", markup=False, highlight=False)
+            file.write(line)
+    if process.wait() != 0:
+        partial.unlink()
+        return False
+    os.replace(partial, text)
+    return True
+
+
+def write_readme(folder: Path) -> None:
+    """Collect what the benchmarks printed, with the versions and the machine."""
+    parts = ["# The delay graph: speed and size, against its peers", ""]
+    parts += ["Made by `make bench`. Beside each table lies the CSV of every single measurement.", ""]
+    for name, (title, module) in benchmarks(Path("results/graph")).items():
+        text = folder / f"{name}.txt"
+        if text.exists():
+            command = f"python -m {' '.join(module)}"
+            parts += [f"## {title}", "", f"`{command}`", "", "```", text.read_text().rstrip(), "```", ""]
+    parts += ["## Made with", "", as_markdown(), ""]
+    partial = folder / ".README.md.partial"
+    partial.write_text("\n".join(parts), encoding="utf-8")
+    os.replace(partial, folder / "BENCHMARK.md")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m experiments.graph_benchmark", description=__doc__)
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/graph_benchmark"), help="folder to write or go on in"
+    )
+    parser.add_argument("--only", nargs="+", choices=tuple(benchmarks(Path())), help="run these alone")
+    options = parser.parse_args(arguments)
+    folder: Path = options.out
+    folder.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    failed = []
+    for name, (title, module) in benchmarks(folder).items():
+        text = folder / f"{name}.txt"
+        if (options.only and name not in options.only) or text.exists():
+            continue
+        console.rule(title)
+        if not run(console, module, text):
+            failed.append(name)
+    write_readme(folder)
+    if failed:
+        console.print(f"failed: {', '.join(failed)}; run the command above to see why", style="red")
+    console.print(f"{folder / 'BENCHMARK.md'}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
