@@ -1,5 +1,8 @@
 """Nodes, delays, timing and execution of robot simulations, and recordings of what happened."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.delay import (
@@ -25,11 +28,33 @@ from deepkoco.graph.episode import Episode, Note, record_episodes, replay_episod
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
 from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, SimulatedRuntime, WallClockRuntime
-from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
 from deepkoco.graph.replay import MeasuredTiming, replay_timing
 from deepkoco.graph.runtime import BatchedRuntime, HorizonError, RuntimeState
-from deepkoco.graph.storage import EpisodeFileError, EpisodeWriter, RecordedRun, read_episodes, write_episodes
 from deepkoco.graph.timing import TimingError, draw_timing, extend_timing
+
+if TYPE_CHECKING:
+    from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
+    from deepkoco.graph.storage import (
+        EpisodeFileError,
+        EpisodeWriter,
+        RecordedRun,
+        read_episodes,
+        write_episodes,
+    )
+
+# Imported when they are asked for: they need pandas, which takes longer to import than a graph to start.
+_LATER = {
+    **dict.fromkeys(("LogError", "Recording", "Series", "read_log", "write_log"), "recording"),
+    **dict.fromkeys(("EpisodeFileError", "EpisodeWriter", "RecordedRun"), "storage"),
+    **dict.fromkeys(("read_episodes", "write_episodes"), "storage"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+
 
 __all__ = [
     "Autoregressive",

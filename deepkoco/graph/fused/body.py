@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -189,7 +190,7 @@ class Body:
             shape: of the result, if more than that of the operands.
         """
         types = compute_each or [compute] * len(values)
-        shape = tuple(torch.broadcast_shapes(*(v.shape for v in values), *([shape] if shape else [])))
+        shape = tuple(np.broadcast_shapes(*(v.shape for v in values), *([shape] if shape else [])))
         small = math.prod(shape) <= REGISTERS
         if small:
             columns = [

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 
 from deepkoco.graph.fused.body import VECTORS, Array, Body, Value, loops_over, position, supported
@@ -80,7 +81,7 @@ def _index(body: Body, call: Call, x: Value, indices: Sequence[Value | None]) ->
     picked = [d for d, item in enumerate(indices) if item is not None]
     if picked != list(range(picked[0], picked[-1] + 1)):
         raise TraceError(f"{call.name} with indices that are apart")
-    common = torch.broadcast_shapes(*(item.shape for item in indices if item is not None))
+    common = np.broadcast_shapes(*(item.shape for item in indices if item is not None))
     stored = body.stored(x)
     assert stored.array is not None
     total: Value | None = None
