@@ -18,25 +18,24 @@ from deepkoco.graph.supergraph import merge_slots
 
 __all__ = ["EXECUTORS", "BatchedRuntime", "HorizonError", "NodeParameters", "RuntimeState", "Trace"]
 
-EXECUTORS = ("eager", "fused", "cuda")
+EXECUTORS = ("eager", "fused")
 
 
 class BatchedRuntime:
     """Executes a graph for a batch of environments, each with delays of its own.
 
     It owns nothing that changes: `reset` and `step` take and return states. The executors give the same
-    results, `fused` and `cuda` up to the rounding of floating-point numbers:
+    results, `fused` up to the rounding of floating-point numbers:
 
-    - `eager`: torch operations; any node, any device, gradients.
+    - `eager`: torch operations; any node, any device (CUDA with `device="cuda"`), gradients.
     - `fused`: node functions compiled into one C++ kernel; CPU, no gradients. Where a node cannot be compiled
       or there is no compiler, a warning says so and `eager` runs.
-    - `cuda`: torch operations captured once and replayed on a CUDA device.
 
     Args:
         graph: the nodes and connections.
         timing: the computation graph that `reset` uses unless it is given another.
-        device: where the tensors live; None: the CPU, or the CUDA device of the executor `cuda`.
-        executor: "eager", "fused" or "cuda".
+        device: where the tensors live; None: the CPU.
+        executor: "eager" or "fused".
         threads: threads of the fused executor.
 
     Raises:
@@ -55,7 +54,7 @@ class BatchedRuntime:
         if executor not in EXECUTORS:
             raise ValueError(f'executor "{executor}" is none of {", ".join(EXECUTORS)}')
         self.graph = graph
-        self.device = torch.device(device or ("cuda" if executor == "cuda" else "cpu"))
+        self.device = torch.device(device or "cpu")
         self._executor: Any = _make_executor(executor, graph, self.device, threads)
         self._schedule = None if timing is None else Schedule(timing, self.device)
 
@@ -180,6 +179,4 @@ def _make_executor(name: str, graph: Graph, device: torch.device, threads: int) 
         from deepkoco.graph.fused import FusedExecutor
 
         return FusedExecutor(graph, device, threads)
-    if name == "cuda":
-        raise ValueError('executor "cuda" needs a CUDA device')
     return EagerExecutor(graph, device)
