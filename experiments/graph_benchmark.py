@@ -1,8 +1,8 @@
 """Everything about the speed of the graph, against its peers: `python -m experiments.graph_benchmark [--out FOLDER]`.
 
 Runs the benchmarks one after the other, each ours and the peer's in turn on the same work, keeps what each
-prints beside its CSV, and writes a README that says where the figures come from. `scripts/peers.sh` installs
-the peers. A benchmark that is done is skipped, so an interrupted run goes on where it was; delete its text
+prints beside its CSV, and writes a page that says where the figures come from. The peers are installed first, into
+environments of their own (`scripts/peers.sh`). A benchmark that is done is skipped, so an interrupted run goes on where it was; delete its text
 file to repeat it. On two cores all of it takes about two hours, most of them in the peers' searches.
 """
 
@@ -25,13 +25,9 @@ def benchmarks(folder: Path) -> dict[str, tuple[str, list[str]]]:
     """Title and module with arguments of each benchmark, by the name of its text file."""
     return {
         "rollout": (
-            "Rollouts against REX: agent steps per second, start-up, population",
+            "Rollouts against REX: agent steps per second, start-up, memory, population",
             ["experiments.rollout_speed", "--batch", *BATCHES, "--peer", "--start-up", "--population",
              "--out", str(folder / "rollout.csv")],
-        ),
-        "memory": (
-            "Memory of an environment",
-            ["experiments.environment_memory", "--out", str(folder / "memory.csv")],
         ),
         "single_environment": (
             "One environment through Gymnasium, against Pendulum-v1 and EAGERx",
@@ -89,6 +85,8 @@ def main(arguments: list[str] | None = None) -> int:
     folder: Path = options.out
     folder.mkdir(parents=True, exist_ok=True)
     console = Console()
+    root = Path(__file__).resolve().parents[1]
+    subprocess.run([root / "scripts" / "peers.sh"], cwd=root, check=True)
     failed = []
     for name, (title, module) in benchmarks(folder).items():
         text = folder / f"{name}.txt"

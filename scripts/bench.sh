@@ -5,3 +5,4 @@ cd "$(dirname "$0")/.."
 . scripts/environment.sh
 .venv/bin/python -m pytest tests/bench "$@"
 .venv/bin/python -m experiments.planner_benchmark
+.venv/bin/python -m experiments.graph_benchmark

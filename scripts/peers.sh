@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Makes .venv-peers, the environment of the packages that the benchmarks compare with; does nothing when that is done.
+# Makes .venv-peers and .venv-eagerx, environments of the packages that the benchmarks compare with; does nothing when
+# that is done. EAGERx has its own because it wants an older networkx.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 packages=(
@@ -21,5 +22,15 @@ if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$wanted" ]; then
         echo "peers: installing ${packages[0]}, ${packages[1]} and what they need into .venv-peers (a few minutes)"
         .venv-peers/bin/python -m pip install --quiet --disable-pip-version-check "${packages[@]}"
     fi
+    echo "$wanted" > "$stamp"
+fi
+
+eagerx=("eagerx==0.1.40" "eagerx-ode==0.1.26" "eagerx-tutorials==0.1.35" "numpy==1.26.4" "opencv-python==4.11.0.86")
+stamp=.venv-eagerx/.installed
+wanted=$(printf '%s\n' "${eagerx[@]}" | sha256sum)
+if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$wanted" ]; then
+    [ -x .venv-eagerx/bin/python ] || "$python" -m venv .venv-eagerx
+    echo "peers: installing ${eagerx[0]} and what it needs into .venv-eagerx (a few minutes)"
+    .venv-eagerx/bin/python -m pip install --quiet --disable-pip-version-check "${eagerx[@]}"
     echo "$wanted" > "$stamp"
 fi
