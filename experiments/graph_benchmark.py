@@ -1,9 +1,10 @@
 """Everything about the speed of the graph, against its peers: `python -m experiments.graph_benchmark [--out FOLDER]`.
 
 Runs the benchmarks one after the other, each ours and the peer's in turn on the same work, keeps what each
-prints beside its CSV, and writes a page that says where the figures come from. The peers are installed first, into
-environments of their own (`scripts/peers.sh`). A benchmark that is done is skipped, so an interrupted run goes on where it was; delete its text
-file to repeat it. On two cores all of it takes about two hours, most of them in the peers' searches.
+prints beside its CSV, and writes a page that says where the figures come from. The peers are installed first,
+into environments of their own (`scripts/peers.sh`). A benchmark that is done is skipped, so an interrupted run
+goes on where it was; delete its text file to repeat it. On two cores all of it takes about two hours, most of
+them in the peers' searches.
 """
 
 from __future__ import annotations
