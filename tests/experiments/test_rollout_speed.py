@@ -1,0 +1,31 @@
+"""The rollout benchmark runs, prints what it measured and writes over nothing."""
+
+import json
+
+import pytest
+
+from experiments import rollout_speed
+
+
+def test_speeds_are_printed_and_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(rollout_speed, "LEAST_SECONDS", 0.0)
+    path = tmp_path / "speed.csv"
+    arguments = ["--batch", "1", "--executors", "fused", "--repeats", "1", "--json"]
+    assert rollout_speed.main([*arguments, "--out", str(path)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    (row,) = result["rows"]
+    assert (row["work"], row["batch"], row["executor"]) == ("rollout", 1, "fused")
+    assert row["steps_per_s"] > 1000
+    assert result["bytes_per_environment"]["fused"] < 2000
+    assert path.read_text().splitlines()[0].startswith("work,batch,executor,steps_per_s")
+    with pytest.raises(SystemExit) as ended:
+        rollout_speed.main([*arguments, "--out", str(path)])
+    assert ended.value.code == 2
+    assert "exists" in capsys.readouterr().err
+
+
+def test_the_peer_is_told_the_same_work():
+    work = rollout_speed.description()
+    assert [len(weights) for weights, _ in work["layers"]] == [64, 64, 1]
+    assert work["parameters"]["mass"] == pytest.approx(0.0509)
+    assert len(work["actions"]) == work["population_steps"] == 1050
