@@ -14,7 +14,7 @@ from deepkoco.graph import ComputationGraph, Graph, draw_timing, make_delay
 
 Ranges = Mapping[str, tuple[float, float]]
 Delays = Mapping[str, Any]
-FEWEST = 32  # traces of a pool with random delays, so that one environment need not draw at every reset
+FEWEST = 8  # traces of a pool with random delays, so that one environment need not draw at every reset
 
 
 class DelayTraces:
