@@ -154,6 +154,7 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
             "static void prologue(const char *P, char *H) {",
             *prologues,
             "}",
+            _text("model.h"),
             _text("driver.h"),
         ]
     )

@@ -1,0 +1,58 @@
+// What Python hands to a kernel, and what a kernel keeps while it runs; the same as in `kernel.py`.
+
+struct NodeInfo {
+  i64 state;         // offset in the moving record [bytes]
+  i64 n8, n4, n1;    // elements of the state by size
+  i64 ring;          // offset of its last outputs in the moving record [bytes]
+  i64 count, size;   // elements of an output, bytes of one
+  i64 step_base;     // column of its first step
+  i32 ring_mask;     // cells of the ring - 1
+  i32 first_edge, edges;
+  i32 flags;         // 1: reads t_start, 2: its new state is staged
+};
+struct EdgeInfo {
+  i64 window_base, message_base;
+  i32 sender, window, flags, unused; // flags 1: reads seq, 2: t_sent, 4: t_received
+};
+struct Model {
+  i64 slots, steps, small_table; // steps: of the supervisor; table of int16 or int32
+  i64 supervisor, readings;      // its index; offset of the readings in the moving record [bytes]
+  i64 fixed_bytes, moving_bytes, blocks, batch;
+  i64 window_columns, step_columns, message_columns;
+  double resolution;
+  const NodeInfo *node;
+  const EdgeInfo *edge;
+  const i32 *slot;
+  const void *table;
+  const i32 *windows;
+  const i64 *t_start, *t_end, *t_received;
+  const char *constants;
+};
+
+struct View { // what a node sees
+  const char *data[PLACES];
+  VL seq[PLACES];
+  VD times[1 + 2 * PLACES];
+  char stage[STAGE * W];
+};
+typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, char *Y);
+
+struct Rollout {
+  i64 steps, first, last; // steps to take, blocks
+  i64 looks;              // whether the policy sees the inputs
+  Policy policy;          // or null: actions are given
+  const char *weights, *actions;
+  i64 action_time, action_environment; // strides of the given actions [bytes]
+  char *out_actions;                   // (steps, B, M) or null
+  i64 outputs;                         // readings to record
+  const i64 *reading_offset, *reading_count, *reading_size;
+  char *const *out_readings; // (steps, B, ...) each
+};
+
+struct Block {
+  const Model &m;
+  const char *fixed;
+  char *moving;
+  i32 row[W], step[W];
+  bool uniform; // all lanes are at the same step of the same schedule
+};
