@@ -178,7 +178,8 @@ class ClockedDriver(Driver):
         self._starts: list[int] = []
         self._ends: list[int] = []
         self._windows: list[list[tuple[int, ...]]] = [[] for _ in schedule.inputs]
-        self._received: list[list[tuple[int, int]]] = [[] for _ in schedule.inputs]
+        self._received: list[list[tuple[int, int, int]]] = [[] for _ in schedule.inputs]
+        self._reported_messages = [0 for _ in schedule.inputs]
 
     def begin(self, until: int | None = None) -> dict[str, Input] | None:
         tick = self.schedule.nominal(self.tick)
@@ -227,15 +228,35 @@ class ClockedDriver(Driver):
 
     def log(self) -> dict[str, Any]:
         self._absorb()
+        # A node that was given up may still end its step meanwhile: what comes after these is not wanted.
+        ended = len(self._ends)
+        received = [len(arrivals) for arrivals in self._received]
+        return self._entries(0, ended, len(self._starts), [0] * len(received), received)
+
+    def news(self) -> dict[str, Any] | None:
+        ended, received = len(self._ends), [len(arrivals) for arrivals in self._received]
+        first, since = self._reported, self._reported_messages
+        if (first, since) == (ended, received):
+            return None
+        self._reported, self._reported_messages = ended, received
+        return {"first": first} | self._entries(first, ended, ended, since, received)
+
+    def _entries(
+        self, first: int, ended: int, begun: int, since: list[int], received: list[int]
+    ) -> dict[str, Any]:
+        """Steps from `first` on, as arrays, and by input the messages from `since` on."""
         return {
-            "outputs": self._stacked(),
-            "t_start": np.array(self._starts, dtype=np.int64),
-            "t_end": np.array(self._ends, dtype=np.int64),
+            "outputs": self._stacked(first, ended),
+            "t_start": np.array(self._starts[first:begun], dtype=np.int64),
+            "t_end": np.array(self._ends[first:ended], dtype=np.int64),
             "windows": [
-                np.array(w, dtype=np.int32).reshape(-1, rule.window)
-                for w, rule in zip(self._windows, self.schedule.inputs, strict=True)
+                np.array(windows[first:begun], dtype=np.int32).reshape(-1, rule.window)
+                for windows, rule in zip(self._windows, self.schedule.inputs, strict=True)
             ],
-            "received": [np.array(r, dtype=np.int64).reshape(-1, 2) for r in self._received],
+            "received": [
+                np.array(arrivals[start:stop], dtype=np.int64).reshape(-1, 3)
+                for arrivals, start, stop in zip(self._received, since, received, strict=True)
+            ],
         }
 
     def _now(self) -> int:
@@ -251,7 +272,7 @@ class ClockedDriver(Driver):
         for message, stamp in messages:
             place = self.places[message.edge]
             received = self._queues[place].arrive(message, max(self._time(stamp), message.t_sent))
-            self._received[place].append((message.seq, received))
+            self._received[place].append((message.seq, message.t_sent, received))
             self.runner.put(place, message.seq, message.data)
         return self._time(instant)
 

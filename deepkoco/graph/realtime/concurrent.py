@@ -11,8 +11,9 @@ from deepkoco.graph.realtime.clocked import clocked_schedule
 from deepkoco.graph.realtime.crew import CrewOptions, Factory
 from deepkoco.graph.realtime.live import LiveRuntime
 from deepkoco.graph.realtime.measured import measured_episode
-from deepkoco.graph.realtime.plan import Plan, TimingPlan
+from deepkoco.graph.realtime.plan import TimingPlan
 from deepkoco.graph.realtime.protocol import ProtocolPlan
+from deepkoco.graph.realtime.recorder import Record
 from deepkoco.graph.realtime.state import planned_episode
 
 
@@ -44,12 +45,14 @@ class ConcurrentRuntime(LiveRuntime):
         seed: of the simulated delays, where they are not in step.
         time_limit: longest step [s]; a node that takes longer has failed.
         beat_limit: longest time without a heartbeat of a process [s].
-        record: keep all outputs for `finish`.
+        record: keep all outputs for `finish`. A path (`.mcap`) or an `EpisodeWriter`: besides write them down
+            while the nodes run, an episode for each reset; the file of a path is finished by `close`.
 
     Raises:
         GraphError: a name is no node; a node does not travel.
         ProtocolError: no timing is given and the protocol cannot run the graph.
         ValueError: not synchronised, and no finite real-time factor.
+        EpisodeFileError: the recording cannot be written there.
 
     Source: van der Heijden et al., EAGERx: Graph-Based Framework for Sim2real Robot Learning, 2024, Alg. 1.
     """
@@ -66,7 +69,7 @@ class ConcurrentRuntime(LiveRuntime):
         seed: int = 0,
         time_limit: float = 10.0,
         beat_limit: float = 2.0,
-        record: bool = True,
+        record: Record = True,
     ) -> None:
         options = CrewOptions(processes or {}, factories or {}, time_limit, beat_limit)
         super().__init__(graph, options, real_time_factor, record)
@@ -74,7 +77,6 @@ class ConcurrentRuntime(LiveRuntime):
             raise ValueError("sync=False runs by the clock: give a finite real_time_factor")
         self._timing, self._sync, self._seed = timing, sync, seed
         self._protocol = ProtocolPlan(graph) if sync and timing is None else None
-        self._plan: Plan | None = None
         self._led = _led_by_supervisor(graph)
 
     def _plan_episode(self, timing: ComputationGraph | None, row: int) -> None:

@@ -50,6 +50,7 @@ class CrewOptions:
         beat_limit: longest time without a heartbeat of a process [s].
         cores: by number of the process, the core it is pinned to.
         priority: real-time priority that the processes ask for; None: none.
+        report: the processes send what their nodes record while they run.
     """
 
     hosts: Mapping[str, int]
@@ -58,6 +59,7 @@ class CrewOptions:
     beat_limit: float
     cores: Mapping[int, int] = field(default_factory=dict)
     priority: int | None = None
+    report: bool = False
 
 
 class Crew:
@@ -92,9 +94,9 @@ class Crew:
         if host != HERE:
             self._controls[host].tell(position, command, payload)
         elif command == "credit":
-            self._seats[position].inbox.grant(payload)
+            self.seats[position].inbox.grant(payload)
         else:
-            self._seats[position].inbox.order(Order(command, payload))
+            self.seats[position].inbox.order(Order(command, payload))
 
     def ask(self, orders: Mapping[str, tuple[str, Any]]) -> dict[str, Any]:
         """Give orders by node name, and wait for an answer to each; the answer bears the name of the order.
@@ -126,7 +128,7 @@ class Crew:
             if connection.receiver == self.graph.supervisor:
                 ways.append((edge, self.supervisor_inbox.deliver))
             elif host == HERE:
-                ways.append((edge, self._seats[self._receivers[edge]].inbox.deliver))
+                ways.append((edge, self.seats[self._receivers[edge]].inbox.deliver))
             else:
                 ways.append((edge, self._lines[host].send))
         return ways
@@ -152,11 +154,11 @@ class Crew:
             self._stopped = True
             for line in self._controls.values():
                 line.tell(-1, "stop", None)
-            close_seats(self._seats)
+            close_seats(self.seats)
         atexit.unregister(self.stop)
         if current_thread() is not self._watch:
             self._watch.join()
-        for position, seat in self._seats.items():
+        for position, seat in self.seats.items():
             self._keep(position, seat.record())
         self._bury()
         lines = (*self._controls.values(), *self._lines.values())
@@ -245,17 +247,21 @@ class Crew:
             ends[one][other], ends[other][one] = _pipe(context)
         self._lines = {host: Line(pipe) for host, pipe in ends[HERE].items()}
         self._controls, self._processes = {}, {}
-        self._seats: dict[int, Seat] = {}
+        self.reports: list[Pipe] = []  # what the nodes of the processes record, for who reads and closes them
+        self.seats: dict[int, Seat] = {}  # of the caller's process
         try:
             for host in remote:
                 here, there = _pipe(context)
                 self._controls[host] = Line(here)
+                report = self._report_pipe(context)
                 process = context.Process(
-                    target=serve, args=(plans[host], there, ends[host], board, shape), daemon=True
+                    target=serve, args=(plans[host], there, ends[host], board, shape, report), daemon=True
                 )
                 process.start()
                 self._processes[host] = process
                 there.close()
+                if report is not None:
+                    report.close()
         finally:
             for host in remote:
                 for pipe in ends[host].values():
@@ -263,13 +269,21 @@ class Crew:
         supervisor = self.graph.index[self.graph.supervisor]
         if HERE in plans:
             others = {supervisor: self.supervisor_inbox.deliver}
-            self._seats = make_seats(
+            self.seats = make_seats(
                 plans[HERE].seats, self._own, HERE, self._lines, self._board, self._reply, others
             )
-        for seat in self._seats.values():
+        for seat in self.seats.values():
             seat.start()
         self._watch = Thread(target=self._run_watch, name="watch over nodes", daemon=True)
         self._watch.start()
+
+    def _report_pipe(self, context: Any) -> Pipe | None:
+        """Keep the end that is read, return the one that a process writes to."""
+        if not self.options.report:
+            return None
+        reader, writer = context.Pipe(duplex=False)
+        self.reports.append(reader)
+        return writer
 
     def _pairs(self, remote: list[int]) -> set[tuple[int, int]]:
         """Hosts between which messages go."""
@@ -339,7 +353,7 @@ class Crew:
 
     def _deliver(self, frame: bytes) -> None:
         message = decode(frame)
-        seat = self._seats.get(self._receivers[message.edge])
+        seat = self.seats.get(self._receivers[message.edge])
         (self.supervisor_inbox if seat is None else seat.inbox).deliver(message)
 
     def _mourn(self, host: int) -> None:

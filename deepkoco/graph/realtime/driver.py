@@ -55,9 +55,11 @@ class Driver(ABC):
     ) -> None:
         self.runner, self.inbox, self.places, self.outlets = runner, inbox, places, outlets
         self.origin, self.factor, self.record = origin, factor, record
+        self.episode = inbox.episode
         self.tick = 0
         self.time = 0.0
         self.outputs: list[np.ndarray] = []
+        self._reported = 0
 
     @abstractmethod
     def begin(self, until: int | None = None) -> dict[str, Input] | None:
@@ -71,13 +73,23 @@ class Driver(ABC):
     def log(self) -> dict[str, Any]:
         """Return what was recorded, as plain arrays."""
 
+    @abstractmethod
+    def news(self) -> dict[str, Any] | None:
+        """Return what was recorded since the last call; None if nothing was. For one thread besides the node's.
+
+        Returns:
+            `first`: number of the first step in it; `outputs`: (K, ...) of the K steps that ended since; where
+            the clock decides, also all that `log` has of them, and the messages that came since as `received`.
+        """
+
     def _keep(self, output: Tensor) -> None:
         if self.record:
             self.outputs.append(output[0].detach().cpu().numpy().copy())
 
-    def _stacked(self) -> np.ndarray:
-        """All outputs, (K, ...); one large array travels faster than many small ones."""
-        return np.stack(self.outputs) if self.outputs else np.zeros(0)
+    def _stacked(self, first: int, last: int) -> np.ndarray:
+        """Outputs of some steps, (K, ...); one large array travels faster than many small ones."""
+        outputs = self.outputs[first:last]
+        return np.stack(outputs) if outputs else np.zeros(0)
 
     def _instant(self, time: float) -> int:
         """Turn a time of the episode [ns] into an instant [ns, monotonic]."""
@@ -131,7 +143,13 @@ class PlannedDriver(Driver):
         self.tick += 1
 
     def log(self) -> dict[str, Any]:
-        return {"outputs": self._stacked()}
+        return {"outputs": self._stacked(0, self.tick)}
+
+    def news(self) -> dict[str, Any] | None:
+        first, self._reported = self._reported, len(self.outputs)
+        if first == self._reported:
+            return None
+        return {"first": first, "outputs": self._stacked(first, self._reported)}
 
     def _held_back(self) -> bool:
         if self.follows:

@@ -21,6 +21,7 @@ from deepkoco.graph.node import Node
 from deepkoco.graph.realtime.driver import Outlet
 from deepkoco.graph.realtime.inbox import Order
 from deepkoco.graph.realtime.message import Message, decode, encode
+from deepkoco.graph.realtime.reporter import Reporter
 from deepkoco.graph.realtime.seat import BEAT, Seat
 
 BEAT_PERIOD = 0.02  # [s]
@@ -132,7 +133,12 @@ def unpack(plan: SeatPlan) -> Node:
 
 
 def serve(
-    plan: HostPlan, control: Pipe, pipes: Mapping[int, Pipe], board: Any, shape: tuple[int, ...]
+    plan: HostPlan,
+    control: Pipe,
+    pipes: Mapping[int, Pipe],
+    board: Any,
+    shape: tuple[int, ...],
+    report: Pipe | None,
 ) -> None:
     """Run a host; the main function of its process.
 
@@ -142,6 +148,7 @@ def serve(
         pipes: by number of the host, messages from and to it.
         board: shared memory, int64.
         shape: of the board.
+        report: what the nodes record goes out while they run; None: only at the end.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller takes Ctrl-C and stops all
     ended: list[int] = []
@@ -157,6 +164,8 @@ def serve(
     seats = make_seats(plan.seats, unpack, plan.index, lines, table, answers.tell)
     for seat in seats.values():
         seat.start()
+    if report is not None:
+        Reporter(seats, report).start()
     sources: list[Any] = [control, *pipes.values()]
     stopped = False
     while not stopped and not ended:

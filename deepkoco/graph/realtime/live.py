@@ -5,6 +5,7 @@ import time
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,13 @@ from deepkoco.graph.node import GraphError, Input, State
 from deepkoco.graph.realtime.crew import Crew, CrewOptions
 from deepkoco.graph.realtime.driver import Driver, Outlet
 from deepkoco.graph.realtime.failure import failure_of
+from deepkoco.graph.realtime.plan import Plan
+from deepkoco.graph.realtime.recorder import Record, Recorder
 from deepkoco.graph.realtime.runner import InitialStateError, Runner
 from deepkoco.graph.realtime.seat import make_driver, reset_runner
 from deepkoco.graph.realtime.state import Policy, RunningState, check_step, running_state
 from deepkoco.graph.runtime import NodeParameters
+from deepkoco.graph.storage.container import EpisodeFileError
 
 HEAD_START = 10_000_000  # from the order to go to time 0 [ns]
 
@@ -33,13 +37,14 @@ class LiveRuntime(ABC):
         graph: nodes and connections.
         options: where the nodes live and when they have failed.
         factor: simulated seconds per second.
-        record: keep all outputs for `finish`.
+        record: as for `Recorder`; True: keep all outputs for `finish` only; False: keep none.
 
     Raises:
         GraphError: a name is no node.
+        EpisodeFileError: the recording cannot be written there.
     """
 
-    def __init__(self, graph: Graph, options: CrewOptions, factor: float, record: bool) -> None:
+    def __init__(self, graph: Graph, options: CrewOptions, factor: float, record: Record) -> None:
         for name in (*options.hosts, *options.factories):
             if name not in graph.index:
                 raise GraphError(f'"{name}" is no node; known: {", ".join(graph.index)}')
@@ -48,14 +53,14 @@ class LiveRuntime(ABC):
         if not factor > 0:
             raise ValueError(f"real-time factor {factor} is not positive")
         self.graph = graph
-        self._options = options
-        self._factor, self._record = factor, record
+        self._recorder = None if isinstance(record, bool) else Recorder(graph, record)
+        self._options = replace(options, report=self._recorder is not None)
+        self._factor, self._record = factor, record is not False
+        self._plan: Plan | None = None  # of the episode; None: the clock decides
         self._crew: Crew | None = None
         self._running: RunningState | None = None
-        self._begun, self._salvaged = (
-            0,
-            None,
-        )  # last supervisor step and records of an episode that was cut off
+        self._begun = 0  # last supervisor step of an episode that was cut off
+        self._salvaged: dict[str, Any] | None = None  # its records
         self._driver: Driver | None = None
         self._episode = 0
         self._others = [node.name for node in graph.nodes if node.name != graph.supervisor]
@@ -63,8 +68,12 @@ class LiveRuntime(ABC):
     def __enter__(self) -> Any:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        try:
+            if kind is None and self._recorder is not None and self._running is not None:
+                self.finish()  # up to the supervisor's last start, as a caller who wants the episode has it
+        finally:
+            self.close()
 
     def reset(
         self,
@@ -92,15 +101,22 @@ class LiveRuntime(ABC):
         Raises:
             ValueError: names or shapes do not fit.
             NodeFailure: a node failed; everything is stopped and closed.
+            EpisodeFileError: there is a recording of that name already.
         """
         initial = initial or {}
         for name in (*parameters, *initial):
             if name not in self.graph.index:
                 raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
+        if self._recorder is not None:
+            if self._running is not None:
+                self.finish()  # the recording wants the whole of the episode that is given up
+            self._recorder.open()
         self._plan_episode(timing, row)
         with _Stopping(self):
             if self._crew is None:
                 self._crew = Crew(self.graph, self._options)
+                if self._recorder is not None:
+                    self._recorder.listen(self._crew.reports, self._drivers)
             elif self._running is not None:
                 self._crew.ask({name: ("end", 0) for name in self._others})
             self._running = self._salvaged = None
@@ -155,11 +171,7 @@ class LiveRuntime(ABC):
         if not self._record or (self._running is None and self._salvaged is None):
             raise ValueError("no episode is recorded: make the runtime with record=True and reset it")
         if self._running is None:
-            assert self._salvaged is not None
-            lost = [name for name in self.graph.index if name not in self._salvaged]
-            if lost:
-                raise ValueError(f'the record of "{lost[0]}" is lost with its process')
-            return self._episode_of(self._begun, self._salvaged)
+            return self._salvaged_episode()
         assert self._driver is not None
         assert self._crew is not None
         step = int(self._running.step[0])
@@ -167,18 +179,44 @@ class LiveRuntime(ABC):
             logs = self._crew.ask({name: ("end", self._last(name, step)) for name in self._others})
         self._running = None
         logs[self.graph.supervisor] = self._driver.log()
-        return self._episode_of(step, logs)
+        episode = self._episode_of(step, logs)
+        if self._recorder is not None:
+            self._recorder.end(episode)
+        return episode
 
     def close(self) -> None:
-        """Stop all nodes, close them, end their processes; safe to call twice."""
+        """Stop all nodes, close them, end their processes, finish the recording; safe to call twice.
+
+        Raises:
+            EpisodeFileError: the recording could not be written; the nodes are closed all the same.
+        """
         running, self._running = self._running, None
         crew, self._crew = self._crew, None
-        if crew is None:
-            return
-        crew.stop()
-        if running is not None and self._driver is not None:
-            self._begun = int(running.step[0])
-            self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
+        if crew is not None:
+            crew.stop()
+            if running is not None and self._driver is not None:
+                self._begun = int(running.step[0])
+                self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
+        if self._recorder is not None:
+            try:
+                episode = None if running is None else self._salvaged_episode()
+            except ValueError:  # what the nodes have reported is all there is
+                episode = None
+            self._recorder.close(episode)
+
+    def _salvaged_episode(self) -> Episode:
+        if self._salvaged is None:
+            raise ValueError("nothing was recorded")
+        lost = [name for name in self.graph.index if name not in self._salvaged]
+        if lost:
+            raise ValueError(f'the record of "{lost[0]}" is lost with its process')
+        return self._episode_of(self._begun, self._salvaged)
+
+    def _drivers(self) -> list[tuple[int, Driver | None]]:
+        """The drivers of the caller's process, by number of the node."""
+        seats = {} if self._crew is None else self._crew.seats
+        drivers = [(position, seat.driver) for position, seat in seats.items()]
+        return [*drivers, (self.graph.index[self.graph.supervisor], self._driver)]
 
     @abstractmethod
     def _plan_episode(self, timing: ComputationGraph | None, row: int) -> None:
@@ -237,6 +275,10 @@ class LiveRuntime(ABC):
                 "factor": self._factor,
                 "record": self._record,
             } | self._part(node.name)
+        if self._recorder is not None:
+            parts = {name: payload["part"] for name, payload in payloads.items()}
+            origin_ns = time.time_ns() + origin - time.monotonic_ns() if self._factor == 1.0 else None
+            self._recorder.begin(self._episode, self._plan, parts, origin_ns)
         for name in self._others:
             crew.tell(name, "go", payloads[name])
         edges = [e for e, c in enumerate(self.graph.connections) if c.receiver == supervisor]
@@ -279,8 +321,12 @@ class _Stopping:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
-        if error is not None and not isinstance(error, InitialStateError):
+        if error is None or isinstance(error, InitialStateError):
+            return
+        try:
             self._runtime.close()
+        except EpisodeFileError as unwritten:  # what stopped the graph is what must be heard of
+            error.add_note(str(unwritten))
 
 
 def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:

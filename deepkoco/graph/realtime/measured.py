@@ -18,7 +18,7 @@ def measured_episode(graph: Graph, logs: Mapping[str, Mapping[str, Any]]) -> Epi
     Args:
         graph: what ran.
         logs: by node name, what its driver logged: `t_start`, `t_end` [ns] and `outputs` of its steps; per
-            input `windows` and `received` (seq, time [ns]).
+            input `windows` and `received` (seq, sending, arrival [ns]).
     """
     acted = logs[graph.supervisor]["t_start"]
     for name, log in logs.items():
@@ -47,7 +47,7 @@ def measured_episode(graph: Graph, logs: Mapping[str, Mapping[str, Any]]) -> Epi
         count = len(outputs.get(connection.sender, ()))
         sent[connection.key] = t_end[connection.sender][:count]
         arrival = np.full(count, np.inf)
-        seq, times = log["received"][place].T
+        seq, _, times = log["received"][place].T
         arrival[seq[seq < count]] = times[seq < count] / 1e9
         received[connection.key] = arrival
         windows[connection.key] = log["windows"][place][: len(t_start[connection.receiver])]

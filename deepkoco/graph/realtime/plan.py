@@ -65,8 +65,8 @@ class Plan(ABC):
         """Return one node's part."""
 
     @abstractmethod
-    def arrivals(self, connection: Connection, count: int) -> np.ndarray:
-        """Return when the first messages of a connection arrive [s], (count,)."""
+    def arrivals(self, connection: Connection, first: int, last: int) -> np.ndarray:
+        """Return when messages `first` to `last` - 1 of a connection arrive [s], (last - first,)."""
 
 
 class TimingPlan(Plan):
@@ -105,9 +105,9 @@ class TimingPlan(Plan):
             timing.boundary[row, :, position].astype(np.int64),
         )
 
-    def arrivals(self, connection: Connection, count: int) -> np.ndarray:
+    def arrivals(self, connection: Connection, first: int, last: int) -> np.ndarray:
         edge = self.graph.connections.index(connection)
-        return self._seconds(self.timing.messages_of(edge, self.row)[1][:count])
+        return self._seconds(self.timing.messages_of(edge, self.row)[1][first:last])
 
     def _seconds(self, ticks: np.ndarray) -> np.ndarray:
         """Times of messages [s]; one that never arrives has infinity."""

@@ -108,9 +108,9 @@ class ProtocolPlan(Plan):
             before=graph.order.index(graph.index[node]) < graph.order.index(graph.index[graph.supervisor]),
         )
 
-    def arrivals(self, connection: Connection, count: int) -> np.ndarray:
+    def arrivals(self, connection: Connection, first: int, last: int) -> np.ndarray:
         rate, delay = self._graph.node(connection.sender).rate, self._delay(connection)
-        return np.array([float(i / rate + delay) for i in range(count)])
+        return np.array([float(i / rate + delay) for i in range(first, last)])
 
     def _delay(self, connection: Connection) -> Fraction:
         return exact_seconds(self._graph.node(connection.sender).delay) + exact_seconds(connection.law)

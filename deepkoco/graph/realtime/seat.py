@@ -52,7 +52,7 @@ class Seat(Thread):
         self._outlets, self._board, self._reply = outlets, board[position], reply
         self.inbox = Inbox()
         self._node: Node | None = None
-        self._driver: Driver | None = None
+        self.driver: Driver | None = None
         self._closing = Lock()
         self._board[TICK] = -1
 
@@ -92,19 +92,19 @@ class Seat(Thread):
 
     def record(self) -> dict[str, Any] | None:
         """Return what the node's episode has recorded so far; None where it has none."""
-        return None if self._driver is None else self._driver.log()
+        return None if self.driver is None else self.driver.log()
 
     def _serve(self, runner: Runner) -> None:
         while (order := self.inbox.next_order()).command != "stop":
             if order.command == "reset":
-                self._driver = None
+                self.driver = None
                 self._reply(self.position, "reset", self._reset(runner, order.payload))
             elif order.command == "go":
-                self._driver = make_driver(runner, self.inbox, self._places, self._outlets, order.payload)
-                self._drive(self._driver, None)
-            elif order.command == "end" and self._driver is not None:
-                self._drive(self._driver, order.payload)
-                self._reply(self.position, "end", self._driver.log())
+                self.driver = make_driver(runner, self.inbox, self._places, self._outlets, order.payload)
+                self._drive(self.driver, None)
+            elif order.command == "end" and self.driver is not None:
+                self._drive(self.driver, order.payload)
+                self._reply(self.position, "end", self.driver.log())
 
     def _reset(self, runner: Runner, payload: Mapping[str, Any]) -> dict[str, Any]:
         self.inbox.begin(payload["episode"])

@@ -87,7 +87,7 @@ def planned_episode(
     for connection in graph.connections:
         count = counts[connection.sender]
         sent[connection.key] = t_end[connection.sender][:count]
-        received[connection.key] = plan.arrivals(connection, count)
+        received[connection.key] = plan.arrivals(connection, 0, count)
     kept = {name: np.stack(values[: counts[name]]) for name, values in outputs.items() if counts[name]}
     keys = [connection.key for connection in graph.connections]
     return Episode(t_start, t_end, kept, sent, received, windows={key: windows[key] for key in keys})

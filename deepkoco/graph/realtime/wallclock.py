@@ -11,6 +11,7 @@ from deepkoco.graph.realtime.clocked import clocked_schedule
 from deepkoco.graph.realtime.crew import HERE, CrewOptions, Factory
 from deepkoco.graph.realtime.live import LiveRuntime
 from deepkoco.graph.realtime.measured import measured_episode
+from deepkoco.graph.realtime.recorder import Record
 
 
 class WallClockRuntime(LiveRuntime):
@@ -43,10 +44,12 @@ class WallClockRuntime(LiveRuntime):
         priority: real-time priority (1 to 99) to ask for; `priority_granted` says whether it was given.
         time_limit: longest step [s]; a node that takes longer has failed.
         beat_limit: longest time without a heartbeat of a process [s].
-        record: keep all outputs for `finish`.
+        record: keep all outputs for `finish`. A path (`.mcap`) or an `EpisodeWriter`: besides write them down
+            while the nodes run, an episode for each reset; the file of a path is finished by `close`.
 
     Raises:
         GraphError: a name is no node; a node does not travel.
+        EpisodeFileError: the recording cannot be written there.
     """
 
     def __init__(
@@ -59,7 +62,7 @@ class WallClockRuntime(LiveRuntime):
         priority: int | None = None,
         time_limit: float = 1.0,
         beat_limit: float = 1.0,
-        record: bool = True,
+        record: Record = True,
     ) -> None:
         hosts = {name: HERE for name in threads}
         for node in graph.nodes:

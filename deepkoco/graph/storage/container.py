@@ -13,6 +13,7 @@ from mcap.records import Attachment, Channel, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
+from deepkoco.graph.episode import Episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.storage.description import describe_graph
 from deepkoco.graph.storage.messages import (
@@ -84,6 +85,10 @@ class Container:
         content = {"index": str(self._episode), "origin_ns": str(origin_ns), "meta": json.dumps(dict(meta))}
         self._mcap.add_metadata("episode", content)
 
+    def end(self, extent: Mapping[str, Any]) -> None:
+        """Say how far the episode goes (see `extent_of`); what is recorded beyond that is not part of it."""
+        self._mcap.add_metadata("end", {"index": str(self._episode), "extent": json.dumps(extent)})
+
     def step(
         self,
         node: str,
@@ -139,6 +144,19 @@ class Container:
         content = json.dumps(schema).encode()
         number = self._mcap.register_schema(name or f"deepkoco{topic}", "jsonschema", content)
         return self._mcap.register_channel(topic, "json", number, metadata)
+
+
+def extent_of(graph: Graph, episode: Episode) -> dict[str, Any]:
+    """Say in JSON types how far an episode goes: steps by node, messages by connection, and its end [s].
+
+    The last step of the supervisor only starts: it has no output, and what stands in `last_end` for its end.
+    """
+    end = episode.t_end[graph.supervisor]
+    return {
+        "steps": {name: len(start) for name, start in episode.t_start.items()},
+        "messages": {key: len(sent) for key, sent in episode.t_sent.items()},
+        "last_end": float(end[-1]) if len(end) else None,
+    }
 
 
 def check_target(path: Path) -> None:

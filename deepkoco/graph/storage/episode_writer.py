@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from deepkoco.graph.episode import Episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.storage.container import (
     Container,
     EpisodeFileError,
     check_target,
+    extent_of,
     index_journal,
     json_object,
 )
@@ -90,6 +92,18 @@ class EpisodeWriter:
         with self._lock:
             self._begun = True
             self._put(lambda: self._container.begin(origin_ns, content))
+
+    def end(self, episode: Episode) -> None:
+        """Cut the episode to the extent of one that is known by now: what was written beyond it does not count.
+
+        A run that stops in the middle has written steps that came after its last common instant. Optional;
+        an episode without it has all that was written.
+
+        Args:
+            episode: where nodes and connections end; the last step of the supervisor loses its output.
+        """
+        extent = extent_of(self.graph, episode)
+        self._record(lambda: self._container.end(extent))
 
     def step(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,7 @@ class _Contents:
     graph: Graph | None = None
     meta: dict[str, Any] | None = None
     begun: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
+    extents: dict[int, dict[str, Any]] = field(default_factory=dict)
     steps: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
     messages: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
     notes: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
@@ -101,6 +102,11 @@ def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
         raise EpisodeFileError(
             f"{path}: holds no description of a graph{cut}; it was not written by DeepKoCo"
         )
+    for number, extent in contents.extents.items():
+        try:
+            _cut(contents, number, extent)
+        except (KeyError, TypeError) as error:
+            raise EpisodeFileError(f"{path}: episode {number} has a bad end: {error!r}") from error
     known = len(contents.begun)
     if any(e >= known for place in (contents.steps, contents.messages, contents.notes) for e, _ in place):
         raise EpisodeFileError(f"{path}: has messages of an episode that never began; the file is damaged")
@@ -160,6 +166,8 @@ def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: 
             contents.meta = json.loads(record.metadata["meta"])
         case Metadata(name="episode"):
             contents.begun.append((int(record.metadata["origin_ns"]), json.loads(record.metadata["meta"])))
+        case Metadata(name="end"):
+            contents.extents[int(record.metadata["index"])] = json.loads(record.metadata["extent"])
         case Attachment(name="graph.json"):
             try:
                 contents.graph = graph_from_description(json.loads(record.data))
@@ -167,6 +175,20 @@ def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: 
                 raise EpisodeFileError(f"{path}: its description of the graph is bad: {error}") from error
         case _:
             pass
+
+
+def _cut(contents: _Contents, number: int, extent: Mapping[str, Any]) -> None:
+    """Leave out what an episode recorded beyond its end."""
+    for place, counts in ((contents.steps, extent["steps"]), (contents.messages, extent["messages"])):
+        for name, count in counts.items():
+            place[number, name] = [content for content in place[number, name] if content["seq"] < count]
+    assert contents.graph is not None
+    supervisor = contents.graph.supervisor
+    last = extent["steps"][supervisor] - 1
+    for step in contents.steps[number, supervisor]:
+        if step["seq"] == last:
+            step["t_end"] = extent["last_end"]
+            step.pop("dtype", None)
 
 
 def _episode(path: Path, graph: Graph, contents: _Contents, number: int) -> Episode:
