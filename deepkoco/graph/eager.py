@@ -10,8 +10,9 @@ from torch import Tensor
 
 from deepkoco.graph import cells
 from deepkoco.graph.computation_graph import concatenate
+from deepkoco.graph.contract import check_action, check_batch, check_output, check_state
 from deepkoco.graph.graph import Graph
-from deepkoco.graph.node import Input, State, Supervisor
+from deepkoco.graph.node import GraphError, Input, State, Supervisor
 from deepkoco.graph.policy import Policy, as_function, given_actions
 from deepkoco.graph.schedule import Schedule
 from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
@@ -68,6 +69,9 @@ class EagerExecutor:
                 node_state[key] = value
             nodes[node.name] = node_state
             output = node.initial_output(values[node.name], node_state, batch)
+            check_batch(f'node "{node.name}": initial output', output, batch)
+            for key, value in node_state.items():
+                check_batch(f'node "{node.name}": initial state "{key}"', value, batch)
             outputs[node.name] = (output,) * int(schedule.depth[position])
         return RuntimeState(schedule, row, np.zeros(batch, dtype=np.int64), values, nodes, outputs, {})
 
@@ -85,6 +89,7 @@ class EagerExecutor:
         if len(spent):
             raise HorizonError.of(int(spent[0]), state.schedule)
         supervisor = self.graph.supervisor
+        check_action(supervisor, int(state.step[0]), action, state.outputs[supervisor][0])
         outputs = state.outputs | {supervisor: cells.write(state.outputs[supervisor], action, state.step)}
         if trace is not None:
             trace.append((self.graph.index[supervisor], state.step, action))
@@ -144,6 +149,7 @@ class EagerExecutor:
         table: Any = state.schedule.table[row, step].astype(np.int64)
         running = table >= 0
         some, every = running.any(axis=0).tolist(), running.all(axis=0).tolist()
+        first = np.equal(table, 0).any(axis=0).tolist()
         for slot, position in enumerate(state.schedule.slots.tolist()):
             if not some[slot]:
                 continue
@@ -152,6 +158,9 @@ class EagerExecutor:
             # What the others would see is never used: let them look where those that run do.
             inputs = self._inputs(state, position, seq if every[slot] else np.where(runs, seq, seq.max()))
             node_state, output = node.step(state.parameters[node.name], nodes[node.name], inputs)
+            if first[slot]:
+                # Once in an episode: a node that keeps its shapes at its first step does so at the others.
+                self._check_first(node.name, node_state, output, nodes[node.name], outputs[node.name][0])
             if not every[slot]:
                 mask = torch.from_numpy(np.ascontiguousarray(runs)).to(self.device)
                 old = nodes[node.name]
@@ -161,6 +170,15 @@ class EagerExecutor:
             if trace is not None:
                 trace.append((position, seq, output))
         return state
+
+    def _check_first(
+        self, name: str, state: State, output: Tensor, initial: State, initial_output: Tensor
+    ) -> None:
+        try:
+            check_state(state, initial)
+            check_output(output, initial_output)
+        except GraphError as error:
+            raise GraphError(f'node "{name}" at its step 0: {error}') from error
 
     def _inputs(self, state: RuntimeState, position: int, step: np.ndarray) -> dict[str, Input]:
         """Collect what a node sees at its step `step`, (B,) or (1,) if it is the same for all."""

@@ -136,15 +136,12 @@ class LiveRuntime(ABC):
         Raises:
             HorizonError: the timing ends here.
             NodeFailure: a node failed; everything is stopped and closed.
-            ValueError: the state is not the latest one.
+            ValueError: the state is not the latest one, or the action has another shape than the initial one.
         """
         check_step(self._running, state)
         assert self._driver is not None
         assert self._crew is not None
-        try:
-            action = self._driver.runner.check(action)
-        except ValueError as error:
-            raise ValueError(f'action of "{self.graph.supervisor}": {error}') from error
+        action = self._driver.runner.act(action, self._driver.tick)
         with _Stopping(self):
             self._driver.finish(action)
             return self._observe(self._crew, action)

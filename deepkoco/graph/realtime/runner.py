@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.graph.connection import Connection
+from deepkoco.graph.contract import check_action, check_batch, check_output, check_state
 from deepkoco.graph.node import Input, Node, State, Supervisor
 from deepkoco.graph.realtime.plan import Window
 
@@ -28,7 +30,7 @@ class Runner:
         self._parameters: dict[str, Tensor] = {}
         self._messages: list[dict[int, Tensor]] = []
         self._initial: list[Tensor] = []
-        self._shape = torch.Size()
+        self._first = torch.empty(0)
 
     def reset(
         self, parameters: Mapping[str, Tensor], generator: torch.Generator, initial: Mapping[str, Tensor]
@@ -45,9 +47,12 @@ class Runner:
 
         Raises:
             InitialStateError: `initial` does not fit the node's state.
+            GraphError: a state or the initial output has not one entry for its one environment.
         """
         self._parameters = dict(parameters)
         self.state = dict(self.node.init(self._parameters, generator, 1))
+        for key, value in self.state.items():
+            check_batch(f'initial state "{key}"', value, 1)
         for key, value in initial.items():
             if key not in self.state or value.shape != self.state[key].shape:
                 there = {name: tuple(tensor.shape) for name, tensor in self.state.items()}
@@ -56,8 +61,9 @@ class Runner:
                 )
             self.state[key] = value
         output = self.node.initial_output(self._parameters, self.state, 1)
-        self._shape = output.shape
-        return self._own(output)
+        check_batch("initial output", output, 1)
+        self._first = self._own(output)
+        return self._first
 
     def begin(self, initial_outputs: Sequence[Tensor]) -> None:
         """Take the senders' initial outputs (1, ...), one per input, and forget the last episode's messages."""
@@ -107,24 +113,31 @@ class Runner:
         """Run one tick; return the output (1, ...).
 
         Raises:
-            ValueError: the output has another shape than the initial one.
+            GraphError: the output or the state has another shape or type than the initial one.
         """
-        self.state, output = self.node.step(self._parameters, self.state, inputs)
-        return self.check(output)
-
-    def check(self, output: Tensor) -> Tensor:
-        """Return an output that the receivers can keep, if it has the shape of the initial one."""
-        if output.shape != self._shape:
-            raise ValueError(
-                f"output has shape {tuple(output.shape)}, the initial output {tuple(self._shape)}"
-            )
+        state, output = self.node.step(self._parameters, self.state, inputs)
+        check_state(state, self.state)
+        check_output(output, self._first)
+        self.state = state
         return self._own(output)
+
+    def act(self, action: Tensor | np.ndarray, step: int) -> Tensor:
+        """Return an action (1, M) of the supervisor as the receivers can keep it.
+
+        Raises:
+            ValueError: it has another shape than the initial one.
+        """
+        action = torch.as_tensor(action)
+        check_action(self.node.name, step, action, self._first)
+        return self._own(action)
 
     def observe(self, inputs: Mapping[str, Input], action: Tensor) -> dict[str, Tensor]:
         """Let the supervisor work out its readings, with the action of the step before."""
         if not isinstance(self.node, Supervisor):
             return {}
-        self.state, readings = self.node.observe(self._parameters, self.state, inputs, action)
+        state, readings = self.node.observe(self._parameters, self.state, inputs, action)
+        check_state(state, self.state)
+        self.state = state
         return readings
 
     def _own(self, output: Tensor) -> Tensor:

@@ -135,14 +135,11 @@ class SimulatedRuntime:
         Raises:
             HorizonError: the timing ends here.
             NodeFailure: a node raised, or was interrupted; all nodes are closed.
-            ValueError: the state is not the latest one.
+            ValueError: the state is not the latest one, or the action has another shape than the initial one.
         """
         check_step(self._running, state)
         name = self.graph.supervisor
-        try:
-            action = self._runners[name].check(action)
-        except ValueError as error:
-            raise ValueError(f'action of "{name}": {error}') from error
+        action = self._runners[name].act(action, self._tick[name])
         self._send(name, self._tick[name], action)
         self._tick[name] += 1
         return self._observe(self._tick[name], action)

@@ -151,7 +151,7 @@ def test_wrong_names_and_states_are_refused_and_leave_the_runtime_usable():
         with pytest.raises(ValueError, match=r'initial "world\.v"'):
             runtime.reset({}, torch.Generator(), {"world": {"v": torch.zeros(1)}})
         state, inputs = runtime.reset({}, torch.Generator())
-        with pytest.raises(ValueError, match="output has shape"):
+        with pytest.raises(ValueError, match='action of "agent" at its step 0 has shape'):
             runtime.step(state, torch.zeros(1, 3))
         runtime.step(state, act(inputs))
 

@@ -191,7 +191,7 @@ def test_mistakes_of_the_caller_leave_the_nodes_running():
     graph = loop()
     runtime = SimulatedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 4, 1))
     state, inputs = runtime.reset({}, torch.Generator())
-    with pytest.raises(ValueError, match='action of "agent": output has shape \\(1, 3\\)'):
+    with pytest.raises(ValueError, match='action of "agent" at its step 0 has shape \\(1, 3\\)'):
         runtime.step(state, torch.zeros(1, 3))
     later, _ = runtime.step(state, act(inputs))
     with pytest.raises(ValueError, match="stepped already"):

@@ -1,0 +1,132 @@
+"""Outputs, states and actions that do not match are refused with node, step and both shapes, in every runtime."""
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.graph import (
+    BatchedRuntime,
+    ConcurrentRuntime,
+    Connection,
+    Graph,
+    GraphError,
+    Node,
+    NodeFailure,
+    SimulatedRuntime,
+    Supervisor,
+    WallClockRuntime,
+    draw_timing,
+)
+
+
+class Faulty(Node):
+    """Breaks the contract in one way: what it starts with, or what its first step returns, is another thing."""
+
+    def __init__(self, fault=""):
+        super().__init__("plant", 50)
+        self.fault = fault
+
+    def init(self, parameters, generator, batch):
+        return {"x": torch.zeros(batch + (self.fault == "initial state"), 2), "v": torch.zeros(batch, 1)}
+
+    def initial_output(self, parameters, state, batch):
+        return torch.zeros(batch + (self.fault == "initial output"), 2)
+
+    def step(self, parameters, state, inputs):
+        x, v = state["x"], state["v"]
+        match self.fault:
+            case "batch":
+                return state, torch.zeros(len(x) + 1, 2)
+            case "entries":
+                return state, x[:, :1]
+            case "type":
+                return state, x.double()
+            case "no tensor":
+                return state, [0.0, 0.0]
+            case "key":
+                return {"x": x}, x
+            case "state shape":
+                return {"x": x, "v": v[:, 0]}, x
+            case _:
+                return state, x
+
+
+FAULTS = {
+    "initial state": (None, r'initial state "x" has shape \(2, 2\); the first axis must be the batch of 1'),
+    "initial output": (None, r"initial output has shape \(2, 2\); the first axis must be the batch of 1"),
+    "batch": (0, r"output is \(2, 2\) float32, the initial output \(1, 2\) float32"),
+    "entries": (0, r"output is \(1, 1\) float32, the initial output \(1, 2\) float32"),
+    "type": (0, r"output is \(1, 2\) float64, the initial output \(1, 2\) float32"),
+    "no tensor": (0, "output is no tensor but list"),
+    "key": (0, r"state has the keys \['x'\], before the step \['v', 'x'\]"),
+    "state shape": (0, r'state "v" is \(1,\) float32, before the step \(1, 1\) float32'),
+}
+
+
+def graph(fault: str = "") -> Graph:
+    agent = Supervisor("agent", 50, initial_action=torch.zeros(2))
+    return Graph(
+        [Faulty(fault), agent], [Connection("plant", "agent"), Connection("agent", "plant", skip=True)]
+    )
+
+
+def drawn(robot: Graph):
+    return draw_timing(robot, np.random.default_rng(0), 4, 1)
+
+
+RUNTIMES = {
+    "batched": lambda robot: BatchedRuntime(robot, drawn(robot)),
+    "simulated": lambda robot: SimulatedRuntime(robot, drawn(robot)),
+    "concurrent": lambda robot: ConcurrentRuntime(robot, drawn(robot)),
+    "wall clock": lambda robot: WallClockRuntime(robot, threads=("plant",)),
+}
+
+
+def run(runtime, steps: int) -> None:
+    state, _ = runtime.reset({}, torch.Generator())
+    for _ in range(steps):
+        state, _ = runtime.step(state, torch.zeros(1, 2))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("kind", RUNTIMES)
+def test_what_does_not_match_names_node_step_and_shapes(kind, fault):
+    tick, reason = FAULTS[fault]
+    runtime = RUNTIMES[kind](graph(fault))
+    if kind == "batched":
+        where = 'node "plant": ' if tick is None else f'node "plant" at its step {tick}: '
+        error: type[Exception] = GraphError
+    else:  # the error has come out of a node that runs elsewhere: it stops the graph
+        where = (
+            'node "plant" before its first tick: ' if tick is None else f'node "plant" at its tick {tick}: '
+        )
+        where, error = where + "GraphError: ", NodeFailure
+    with pytest.raises(error, match=where + reason):
+        run(runtime, 3)
+
+
+@pytest.mark.parametrize("action", [torch.zeros(2), torch.zeros(1, 3), torch.zeros(2, 2), np.zeros((1, 1))])
+@pytest.mark.parametrize("kind", RUNTIMES)
+def test_an_action_of_another_shape_is_refused_and_can_be_given_again(kind, action):
+    runtime = RUNTIMES[kind](graph())
+    state, _ = runtime.reset({}, torch.Generator())
+    state, _ = runtime.step(state, np.zeros((1, 2), dtype=np.float32))
+    shape = str(tuple(action.shape)).replace("(", r"\(").replace(")", r"\)")
+    with pytest.raises(ValueError, match=rf'action of "agent" at its step 1 has shape {shape}, .* \(1, 2\)'):
+        runtime.step(state, action)
+    state, _ = runtime.step(state, torch.zeros(1, 2))
+    assert int(state.step[0]) == 2
+    if kind != "batched":
+        runtime.close()
+
+
+def test_one_row_for_a_batch_is_no_output_of_the_batch():
+    class Row(Faulty):
+        def step(self, parameters, state, inputs):
+            return state, torch.zeros(1, 2)
+
+    agent = Supervisor("agent", 50, initial_action=torch.zeros(2))
+    robot = Graph([Row(), agent], [Connection("plant", "agent")])
+    runtime = BatchedRuntime(robot, draw_timing(robot, np.random.default_rng(0), 4, 3))
+    with pytest.raises(GraphError, match=r'"plant" at its step 0: output is \(1, 2\) .* \(3, 2\)'):
+        runtime.reset({}, torch.Generator())
