@@ -24,7 +24,7 @@ from deepkoco.graph.delay import (
     Uniform,
     make_delay,
 )
-from deepkoco.graph.episode import Episode, Note, record_episodes, replay_episode
+from deepkoco.graph.episode import Episode, Note, common_part, record_episodes, replay_episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
 from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, SimulatedRuntime, WallClockRuntime
@@ -97,6 +97,7 @@ __all__ = [
     "TimingError",
     "Uniform",
     "WallClockRuntime",
+    "common_part",
     "draw_timing",
     "extend_timing",
     "make_delay",

@@ -99,6 +99,45 @@ def replay_episode(
     return episodes[0], state
 
 
+def common_part(graph: Graph, episode: Episode) -> Episode:
+    """Cut an episode at the last start of the supervisor that all nodes have gone past.
+
+    A recording that was cut off knows of some nodes more than of others. What is left of it is whole and replays.
+
+    Args:
+        graph: what ran.
+        episode: of which some nodes may have run on.
+
+    Raises:
+        ValueError: a node did not get that far.
+    """
+    begun = {name: float(start[-1]) if len(start) else -np.inf for name, start in episode.t_start.items()}
+    behind = min(begun, key=lambda name: begun[name])
+    acts = episode.t_start[graph.supervisor]
+    # Of a node that starts no later than the cut a further step may be missing.
+    acted = (
+        int(np.searchsorted(acts, begun[behind], side="right" if behind == graph.supervisor else "left")) - 1
+    )
+    if acted < 0:
+        raise ValueError(f'node "{behind}" has no step after the first of "{graph.supervisor}"')
+    count = {
+        name: int(np.searchsorted(start, acts[acted], side="right"))
+        for name, start in episode.t_start.items()
+    }
+    sent = count | {graph.supervisor: acted}
+    senders = {connection.key: connection.sender for connection in graph.connections}
+    receivers = {connection.key: connection.receiver for connection in graph.connections}
+    return replace(
+        episode,
+        t_start={name: start[: count[name]] for name, start in episode.t_start.items()},
+        t_end={name: end[: count[name]] for name, end in episode.t_end.items()},
+        outputs={name: output[: sent[name]] for name, output in episode.outputs.items() if sent[name]},
+        t_sent={key: time[: sent[senders[key]]] for key, time in episode.t_sent.items()},
+        t_received={key: time[: sent[senders[key]]] for key, time in episode.t_received.items()},
+        windows={key: seen[: count[receivers[key]]] for key, seen in episode.windows.items()},
+    )
+
+
 def episode_of_timing(graph: Graph, timing: ComputationGraph, row: int = 0) -> Episode:
     """Return the times and windows of one schedule as an episode without outputs.
 

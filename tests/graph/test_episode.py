@@ -1,13 +1,14 @@
 """Recorded episodes run again to the last bit."""
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from timing_reference import graphs, policy
+from timing_reference import Accumulate, graphs, policy
 
-from deepkoco.graph import BatchedRuntime, draw_timing
-from deepkoco.graph.episode import Episode, record_episodes, replay_episode
+from deepkoco.graph import BatchedRuntime, Connection, Graph, Supervisor, draw_timing
+from deepkoco.graph.episode import Episode, common_part, record_episodes, replay_episode
 
 
 def act(inputs):
@@ -52,3 +53,53 @@ def test_a_recording_has_every_step_and_message(graph):
                 assert state.nodes[node.name]["k"][row] == acted
         for connection in graph.connections:
             assert len(episode.t_sent[connection.key]) == len(episode.outputs.get(connection.sender, ()))
+
+
+def shortened(graph, episode: Episode, lost: dict[str, int]) -> Episode:
+    """What is known of an episode when the last steps of its nodes have not been written."""
+    count = {name: max(len(start) - lost[name], 0) for name, start in episode.t_start.items()}
+    sender = {c.key: c.sender for c in graph.connections}
+    receiver = {c.key: c.receiver for c in graph.connections}
+    return Episode(
+        {name: start[: count[name]] for name, start in episode.t_start.items()},
+        {name: end[: count[name]] for name, end in episode.t_end.items()},
+        {name: output[: count[name]] for name, output in episode.outputs.items()},
+        {key: sent[: count[sender[key]]] for key, sent in episode.t_sent.items()},
+        {key: received[: count[sender[key]]] for key, received in episode.t_received.items()},
+        {key: windows[: count[receiver[key]]] for key, windows in episode.windows.items()},
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(graph=graphs(), random=st.randoms(use_true_random=False))
+def test_the_common_part_of_what_nodes_have_written_replays_bitwise(graph, random):
+    _, initial, episodes, _ = recorded(graph, 8)
+    lost = {node.name: random.randrange(5) for node in graph.nodes}
+    whole = episodes[0]
+    known = shortened(graph, whole, lost)
+    begun = min(start[-1] if len(start) else -np.inf for start in known.t_start.values())
+    if not len(known.t_start[graph.supervisor]) or begun <= known.t_start[graph.supervisor][0]:
+        return
+    part = common_part(graph, known)
+    acted = len(part.t_start[graph.supervisor])
+    assert 1 <= acted <= len(whole.t_start[graph.supervisor]) - lost[graph.supervisor]
+    for name, start in part.t_start.items():
+        limit = part.t_start[graph.supervisor][-1]
+        np.testing.assert_array_equal(start, whole.t_start[name][whole.t_start[name] <= limit])
+    if acted < 2:
+        return
+    alone = {n: {k: v[:1] for k, v in s.items()} for n, s in initial.items()}
+    again, _ = replay_episode(graph, part, {}, torch.Generator(), alone)
+    for name, output in again.outputs.items():
+        np.testing.assert_array_equal(output, whole.outputs[name][: len(output)])
+
+
+def test_a_node_that_wrote_nothing_leaves_no_common_part():
+    times = {"n": np.zeros(0), "agent": np.array([0.0, 0.1])}
+    graph = Graph(
+        [Accumulate("n", 10), Supervisor("agent", 10, initial_action=torch.zeros(1))],
+        [Connection("n", "agent")],
+    )
+    episode = Episode(times, times, {}, {"n->agent": np.zeros(0)}, {"n->agent": np.zeros(0)}, {})
+    with pytest.raises(ValueError, match='node "n" has no step after the first of "agent"'):
+        common_part(graph, episode)

@@ -16,6 +16,7 @@ from deepkoco.graph import (
     Gaussian,
     Graph,
     NodeFailure,
+    common_part,
     draw_timing,
     read_episodes,
     replay_episode,
@@ -158,6 +159,12 @@ def test_a_killed_caller_leaves_what_ran_until_shortly_before(tmp_path):
         assert len(episode.outputs[name]) == len(episode.t_end[name])
     motor = episode.outputs["motor"]
     assert motor[:, 0].tolist() == [k * (k + 1) / 2 for k in range(1, len(motor) + 1)]
+    # Of some nodes it knows more than of others; what it knows of all is whole and follows the rules.
+    graph, part = devices(tmp_path), common_part(devices(tmp_path), episode)
+    assert part.t_start["agent"][-1] >= now - 0.04
+    timing = replay_timing(graph, part.measured)
+    for edge, connection in enumerate(graph.connections):
+        np.testing.assert_array_equal(timing.windows_of(edge), part.windows[connection.key])
 
 
 def test_a_recording_that_cannot_be_written_is_refused_before_anything_runs(tmp_path):
