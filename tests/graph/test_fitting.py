@@ -11,6 +11,7 @@ from timing_reference import Accumulate
 from deepkoco.graph import (
     Connection,
     Empirical,
+    Episode,
     Gaussian,
     Graph,
     MeasuredTiming,
@@ -131,3 +132,14 @@ def test_arrays_with_rates_and_an_empirical_law():
 def test_what_cannot_be_fitted_is_refused(delays, options, message):
     with pytest.raises(FitError, match=message):
         fit_delays(delays, **options)
+
+
+def test_the_last_step_of_a_supervisor_which_only_starts_is_no_delay():
+    start = np.arange(40) * 0.02
+    taken = np.append(0.004 + 0.0001 * np.arange(39), 0.0)  # as the wall clock records it
+    outputs = {"agent": np.zeros((39, 1))}
+    episode = Episode({"agent": start}, {"agent": start + taken}, outputs, {}, {}, {})
+    law = fit_delays(episode, family="empirical").laws["agent"]
+    law = law.delay if isinstance(law, Autoregressive) else law
+    assert isinstance(law, Empirical)
+    np.testing.assert_allclose(np.sort(law.samples), taken[:-1], atol=1e-12)

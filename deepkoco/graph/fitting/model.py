@@ -140,8 +140,10 @@ def _samples(recording: Any, rates: Mapping[str, float] | None) -> tuple[dict, d
         step = {k: longest / max(len(d), 1) if rates is None else 1 / rates[k] for k, d in delays.items()}
         return delays, {key: step[key] * np.arange(len(delay)) for key, delay in delays.items()}
     delays, times = {}, {}
+    outputs = getattr(recording, "outputs", {})
     for name, end in measured.t_end.items():
-        start = measured.t_start[name][: len(end)]
+        # The last step of a supervisor only starts: it has sent nothing, and no end that was measured.
+        start = measured.t_start[name][: len(outputs[name]) if name in outputs else len(end)]
         delays[name], times[name] = np.asarray(end)[: len(start)] - start, np.asarray(start)
     for key, received in measured.t_received.items():
         sent = np.asarray(measured.t_end[key.split("->")[0]])[: len(received)]
