@@ -51,7 +51,7 @@ class ConcurrentRuntime(LiveRuntime):
     Raises:
         GraphError: a name is no node; a node does not travel.
         ProtocolError: no timing is given and the protocol cannot run the graph.
-        ValueError: not synchronised, and no finite real-time factor.
+        ValueError: not synchronised, and no finite real-time factor, or a blocking input that loses messages.
         EpisodeFileError: the recording cannot be written there.
 
     Source: van der Heijden et al., EAGERx: Graph-Based Framework for Sim2real Robot Learning, 2024, Alg. 1.
@@ -75,6 +75,12 @@ class ConcurrentRuntime(LiveRuntime):
         super().__init__(graph, options, real_time_factor, record)
         if not sync and real_time_factor == math.inf:
             raise ValueError("sync=False runs by the clock: give a finite real_time_factor")
+        for connection in graph.connections:
+            if not sync and connection.blocking and connection.law.loses:
+                raise ValueError(
+                    f'connection "{connection.key}" blocks and loses messages: by the clock its receiver would wait '
+                    "for ever; run it in step (sync=True), or without blocking=True"
+                )
         self._timing, self._sync, self._seed = timing, sync, seed
         self._protocol = ProtocolPlan(graph) if sync and timing is None else None
         self._led = _led_by_supervisor(graph)

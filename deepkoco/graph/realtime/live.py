@@ -6,6 +6,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -116,7 +117,7 @@ class LiveRuntime(ABC):
             if self._crew is None:
                 self._crew = Crew(self.graph, self._options)
                 if self._recorder is not None:
-                    self._recorder.listen(self._crew.reports, self._drivers)
+                    self._recorder.listen(self._crew.reports, partial(self._drivers, self._crew))
             elif self._running is not None:
                 self._crew.ask({name: ("end", 0) for name in self._others})
             self._running = self._salvaged = None
@@ -209,10 +210,9 @@ class LiveRuntime(ABC):
             raise ValueError(f'the record of "{lost[0]}" is lost with its process')
         return self._episode_of(self._begun, self._salvaged)
 
-    def _drivers(self) -> list[tuple[int, Driver | None]]:
+    def _drivers(self, crew: Crew) -> list[tuple[int, Driver | None]]:
         """The drivers of the caller's process, by number of the node."""
-        seats = {} if self._crew is None else self._crew.seats
-        drivers = [(position, seat.driver) for position, seat in seats.items()]
+        drivers = [(position, seat.driver) for position, seat in crew.seats.items()]
         return [*drivers, (self.graph.index[self.graph.supervisor], self._driver)]
 
     @abstractmethod

@@ -67,8 +67,8 @@ class ProtocolPlan(Plan):
     are not looked at: all nodes start at 0, which is what makes message 0 available at tick 0.
 
     Args:
-        graph: nodes with constant delays no longer than their period; connections that neither block nor
-            buffer.
+        graph: nodes with constant delays no longer than their period; connections that do not block. A jitter
+            buffer changes nothing, for every message comes at its nominal instant.
 
     Raises:
         ProtocolError: the graph has something else; draw a timing for it.

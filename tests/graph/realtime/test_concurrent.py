@@ -206,3 +206,13 @@ def test_messages_travel_as_plain_numbers():
         assert torch.equal(back.data, data)
     with pytest.raises(TypeError, match="bfloat16"):
         encode(Message(0, 0, 0, 0, 0, torch.zeros(1, dtype=torch.bfloat16)))
+
+
+def test_by_the_clock_nobody_waits_for_messages_that_get_lost():
+    agent = Supervisor("agent", 50, initial_action=torch.zeros(2, dtype=torch.float64))
+    lossy = {"law": "lossy", "delay": 0.001, "probability": 0.5}
+    graph = Graph([Accumulate("n", 100), agent], [Connection("n", "agent", lossy, blocking=True)])
+    with pytest.raises(ValueError, match='connection "n->agent" blocks and loses messages'):
+        ConcurrentRuntime(graph, sync=False, real_time_factor=1.0)
+    timing = draw_timing(graph, np.random.default_rng(0), 10, 1)
+    assert_same(run(SimulatedRuntime(graph, timing), 10), run(ConcurrentRuntime(graph, timing), 10))
