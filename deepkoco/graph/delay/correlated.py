@@ -26,9 +26,40 @@ from deepkoco.graph.delay.law import (
 _WIDEST = 8.3  # no draw of an overrun process is further out, in standard deviations
 
 
+class CopulaDelay(Delay):
+    """A law whose single draws are those of `delay` and whose normal scores are autoregressive."""
+
+    delay: Delay
+
+    @property
+    def mean(self) -> float:
+        return self.delay.mean
+
+    @property
+    def highest(self) -> float:
+        return self.delay.highest
+
+    @property
+    def constant(self) -> bool:
+        return self.delay.constant
+
+    @property
+    def marginal(self) -> Delay:
+        return self.delay
+
+    def cdf(self, delay: np.ndarray) -> np.ndarray:
+        return self.delay.cdf(delay)
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        return self.delay.quantile(level)
+
+    def stream(self, rows: int, period: float) -> Stream:
+        return CopulaStream(self, rows, period)
+
+
 @register
 @dataclass(frozen=True)
-class Autoregressive(Delay):
+class Autoregressive(CopulaDelay):
     """Delays with law `delay` whose normal scores have correlation `correlation` from one to the next.
 
     z_k = a z_{k-1} + sqrt(1 - a^2) nu_k with a = `correlation`; delay_k = F^-1(Phi(z_k)).
@@ -44,33 +75,8 @@ class Autoregressive(Delay):
             self, "correlation", between("autoregressive: correlation", self.correlation, -0.9999, 0.9999)
         )
 
-    @property
-    def mean(self) -> float:
-        return self.delay.mean
-
-    @property
-    def highest(self) -> float:
-        return self.delay.highest
-
-    @property
-    def constant(self) -> bool:
-        return self.delay.constant
-
-    @property
-    def marginal(self) -> Delay:
-        return self.delay
-
     def autocorrelation(self, period: float) -> float:
         return self.correlation
-
-    def cdf(self, delay: np.ndarray) -> np.ndarray:
-        return self.delay.cdf(delay)
-
-    def quantile(self, level: np.ndarray) -> np.ndarray:
-        return self.delay.quantile(level)
-
-    def stream(self, rows: int, period: float) -> Stream:
-        return CopulaStream(self, rows, period)
 
     def to_dict(self) -> dict[str, Any]:
         return {"law": self.law, "delay": self.delay.to_dict(), "correlation": self.correlation}
@@ -78,7 +84,7 @@ class Autoregressive(Delay):
 
 @register
 @dataclass(frozen=True)
-class OrnsteinUhlenbeck(Delay):
+class OrnsteinUhlenbeck(CopulaDelay):
     """Delays with law `delay` whose normal scores forget with time constant `time_constant` [s].
 
     The scores are an Ornstein-Uhlenbeck process seen once a period T: correlation exp(-T / time_constant).
@@ -94,33 +100,8 @@ class OrnsteinUhlenbeck(Delay):
         if self.time_constant == 0.0:
             raise DelayError("ornstein_uhlenbeck: time_constant 0 s is no correlation; give the delay alone")
 
-    @property
-    def mean(self) -> float:
-        return self.delay.mean
-
-    @property
-    def highest(self) -> float:
-        return self.delay.highest
-
-    @property
-    def constant(self) -> bool:
-        return self.delay.constant
-
-    @property
-    def marginal(self) -> Delay:
-        return self.delay
-
     def autocorrelation(self, period: float) -> float:
         return math.exp(-period / self.time_constant)
-
-    def cdf(self, delay: np.ndarray) -> np.ndarray:
-        return self.delay.cdf(delay)
-
-    def quantile(self, level: np.ndarray) -> np.ndarray:
-        return self.delay.quantile(level)
-
-    def stream(self, rows: int, period: float) -> Stream:
-        return CopulaStream(self, rows, period)
 
     def to_dict(self) -> dict[str, Any]:
         return {"law": self.law, "delay": self.delay.to_dict(), "time_constant": self.time_constant}
