@@ -17,7 +17,7 @@ from deepkoco.engines import command_window
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
 from deepkoco.envs.delay_traces import Delays
-from deepkoco.envs.graph_env import GraphEnv
+from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
 from deepkoco.envs.nodes import SwingUpAgent
 from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
@@ -186,15 +186,19 @@ class DelayGraphEnv(GraphEnv):
 
     Args:
         render_mode: None or ``rgb_array``.
-        longest_episode: Steps for which delays are drawn; going on beyond them is an error.
+        longest_episode: Steps for which delays are drawn; going on beyond them is an error. None: as many as
+            turn out to be needed.
         **settings: Fields of :class:`EnvironmentSettings`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - Gymnasium declares it so
 
-    def __init__(self, render_mode: str | None = None, longest_episode: int = 1000, **settings: Any) -> None:
-        batch = DelayGraphVectorEnv(1, longest_episode, render_mode, **settings)
-        self._use(batch)
+    def __init__(
+        self, render_mode: str | None = None, longest_episode: int | None = None, **settings: Any
+    ) -> None:
+        steps = FIRST_STEPS if longest_episode is None else longest_episode
+        batch = DelayGraphVectorEnv(1, steps, render_mode, **settings)
+        self._use(batch, longest_episode)
         self.render_mode = render_mode
         self.system, self.task = batch.system, batch.task
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import ComputationGraph, Graph, draw_timing, make_delay
+from deepkoco.graph.delay import RecordedDelays
 
 Ranges = Mapping[str, tuple[float, float]]
 Delays = Mapping[str, Any]
@@ -33,6 +34,7 @@ class DelayTraces:
         ranges: Name -> (low, high): numbers drawn uniformly for each trace.
         delays: From these draws, each (R,), the delays by connection key or node name, as `draw_timing` takes
             them; None takes the draws themselves, in seconds.
+        recorded: Recordings played in the place of the laws of their channels.
     """
 
     def __init__(
@@ -43,12 +45,13 @@ class DelayTraces:
         most: int,
         ranges: Ranges,
         delays: Callable[[Mapping[str, Tensor]], Delays] | None = None,
+        recorded: RecordedDelays | None = None,
     ) -> None:
         self.graph, self.steps, self.batch = graph, steps, batch
         self.ranges = dict(ranges)
         self._delays = delays
-        laws = [node.delay for node in graph.nodes] + [c.law for c in graph.connections]
-        self.constant = not self.ranges and not graph.stalls and all(law.constant for law in laws)
+        self._recorded = recorded
+        self.constant = not self.ranges and recorded is None and graph.constant
         self.rows = 1 if self.constant else min(most, max(batch, FEWEST))
         self.draws: dict[str, Tensor] = {}
         self._unused: np.ndarray | None = None
@@ -98,7 +101,9 @@ class DelayTraces:
             else self._delays(self.draws)
         )
         self._unused = np.arange(self.rows)
-        return draw_timing(self.graph, generator, self.steps, self.rows, delays, self.rows)
+        return draw_timing(
+            self.graph, generator, self.steps, self.rows, delays, self.rows, traces=self._recorded
+        )
 
 
 def law_ranges(name: str, law: Mapping[str, Any], known: set[str]) -> dict[str, tuple[float, float]]:

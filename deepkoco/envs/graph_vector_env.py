@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -17,7 +17,8 @@ from torch import Tensor
 
 from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
 from deepkoco.envs.settings import SettingsError, check_range
-from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor
+from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
+from deepkoco.graph.delay import RecordedDelays
 from deepkoco.graph.node import State
 
 READINGS = ("observation", "reward", "terminated")
@@ -51,6 +52,7 @@ class GraphVectorEnv(VectorEnv):
         executor: ``eager``, ``fused``, ``cuda``, or ``auto``: compiled (``fused``) where there is a C++ compiler
             and every node can be compiled, else ``eager``.
         autoreset_mode: When an environment that has ended starts anew, as Gymnasium defines it.
+        recorded_delays: Measured delays that are played in the place of the laws of their channels.
 
     Raises:
         ValueError: A setting is wrong; the message says which and what it may be.
@@ -70,6 +72,7 @@ class GraphVectorEnv(VectorEnv):
         delay_traces: int = 256,
         executor: str = "auto",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        recorded_delays: RecordedDelays | None = None,
     ) -> None:
         for name, number in (
             ("num_envs", num_envs),
@@ -84,7 +87,7 @@ class GraphVectorEnv(VectorEnv):
                 f'supervisor "{graph.supervisor}" reads nothing: override `observe` of Supervisor to return '
                 "observation and reward"
             )
-        self.num_envs, self.graph, self.max_episode_steps = num_envs, graph, max_episode_steps
+        self.num_envs, self.graph = num_envs, graph
         self.single_action_space, self.single_observation_space = action_space, observation_space
         self.action_space = batch_space(action_space, num_envs)
         self.observation_space = batch_space(observation_space, num_envs)
@@ -103,11 +106,11 @@ class GraphVectorEnv(VectorEnv):
             else:
                 check_range(name, span, *self._bounds(name))
                 self._ranges[name] = span
-        # One step more than an episode has: those that start anew at the next step take it in vain.
         self._traces = DelayTraces(
-            graph, max_episode_steps + 1, num_envs, delay_traces,
-            {name: span for name, span in self._ranges.items() if name in timed}, self._delays,
+            graph, max_episode_steps, num_envs, delay_traces,
+            {name: span for name, span in self._ranges.items() if name in timed}, self._delays, recorded_delays,
         )  # fmt: skip
+        self.plan_episodes(max_episode_steps)
         self._action_shape = (num_envs, *supervisor.initial_action.shape)
         self._action_type = supervisor.initial_action.numpy().dtype
         self._generator = torch.Generator()
@@ -204,6 +207,27 @@ class GraphVectorEnv(VectorEnv):
         self._state, _ = self._runtime.step(self.state, self._command(action))
         return {name: value.cpu().numpy()[0] for name, value in self._state.readings.items()}
 
+    def plan_episodes(self, steps: int) -> None:
+        """Set how many steps the episodes to come have."""
+        self.max_episode_steps = steps
+        # One step more than an episode has: those that start anew at the next step take it in vain.
+        self._traces.steps = steps + 1
+
+    def prolong(self, steps: int, actions: Sequence[Any]) -> None:
+        """Draw delays for longer episodes and go through the present one again, which stays as it was.
+
+        Args:
+            steps: Of an episode from now on.
+            actions: Of all environments since the last reset of all of them; none has ended.
+        """
+        self.plan_episodes(steps)
+        parameters, random, initial = self._begun
+        self._generator.set_state(random)
+        timing, row = extend_timing(self.state.schedule.timing, steps + 1), self.state.row
+        self._state, _ = self._runtime.reset(parameters, self._generator, initial, timing=timing, rows=row)
+        for action in actions:
+            self._state, _ = self._runtime.step(self._state, self._command(action))
+
     def _restart(
         self, mask: np.ndarray | None, options: Mapping[str, Any] | None = None, new_traces: bool = False
     ) -> None:
@@ -226,10 +250,12 @@ class GraphVectorEnv(VectorEnv):
         with warnings.catch_warnings():
             if self._quiet:
                 warnings.filterwarnings("ignore", ".*runs with the eager executor", RuntimeWarning)
+            parameters, initial = self._parameters(self._drawn), self._initial(options or {}, generator)
+            self._begun = parameters, generator.get_state(), initial
             self._state, _ = self._runtime.reset(
-                self._parameters(self._drawn),
+                parameters,
                 generator,
-                self._initial(options or {}, generator),
+                initial,
                 timing=timing,
                 rows=rows,
                 state=self._state,

@@ -12,9 +12,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from deepkoco.envs.graph_env import GraphEnv
+from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
 from deepkoco.graph import Connection, Graph, GraphError, HorizonError, Supervisor
+from deepkoco.graph.delay import RecordedDelays
 
 STRIDES = (1.0, 2.0, 0.25, 5.0)
 LIMIT = 7
@@ -260,6 +261,62 @@ def test_an_episode_longer_than_its_traces_is_told():
         assert not env.step(np.ones(1))[3]
     with pytest.raises(HorizonError, match="longest_episode = 2"):
         env.step(np.ones(1))
+
+
+@pytest.mark.parametrize("mode", ["random delays", "no delays"])
+def test_delays_are_drawn_as_episodes_go_on(mode: str):
+    """What is drawn later is what would have been drawn at once; so are the episodes after a long one."""
+    options = {"parameters": {"counter": {"stride": 0.0}}}
+    if mode == "random delays":
+        options["randomize"] = {"agent->counter": (0.0, 0.3), "counter.stride": (0.0, 1e-3)}
+    short, long = (
+        GraphEnv(counting_graph(), ACTIONS, OBSERVATIONS, steps, **options)
+        for steps in (None, 4 * FIRST_STEPS)
+    )
+    actions = np.random.default_rng(0).uniform(-1, 1, (3 * FIRST_STEPS, 1)).astype(np.float32)
+    for seed, steps in ((2, 3 * FIRST_STEPS), (None, 5), (7, 5)):
+        np.testing.assert_array_equal(short.reset(seed=seed)[0], long.reset(seed=seed)[0])
+        for action in actions[:steps]:
+            mine, other = short.step(action), long.step(action)
+            assert mine[0].tobytes() == other[0].tobytes()
+            assert mine[1:] == other[1:]
+
+
+def test_a_step_before_the_reset_is_refused():
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        alone().step(np.ones(1))
+
+
+def test_what_holds_up_the_whole_graph_reaches_every_environment():
+    """A stall of 0.5 s about every second: some commands are late, others in every environment."""
+    graph = counting_graph()
+    stalls = {"rate": 0.7, "duration": 0.5, "channels": ["agent->counter"]}
+    stalled = Graph(graph.nodes, graph.connections, stalls=[stalls])
+    env = GraphVectorEnv(6, stalled, ACTIONS, OBSERVATIONS, 40, {"counter": {"stride": 0.01}})
+    env.reset(seed=0)
+    assert len({late_commands(env, b) for b in range(6)}) > 3
+
+
+def late_commands(env: GraphVectorEnv, environment: int) -> tuple[int, ...]:
+    timing = env.state.schedule.timing
+    edge = timing.layout.connections.index("agent->counter")
+    sent, received = timing.messages_of(edge, int(env.state.row[environment]))
+    return tuple(np.flatnonzero(received - sent > 0).tolist())
+
+
+def test_recorded_delays_are_played():
+    delays = np.array([0.0, 0.05, 0.1, 0.02, 0.07])
+    recorded = RecordedDelays([{"agent->counter": delays}])
+    options = {"parameters": {"counter": {"stride": 0.01}}, "recorded_delays": recorded}
+    env = GraphVectorEnv(4, counting_graph(), ACTIONS, OBSERVATIONS, 30, **options)
+    env.reset(seed=0)
+    timing = env.state.schedule.timing
+    edge = timing.layout.connections.index("agent->counter")
+    for b in range(4):
+        sent, received = timing.messages_of(edge, int(env.state.row[b]))
+        seen = (received - sent)[:30] / timing.resolution
+        places = [np.roll(np.tile(delays, 6), -shift) for shift in range(5)]
+        assert any(np.allclose(seen[:5], place[:5], atol=1e-8) for place in places)
 
 
 class Silent(Supervisor):
