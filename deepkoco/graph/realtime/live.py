@@ -1,5 +1,6 @@
 """What the runtimes have in common whose nodes live in threads and processes of their own."""
 
+import atexit
 import math
 import time
 import traceback
@@ -117,6 +118,7 @@ class LiveRuntime(ABC):
             if self._crew is None:
                 self._crew = Crew(self.graph, self._options)
                 if self._recorder is not None:
+                    atexit.register(self.close)  # a caller who forgets to close wants the file all the same
                     self._recorder.listen(self._crew.reports, partial(self._drivers, self._crew))
             elif self._running is not None:
                 self._crew.ask({name: ("end", 0) for name in self._others})
@@ -196,6 +198,7 @@ class LiveRuntime(ABC):
                 self._begun = int(running.step[0])
                 self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
         if self._recorder is not None:
+            atexit.unregister(self.close)
             try:
                 episode = None if running is None else self._salvaged_episode()
             except ValueError:  # what the nodes have reported is all there is

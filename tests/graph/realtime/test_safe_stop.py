@@ -13,7 +13,7 @@ import pytest
 import torch
 from live_nodes import act, devices
 
-from deepkoco.graph import replay_timing
+from deepkoco.graph import read_episodes, replay_timing
 from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, WallClockRuntime
 
 RUNTIMES = {
@@ -163,7 +163,7 @@ FORGETFUL = """
     from live_nodes import act, devices
     from deepkoco.graph.realtime import ConcurrentRuntime
     if __name__ == "__main__":
-        runtime = ConcurrentRuntime(devices({folder!r}), processes={{"motor": 1}})
+        runtime = ConcurrentRuntime(devices({folder!r}), processes={{"motor": 1}}, record={folder!r} + "/run.mcap")
         runtime.reset({{}}, torch.Generator())
         runtime.run(act, 3)
 """
@@ -177,10 +177,11 @@ def start(text: str, folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen([sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True)
 
 
-def test_a_script_that_ends_without_closing_leaves_the_nodes_closed(tmp_path):
+def test_a_script_that_ends_without_closing_leaves_the_nodes_closed_and_the_recording_whole(tmp_path):
     caller = start(FORGETFUL, tmp_path)
     caller.communicate(timeout=60)
     assert caller.returncode == 0
+    assert read_episodes(tmp_path / "run.mcap").complete
     graph = devices(tmp_path)
     assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from deepkoco.graph import Connection, Graph, Supervisor
-from deepkoco.graph.episode import Note
+from deepkoco.graph.episode import Episode, Note
 from deepkoco.graph.storage import EpisodeFileError, EpisodeWriter, RecordedNode, read_episodes
 
 GRAPH = Graph(
@@ -43,6 +43,27 @@ def test_streamed_steps_messages_and_notes_come_back(tmp_path):
     assert first.notes == (Note(0.25, "warning", "world", "took 100 ms of 10 ms"),)
     assert "agent" not in first.outputs
     np.testing.assert_array_equal(second.windows["world->agent"], [[-2, -1]])
+
+
+def test_what_was_written_beyond_the_end_of_an_episode_is_left_out(tmp_path):
+    with EpisodeWriter(tmp_path / "run.mcap", GRAPH) as writer:
+        for k in range(3):
+            writer.step("world", k, k / 100, k / 100 + 0.001, np.array([k]), {"agent->world": [-1]})
+            writer.message("world->agent", k, k / 100 + 0.001, k / 100 + 0.006)
+            writer.step("agent", k, k / 50, k / 50 + 0.002, np.array([k]), {"world->agent": [-2, -1]})
+        # The agent's step 1 is the last one: it only starts. Step 2 of the world came after it.
+        start = {"world": np.array([0.0, 0.01]), "agent": np.array([0.0, 0.02])}
+        sent = {"world->agent": np.array([0.001, 0.011]), "agent->world": np.array([0.002])}
+        writer.end(Episode(start, start, {}, sent, sent, {}))
+        writer.begin()
+        writer.step("world", 0, 0.0, 0.0, np.array([7]))
+    first, second = read_episodes(tmp_path / "run.mcap").episodes
+    np.testing.assert_array_equal(first.t_start["world"], [0.0, 0.01])
+    np.testing.assert_array_equal(first.t_end["agent"], [0.002, 0.02])
+    assert {name: len(output) for name, output in first.outputs.items()} == {"world": 2, "agent": 1}
+    np.testing.assert_array_equal(first.t_received["world->agent"], [0.006, 0.016])
+    np.testing.assert_array_equal(first.windows["world->agent"], [[-2, -1], [-2, -1]])
+    np.testing.assert_array_equal(second.outputs["world"], [[7]])
 
 
 def test_many_threads_write_one_file(tmp_path):
