@@ -18,7 +18,7 @@ from deepkoco.graph.supergraph import merge_slots
 
 __all__ = ["EXECUTORS", "BatchedRuntime", "HorizonError", "NodeParameters", "RuntimeState", "Trace"]
 
-EXECUTORS = ("eager", "fused")
+EXECUTORS = ("eager", "fused", "cuda")
 
 
 class BatchedRuntime:
@@ -30,16 +30,17 @@ class BatchedRuntime:
     - `eager`: torch operations; any node, any device (CUDA with `device="cuda"`), gradients.
     - `fused`: node functions compiled into one C++ kernel; CPU, no gradients. Where a node cannot be compiled
       or there is no compiler, a warning says so and `eager` runs.
+    - `cuda`: the slots of a supervisor step captured as one CUDA graph; a CUDA device, no gradients.
 
     Args:
         graph: the nodes and connections.
         timing: the computation graph that `reset` uses unless it is given another.
-        device: where the tensors live; None: the CPU.
-        executor: "eager" or "fused".
+        device: where the tensors live; None: the CPU, of the cuda executor the current CUDA device.
+        executor: "eager", "fused" or "cuda".
         threads: threads of the fused executor.
 
     Raises:
-        ValueError: there is no such executor, or not on this device.
+        ValueError: there is no such executor, not on this device, or no such device.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class BatchedRuntime:
         if executor not in EXECUTORS:
             raise ValueError(f'executor "{executor}" is none of {", ".join(EXECUTORS)}')
         self.graph = graph
-        self.device = torch.device(device or "cpu")
+        self.device = torch.device(device or ("cuda" if executor == "cuda" else "cpu"))
         self._executor: Any = _make_executor(executor, graph, self.device, threads)
         self._schedule = None if timing is None else Schedule(timing, self.device)
 
@@ -144,7 +145,7 @@ class BatchedRuntime:
         parameters: Mapping[str, Tensor] | None = None,
         record: Sequence[str] | None = None,
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
-        """Take many steps at once; the fused executor runs them all, policy included, in its kernel.
+        """Take many steps at once; the fused and cuda executors take the policy into what they compile.
 
         Args:
             state: what `reset`, `step` or `rollout` returned.
@@ -179,4 +180,8 @@ def _make_executor(name: str, graph: Graph, device: torch.device, threads: int) 
         from deepkoco.graph.fused import FusedExecutor
 
         return FusedExecutor(graph, device, threads)
+    if name == "cuda":
+        from deepkoco.graph.cuda import cuda_executor
+
+        return cuda_executor(graph, device)
     return EagerExecutor(graph, device)
