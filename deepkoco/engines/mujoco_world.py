@@ -55,9 +55,6 @@ class MujocoWorld(Node):
         self.high = min(command_limit, system.command.high)
         self._simulator: _Simulator | None = None
 
-    def open(self) -> None:
-        _mujoco()
-
     def close(self) -> None:
         self._simulator = None
 
@@ -96,7 +93,7 @@ class _Simulator:
 
     def __init__(self, values: dict[str, float], body: HingedBody, xml: str) -> None:
         self.values, self.body = values, body
-        self._mujoco = _mujoco()
+        self._mujoco = import_mujoco()
         self.model = self._mujoco.MjModel.from_xml_string(xml)
         self.data = self._mujoco.MjData(self.model)
 
@@ -116,7 +113,12 @@ class _Simulator:
         return float(data.qpos[0]), float(data.qvel[0])
 
 
-def _mujoco() -> Any:
+def import_mujoco() -> Any:
+    """The module, which comes with an extra.
+
+    Raises:
+        EngineError: It is not installed.
+    """
     try:
         import mujoco
     except ImportError as error:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from deepkoco.engines.engine import Engine, EngineError
-from deepkoco.engines.mujoco_world import MujocoWorld
+from deepkoco.engines.mujoco_world import MujocoWorld, import_mujoco
 from deepkoco.engines.ode import World
 from deepkoco.engines.robot import OBJECTS
 from deepkoco.engines.sensor import Sensor
@@ -57,6 +57,7 @@ class MujocoEngine(Engine):
             )
         if system.name not in OBJECTS:
             raise EngineError(f"mujoco: no model of {system.name}; there are {', '.join(OBJECTS)}")
+        import_mujoco()  # what is missing is told before anything runs
         world = MujocoWorld(
             system,
             OBJECTS[system.name].body,

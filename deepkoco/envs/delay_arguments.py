@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from deepkoco.graph import Delay, make_delay
-from deepkoco.graph.delay import exact_fraction
+from deepkoco.graph.delay import DelayError, exact_fraction
 
 _STREAM = 104_729  # keeps these draws apart from those of the environment with the same seed
 
@@ -49,6 +49,18 @@ def episode_steps(env: Any) -> int:
     return (limit or 256) + 2
 
 
+def read_delay(name: str, delay: Any) -> Delay:
+    """Make a delay law of an argument.
+
+    Raises:
+        DelayWrapperError: It is none; the message names the argument.
+    """
+    try:
+        return make_delay(delay)
+    except DelayError as error:
+        raise DelayWrapperError(f"{name}: {error}") from error
+
+
 def seeded(seed: int | None) -> np.random.Generator:
     """Generator of the delays for a reset with this seed."""
     return np.random.default_rng(None if seed is None else [_STREAM, seed])
@@ -71,7 +83,7 @@ def read_sensing(
         DelayWrapperError: A term is no part of the observation, or two overlap.
     """
     if not isinstance(delay, Mapping) or "law" in delay:
-        return {"observation": make_delay(delay)}, {"observation": None}
+        return {"observation": read_delay("sensing_delay", delay)}, {"observation": None}
     laws: dict[str, Delay] = {}
     places: dict[str, str | slice | None] = {}
     if isinstance(space, gymnasium.spaces.Dict):
@@ -81,7 +93,7 @@ def read_sensing(
                     f'sensing_delay: "{key}" is no key of the observation; it has {", ".join(space.spaces)}'
                 )
         for key in space.spaces:
-            laws[key], places[key] = make_delay(delay.get(key, 0.0)), key
+            laws[key], places[key] = read_delay(f'sensing_delay "{key}"', delay.get(key, 0.0)), key
         return laws, places
     size = space.shape[0] if isinstance(space, gymnasium.spaces.Box) and len(space.shape) == 1 else 0
     if not size:
@@ -92,7 +104,7 @@ def read_sensing(
         if taken[part].any():
             raise DelayWrapperError(f'sensing_delay: "{key}" overlaps with another term')
         taken[part] = True
-        laws[str(key)], places[str(key)] = make_delay(law), part
+        laws[str(key)], places[str(key)] = read_delay(f'sensing_delay "{key}"', law), part
     begin = np.flatnonzero(np.diff(np.concatenate([[1], taken.astype(int), [1]])) < 0)
     stop = np.flatnonzero(np.diff(np.concatenate([[1], taken.astype(int), [1]])) > 0)
     for first, last in zip(begin.tolist(), stop.tolist(), strict=True):

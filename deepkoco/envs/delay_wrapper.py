@@ -14,12 +14,12 @@ from gymnasium.utils import RecordConstructorArgs
 from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
+    read_delay,
     read_sensing,
     seeded,
     step_rate,
 )
 from deepkoco.envs.delay_line import DelayLine
-from deepkoco.graph import make_delay
 from deepkoco.graph.delay import exact_fraction
 
 
@@ -30,7 +30,8 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
     sent at tick k and acts from its arrival to that of the next one. Over a step of the environment,
 
     - a Box action is the time-weighted mean of the actions that hold in it (exact for inputs that act
-      linearly and slowly; the environment itself cannot change its action within a step);
+      linearly and slowly; the environment itself cannot change its action within a step), rounded where the
+      Box is of integers;
     - any other action is the newest that has arrived when the step begins.
 
     The agent sees the newest observation that has arrived. Until the first one has, it sees what the reset
@@ -48,7 +49,8 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
             real numbers is interpolated linearly. None: one sample a step.
         action_history: How many past actions are appended to a flat Box observation, newest first, or to a
             Dict as ``action_history``.
-        initial_action: What acts before the first action has arrived; None: zero, or the nearest admissible.
+        initial_action: What acts before the first action has arrived; None: zero or the nearest admissible, of
+            choices the first.
 
     Raises:
         DelayWrapperError: The rate is not known, or an argument does not fit the spaces.
@@ -77,7 +79,7 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         rate = step_rate(env, control_rate)
         laws, self._places = read_sensing(sensing_delay, env.observation_space)
         self._line = DelayLine(
-            1, rate, make_delay(actuation_delay), laws,
+            1, rate, read_delay("actuation_delay", actuation_delay), laws,
             rate if sensor_rate is None else exact_fraction(sensor_rate), episode_steps(env),
         )  # fmt: skip
         self._initial = first_action(env.action_space, initial_action)
@@ -123,7 +125,7 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         space = self.action_space
         if isinstance(space, spaces.Box):
             stack = np.stack([np.asarray(a, np.float64) for a in self._sent], -1)
-            return (stack * self._line.weights()[0]).sum(-1).astype(space.dtype)
+            return as_action((stack * self._line.weights()[0]).sum(-1), space)
         return self._sent[-1 - int(self._line.newest()[0])]
 
     def _delayed(self) -> Any:
@@ -155,6 +157,12 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         return np.concatenate([observation, past]).astype(self.observation_space.dtype)
 
 
+def as_action(mean: np.ndarray, space: spaces.Box) -> np.ndarray:
+    """A mean of actions as an action of the space: of its type, whole where it has only whole numbers."""
+    whole = np.issubdtype(np.dtype(space.dtype), np.integer)
+    return (np.rint(mean) if whole else mean).astype(space.dtype)
+
+
 def between(space: spaces.Space, first: Any, after: Any, part: float) -> Any:
     """A new observation ``part`` of the way from one to the next: for real numbers, else the first."""
     if part and isinstance(space, spaces.Box) and np.issubdtype(np.dtype(space.dtype), np.floating):
@@ -178,7 +186,9 @@ def first_action(space: spaces.Space, given: Any) -> Any:
             given = np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
         elif isinstance(space, spaces.Discrete):
             given = space.start
-        elif isinstance(space, (spaces.MultiDiscrete, spaces.MultiBinary)):
+        elif isinstance(space, spaces.MultiDiscrete):
+            given = np.array(space.start, space.dtype)
+        elif isinstance(space, spaces.MultiBinary):
             given = np.zeros(space.shape, space.dtype)
         else:
             raise DelayWrapperError(f"initial_action: give one, for there is no zero in {space}")
@@ -205,8 +215,11 @@ def with_history(observation: spaces.Space, action: spaces.Space, history: int) 
         return spaces.Dict({**observation.spaces, "action_history": past})
     if not isinstance(observation, spaces.Box) or len(observation.shape) != 1:
         raise DelayWrapperError(f"action_history: needs a flat Box or a Dict observation, not {observation}")
+    # Past actions are no integers, so an observation of integers becomes one of real numbers.
+    real = np.issubdtype(np.dtype(observation.dtype), np.floating)
+    dtype = np.dtype(observation.dtype) if real else np.dtype(np.float32)
     return spaces.Box(
-        np.concatenate([observation.low, low]).astype(observation.dtype),
-        np.concatenate([observation.high, high]).astype(observation.dtype),
-        dtype=observation.dtype.type,
+        np.concatenate([observation.low, low]).astype(dtype),
+        np.concatenate([observation.high, high]).astype(dtype),
+        dtype=dtype.type,
     )

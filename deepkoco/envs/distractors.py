@@ -188,7 +188,7 @@ class VectorStateDistractors(VectorWrapper):
         mask = None if options is None else options.get("reset_mask")  # Gymnasium takes it out of options
         observation, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
         self.mixer.reset(seed, mask)
-        self._ended[:] = False
+        self._ended = self._ended & (False if mask is None else ~mask)
         return self.mixer.mix(observation), info
 
     def step(self, actions):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deepkoco.envs.tasks import TASKS, SwingUp
-from deepkoco.graph.delay import Delay, make_delay
+from deepkoco.graph.delay import Delay, DelayError, make_delay
 from deepkoco.systems import ExtendedSystem, JointSystem, load_model, make_system
 
 INTEGRATORS = ("rk4", "semi_implicit_euler")
@@ -68,7 +68,10 @@ class EnvironmentSettings:
                 f"{self.task.control_rate:g} Hz or more"
             )
         for name in DELAYS:
-            make_delay(getattr(self, name))
+            try:
+                make_delay(getattr(self, name))
+            except DelayError as error:
+                raise SettingsError(f"{name}: {error}") from error
         self._check_ranges()
 
     @property

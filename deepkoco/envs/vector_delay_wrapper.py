@@ -15,13 +15,13 @@ from gymnasium.vector.utils import batch_space
 from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
+    read_delay,
     read_sensing,
     seeded,
     step_rate,
 )
 from deepkoco.envs.delay_line import DelayLine
-from deepkoco.envs.delay_wrapper import first_action, with_history
-from deepkoco.graph import make_delay
+from deepkoco.envs.delay_wrapper import as_action, first_action, with_history
 from deepkoco.graph.delay import exact_fraction
 
 
@@ -66,7 +66,7 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         _check_arrays(self._space)
         laws, self._places = read_sensing(sensing_delay, self._space)
         self._line = DelayLine(
-            env.num_envs, rate, make_delay(actuation_delay), laws,
+            env.num_envs, rate, read_delay("actuation_delay", actuation_delay), laws,
             rate if sensor_rate is None else exact_fraction(sensor_rate), episode_steps(env),
         )  # fmt: skip
         first = np.asarray(first_action(actions, initial_action))
@@ -146,7 +146,7 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         sent = np.stack([*[self._initial] * lacking, *self._sent], 1)
         if isinstance(space, spaces.Box):
             weights = line.weights().reshape(self.num_envs, line.held, *(1,) * len(space.shape))
-            return (weights * sent.astype(np.float64)).sum(1).astype(space.dtype)
+            return as_action((weights * sent.astype(np.float64)).sum(1), space)
         return sent[np.arange(self.num_envs), line.held - 1 - line.newest()]
 
     def _delayed(self, now: bool = False) -> Any:

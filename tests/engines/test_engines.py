@@ -1,6 +1,7 @@
 """One graph on three engines: the same motion on equations, in MuJoCo and on a unit."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -127,6 +128,12 @@ def test_a_machine_that_is_held_runs_in_one_environment(engine):
     assert not world.pure
     with pytest.raises(EngineError, match="not 2"):
         world.init({}, torch.Generator(), 2)
+
+
+def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(EngineError, match=r"pip install 'deepkoco\[mujoco\]'"):
+        make_graph("rod_pendulum", "mujoco")
 
 
 def test_objects_name_their_actuators_and_sensors():

@@ -10,6 +10,8 @@ from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from deepkoco.envs.delay_arguments import DelayWrapperError
 from deepkoco.envs.delay_line import DelayLine
@@ -182,6 +184,78 @@ def test_what_acts_is_the_mean_of_what_holds():
         assert rewards[step] == pytest.approx(held.mean(), abs=3e-3)
 
 
+@given(
+    rate=st.sampled_from([7, 10, 30, 60]),
+    fine=st.sampled_from([1, 2, 5]),
+    actuation=st.integers(0, 400),
+    sensing=st.integers(0, 400),
+)
+@settings(max_examples=25, deadline=None)
+def test_constant_delays_follow_the_clock(rate: int, fine: int, actuation: int, sensing: int):
+    """Oracle in exact fractions of a second, delays in milliseconds: who holds when, which sample is there."""
+    env = DelayWrapper(Echo(), actuation / 1000, sensing / 1000, control_rate=rate, sensor_rate=rate * fine)
+    actions = np.random.default_rng(0).uniform(-1, 1, 20).astype(np.float32)
+    observations, rewards = roll(env, actions)
+    late, old = Fraction(actuation, 1000), Fraction(sensing, 1000)
+    for step in range(20):
+        begin, end = Fraction(step, rate), Fraction(step + 1, rate)
+        total = 0.0
+        for k, action in enumerate(actions[: step + 1].tolist()):
+            held = min(end, Fraction(k + 1, rate) + late) - max(begin, Fraction(k, rate) + late)
+            total += action * max(0.0, float(held * rate))
+        assert rewards[step] == pytest.approx(total, abs=1e-6)
+        sample = max(0, (end - old) * rate * fine // 1)
+        assert observations[step + 1][0] == pytest.approx(sample / fine, abs=1e-5)
+
+
+class Levels(Echo):
+    """Whole numbers act."""
+
+    def __init__(self, action_space):
+        super().__init__()
+        self.action_space = action_space
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_the_mean_of_whole_numbers_is_rounded(vector: bool):
+    """0.3 of the old and 0.7 of the new: 0.7 * 9 = 6.3; then 0.3 * 9 + 0.7 * 1 = 3.4; then 1."""
+    space = spaces.Box(0, 9, (1,), np.int64)
+    made = DelayWrapper if not vector else VectorDelayWrapper
+    env = made(SyncVectorEnv([lambda: Levels(space)]) if vector else Levels(space), 0.03)
+    env.reset(seed=0)
+    applied = [env.step(np.full((1, 1) if vector else 1, a))[4]["applied_action"].item() for a in (9, 1, 1)]
+    assert applied == [6, 3, 1]
+    again = DelayWrapper(Levels(space), 0.03)
+    again.reset(seed=0)
+    assert [again.step(np.array([8]))[4]["applied_action"].item() for _ in range(3)] == [6, 8, 8]
+
+
+def test_choices_that_begin_above_zero_start_with_their_first():
+    env = DelayWrapper(Levels(spaces.MultiDiscrete([3, 4], start=[1, 5])), 0.1)
+    env.reset(seed=0)
+    steps = [env.step(np.array(action))[4]["applied_action"].tolist() for action in ([2, 7], [3, 8])]
+    assert steps == [[1, 5], [2, 7]]
+
+
+class Bytes(Levels):
+    """Observes whole numbers."""
+
+    def __init__(self):
+        super().__init__(spaces.Box(-1.0, 1.0, (1,), np.float32))
+        self.observation_space = spaces.Box(0, 255, (2,), np.uint8)
+
+    def _observe(self):
+        return np.full(2, self.count, np.uint8)
+
+
+def test_past_actions_stay_real_numbers_beside_whole_ones():
+    env = DelayWrapper(Bytes(), action_history=1)
+    env.reset(seed=0)
+    observation, *_ = env.step(np.array([-0.5], np.float32))
+    np.testing.assert_array_equal(observation, [1, 1, -0.5])
+    assert env.observation_space.contains(observation)
+
+
 def test_delays_drawn_for_longer_begin_with_the_same():
     def line(steps):
         law = make_delay(GAUSSIAN)
@@ -273,7 +347,9 @@ class Timeless(Echo):
         ({"sensing_delay": {"count": 0.1}}, '"count" is no part of 2 entries'),
         ({"sensing_delay": {"0:3": 0.1}}, '"0:3" is no part'),
         ({"sensing_delay": {"0:2": 0.1, 1: 0.2}}, '"1" overlaps'),
-        ({"sensing_delay": -0.1}, "-0.1"),
+        ({"sensing_delay": -0.1}, "sensing_delay: .*-0.1"),
+        ({"sensing_delay": {1: -0.1}}, 'sensing_delay "1": .*-0.1'),
+        ({"actuation_delay": np.nan}, "actuation_delay: .*nan"),
         ({"action_history": -1}, "0 or more"),
         ({"initial_action": [3.0]}, "is not in Box"),
     ],

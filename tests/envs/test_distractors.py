@@ -109,6 +109,17 @@ def test_a_masked_reset_restarts_its_copies_alone():
     assert np.abs(after[1] - before[1]).max() > 0.1
 
 
+def test_a_masked_reset_leaves_those_that_wait_to_their_own_restart():
+    """Both end at step 4; the second is reset by hand, the first starts anew with the next step."""
+    env = vector(AutoresetMode.NEXT_STEP)
+    columns = np.argsort(env.mixer.order)[3:]
+    env.reset(seed=0)
+    last = [env.step(np.zeros((2, 1), np.float32))[0] for _ in range(4)][-1][:, columns]
+    env.reset(options={"reset_mask": np.array([False, True])})
+    after = env.step(np.zeros((2, 1), np.float32))[0][:, columns]
+    assert np.abs(after[0] - last[0]).max() > 1.0
+
+
 def test_environments_without_a_seed_have_distractors_of_their_own():
     columns = np.argsort(wrapped().mixer.order)[3:]
     first, other = (wrapped().reset()[0][columns] for _ in range(2))
