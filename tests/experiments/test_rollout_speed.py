@@ -3,6 +3,7 @@
 import json
 
 import pytest
+import torch
 
 from experiments import rollout_speed
 
@@ -22,6 +23,22 @@ def test_speeds_are_printed_and_written(tmp_path, capsys, monkeypatch):
         rollout_speed.main([*arguments, "--out", str(path)])
     assert ended.value.code == 2
     assert "exists" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_without_a_cuda_device_its_executor_is_refused_before_anything_runs(capsys):
+    with pytest.raises(SystemExit) as ended:
+        rollout_speed.main(["--batch", "1", "--executors", "eager", "cuda"])
+    assert ended.value.code == 2
+    assert "finds no CUDA device; install" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_speeds_of_a_cuda_device_name_it(capsys, monkeypatch):
+    monkeypatch.setattr(rollout_speed, "LEAST_SECONDS", 0.0)
+    assert rollout_speed.main(["--batch", "64", "--executors", "cuda", "--repeats", "1", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["rows"][0]["device"] == result["device"] == torch.cuda.get_device_name()
 
 
 def test_the_peer_is_told_the_same_work():

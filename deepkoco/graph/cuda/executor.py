@@ -177,7 +177,7 @@ class TensorExecutor:
             cells = own if len(own) == 1 else (*own, own[0])  # one more for those that write nothing
             rings[name] = torch.stack(cells)
         return Carry(
-            torch.from_numpy(state.row).to(self.device),
+            torch.from_numpy(np.ascontiguousarray(state.row)).to(self.device),
             torch.from_numpy(state.step).to(self.device),
             dict(state.nodes),
             rings,
