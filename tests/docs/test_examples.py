@@ -2,17 +2,40 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-@pytest.mark.parametrize("page", ["graph.md"])
-def test_examples_run_from_top_to_bottom(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def run_examples(page: str, names: dict[str, Any]) -> dict[str, Any]:
+    """Run the Python blocks of a page from top to bottom and return the names that there are then."""
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
-    names: dict[str, object] = {"__name__": "example"}
+    assert blocks
     for block in blocks:
         exec(compile(block, page, "exec"), names)
-    assert blocks
+    return names
+
+
+@pytest.fixture(scope="module")
+def first_graph(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the page that the others build on defines."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("first_graph"))
+        return run_examples("graph.md", {"__name__": "example"})
+
+
+@pytest.mark.parametrize("page", ["delays.md", "recordings.md"])
+def test_examples_go_on_from_the_first_graph(
+    page: str, first_graph: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_examples(page, dict(first_graph))
+
+
+@pytest.mark.parametrize("page", ["environments.md"])
+def test_examples_run_from_top_to_bottom(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    run_examples(page, {"__name__": "example"})
