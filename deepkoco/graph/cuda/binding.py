@@ -14,7 +14,7 @@ from deepkoco.graph.cuda.modes import OnDevice
 from deepkoco.graph.cuda.packing import Buffers, Packing
 from deepkoco.graph.cuda.recent import Recent
 from deepkoco.graph.cuda.state import DeviceState, carry_of, named_carry, parameters_of
-from deepkoco.graph.cuda.supervisor_step import SupervisorStep
+from deepkoco.graph.cuda.supervisor_step import SupervisorStep, Uses
 from deepkoco.graph.policy import PolicyFunction
 from deepkoco.graph.schedule import Schedule
 
@@ -76,8 +76,15 @@ class Binding:
     def policy_stepper(self, function: PolicyFunction, parameters: Mapping[str, Tensor]) -> Work:
         """Work that takes one step with the action of a policy, and leaves that in `action`."""
 
+        uses: dict[str, Uses] = {}
+
         def act(values: Mapping[str, Tensor]) -> None:
-            self.action.copy_(self.function.act(function, values, self._carry))
+            action = self.function.act(function, values, self._carry, uses)
+            if action.shape[1:] != self.action.shape[1:] or len(action) not in (1, len(self.action)):
+                raise ValueError(
+                    f"the policy gives actions {tuple(action.shape)} where {tuple(self.action.shape)} is expected"
+                )
+            self.action.copy_(action)
 
         return self._work(function, parameters, act)
 

@@ -49,7 +49,7 @@ class TensorExecutor:
     def __init__(self, graph: Graph, device: torch.device, *, capture: bool) -> None:
         self.graph, self.device, self.capture = graph, device, capture
         self._eager = EagerExecutor(graph, device)
-        self._uses: dict[Any, Uses] = {}
+        self._uses: dict[str, Uses] = {}
         self._functions: Recent[Any, SupervisorStep] = Recent(SCHEDULES)
         self._bindings: Recent[Any, Binding] = Recent(BINDINGS)
 
@@ -86,7 +86,8 @@ class TensorExecutor:
             outputs={n: tuple(v.to(self.device) for v in own) for n, own in state.outputs.items()},
         )
         if trace is not None:
-            return self._packed(self._eager.begin(state, trace))
+            with constants(self.device):
+                return self._packed(self._eager.begin(state, trace))
         with constants(self.device):
             carry = self._function(state.schedule).begin(state.parameters, self._carry(state))
         return self._state(state, carry)

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map_only
 
 FROM_PYTHON = (torch.tensor, torch.as_tensor, torch.from_numpy)
@@ -14,8 +15,8 @@ FACTORIES = frozenset(
 )
 
 
-class Watching(TorchFunctionMode):
-    """Takes note of which tensors are used by any operation.
+class Watching(TorchDispatchMode):
+    """Takes note of which tensors are used by any operation, those inside scripted functions included.
 
     Attributes:
         used: identities of the tensors.
@@ -25,7 +26,7 @@ class Watching(TorchFunctionMode):
         super().__init__()
         self.used: set[int] = set()
 
-    def __torch_function__(
+    def __torch_dispatch__(
         self, func: Callable[..., Any], types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
         self.note(tree_leaves((args, kwargs)))

@@ -51,18 +51,18 @@ class SupervisorStep:
         graph: nodes and connections.
         schedule: what runs when.
         device: where everything lives.
-        uses: by function, what each is known to read; filled as they run for the first time.
+        uses: by node name, what each is known to read; filled as they run for the first time.
 
     Attributes:
         running: what is being called, for errors.
     """
 
     def __init__(
-        self, graph: Graph, schedule: Schedule, device: torch.device, uses: dict[Any, Uses] | None = None
+        self, graph: Graph, schedule: Schedule, device: torch.device, uses: dict[str, Uses] | None = None
     ) -> None:
         self.graph, self.schedule, self.device = graph, schedule, device
         self.tables = PassTables(graph, schedule, device)
-        self.uses: dict[Any, Uses] = {} if uses is None else uses
+        self.uses: dict[str, Uses] = {} if uses is None else uses
         self.running = "the supervisor step"
         self._kept: dict[Any, Tensor] = {}
 
@@ -78,14 +78,26 @@ class SupervisorStep:
         after = Carry(carry.row, carry.step + 1, carry.nodes, cells.rings, carry.readings)
         return self._pass(parameters, after, action, first=False)
 
-    def act(self, function: Callable[..., Tensor], parameters: Mapping[str, Tensor], carry: Carry) -> Tensor:
-        """Actions (B, M) of a policy from the readings, or from what the supervisor sees if there are none."""
+    def act(
+        self,
+        function: Callable[..., Tensor],
+        parameters: Mapping[str, Tensor],
+        carry: Carry,
+        uses: dict[str, Uses],
+    ) -> Tensor:
+        """Actions (B, M) of a policy from the readings, or from what the supervisor sees if there are none.
+
+        Args:
+            function: of its parameters and what it is shown.
+            parameters: of the policy.
+            carry: where the environments are.
+            uses: of the policy alone, like that of the nodes.
+        """
         self.running = "the policy"
         if carry.readings:
             return function(parameters, carry.readings)
-        key = function, "policy"
-        seen = self._supervisor_inputs(carry, self.uses.get(key))
-        return self._watched(key, seen, lambda: function(parameters, seen))
+        seen = self._supervisor_inputs(carry, uses.get("policy"))
+        return self._watched("policy", seen, lambda: function(parameters, seen), uses)
 
     def inputs(self, carry: Carry) -> dict[str, Input]:
         """What the supervisor sees at the step that waits, every field of it."""
@@ -195,14 +207,21 @@ class SupervisorStep:
             self._kept["range", size] = torch.arange(size, device=self.device)
         return self._kept["range", size]
 
-    def _watched(self, key: Any, inputs: Mapping[str, Input], function: Callable[[], Any]) -> Any:
+    def _watched(
+        self,
+        key: str,
+        inputs: Mapping[str, Input],
+        function: Callable[[], Any],
+        uses: dict[str, Uses] | None = None,
+    ) -> Any:
         """Call a function, and the first time take note of which fields of its inputs it reads."""
-        if key in self.uses:
+        uses = self.uses if uses is None else uses
+        if key in uses:
             return function()
         with Watching() as watching:
             result = function()
         watching.note(tree_leaves(result))
-        self.uses[key] = frozenset(
+        uses[key] = frozenset(
             (name, field)
             for name, seen in inputs.items()
             for field in TIMES

@@ -168,6 +168,8 @@ def test_wrong_actions_rows_and_parameters_are_refused():
         runtime.step(state, torch.zeros(4, 1))
     with pytest.raises(ValueError, match=r"actions \(2, 5, 1\) for 3 steps"):
         runtime.rollout(state, torch.zeros(2, 5, 1), 3)
+    with pytest.raises(ValueError, match=r"the policy gives actions \(5,\) where \(5, 1\) is expected"):
+        runtime.rollout(state, lambda parameters, seen: seen["observation"][:, 0], 2)
     with pytest.raises(ValueError, match="there are schedules 0 to 4"):
         runtime.reset(make_parameters(), torch.Generator(), rows=np.array([0, 5]))
     parameters = make_parameters()
