@@ -43,12 +43,13 @@ def model_xml(
         time_step: Step of the physics [s].
     """
     angle, speed = sensors
+    # Without the flag MuJoCo puts a body whose state is no number back to zero and goes on.
     tip, width = 2.0 * body.reach, 0.1 * abs(body.reach)
     return f"""
 <mujoco model="{name}">
   <compiler angle="radian" autolimits="true"/>
   <option timestep="{time_step!r}" integrator="RK4" gravity="0 0 {-body.gravity!r}">
-    <flag contact="disable" constraint="disable"/>
+    <flag contact="disable" constraint="disable" autoreset="disable"/>
   </option>
   <worldbody>
     <light pos="0 -2 2" dir="0 1 -1"/>

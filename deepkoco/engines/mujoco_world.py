@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -98,7 +97,13 @@ class _Simulator:
         self.data = self._mujoco.MjData(self.model)
 
     def advance(self, state: list[float], effort: float, steps: int) -> tuple[float, float]:
-        """Motion of (angle [rad], speed [rad/s]) under a constant effort."""
+        """Motion of (angle [rad], speed [rad/s]) under a constant effort.
+
+        Raises:
+            EngineError: The command or the state is no number any more.
+        """
+        if not math.isfinite(effort):
+            raise EngineError(f"mujoco: command {effort} is not finite")
         data = self.data
         data.qpos[0], data.qvel[0] = state
         data.ctrl[0] = effort
@@ -108,7 +113,7 @@ class _Simulator:
             for _ in range(steps):
                 data.qfrc_applied[0] = self.body.resistance(float(data.qvel[0]))
                 self._mujoco.mj_step(self.model, data)
-        if not np.isfinite(data.qpos[0]):
+        if not (math.isfinite(data.qpos[0]) and math.isfinite(data.qvel[0])):
             raise EngineError("mujoco: the state is not finite any more; take a smaller time_step")
         return float(data.qpos[0]), float(data.qvel[0])
 

@@ -83,12 +83,19 @@ class EngineEnv(gymnasium.Env):
         self._state: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Start in ``options["initial_state"]`` (S,) or a start state drawn from the seed."""
+        """Start in ``options["initial_state"]`` (S,) or a start state drawn from the seed.
+
+        Raises:
+            SettingsError: The initial state has another shape.
+        """
         super().reset(seed=seed)
         generator = torch.Generator().manual_seed(int(self.np_random.integers(2**62)))
         start = self.task.start(self.system, 1, generator)
         if options and options.get("initial_state") is not None:
             start = torch.as_tensor(np.asarray(options["initial_state"], np.float64))[None]
+            if start.shape != (1, len(self.system.state_names)):
+                names = ", ".join(self.system.state_names)
+                raise SettingsError(f"initial_state has shape {tuple(start.shape[1:])}; give {names}")
         parameters = {**self.system.default_parameters(), "start": start}
         timing = None
         if not self.engine.real_time:

@@ -117,6 +117,20 @@ def test_the_ode_engine_runs_thousands_at_once_as_one_by_one():
         np.testing.assert_allclose(inputs["truth"].data[b, -1], alone[-1, 1], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("state", "command", "message"),
+    [((1.0, math.nan), 0.0, "state is not finite"), ((1.0, 0.0), math.nan, "command nan is not finite")],
+)
+def test_mujoco_stops_at_what_is_no_number(state, command, message, tmp_path, monkeypatch):
+    """By itself it would put the body back to zero, drop the command, and go on."""
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)  # it writes a log where it is
+    world = MujocoEngine().nodes(find_object("rod_pendulum").dynamics)[0]
+    world.init({}, torch.Generator(), 1)
+    with pytest.raises(EngineError, match=message):
+        world._simulator.advance(list(state), command, 10)
+
+
 def test_an_episode_in_mujoco_repeats_bit_for_bit():
     assert motion("pendulum", "mujoco").tobytes() == motion("pendulum", "mujoco").tobytes()
 

@@ -106,6 +106,8 @@ def test_wrong_settings_are_told():
     ):
         with pytest.raises(ValueError, match=message):
             EngineEnv(**settings)
+    with pytest.raises(ValueError, match=r"initial_state has shape \(3,\); give theta, omega"):
+        EngineEnv().reset(options={"initial_state": np.zeros(3)})
     env = EngineEnv(longest_episode=1)
     env.reset(seed=0)
     env.step(ACTIONS[0])
