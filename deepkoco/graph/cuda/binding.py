@@ -105,21 +105,17 @@ class Binding:
             if not self.capture:
                 return work, values
             start = self._start
-            return (
-                Captured(
-                    work,
-                    lambda: packing.load(self._moving, start),
-                    self.device,
-                    lambda: self.function.running,
-                ),
-                values,
-            )
+
+            def prepare() -> None:
+                packing.load(self._moving, start)
+
+            captured = Captured(work, prepare, self.device, lambda: self.function.running)
+            prepare()  # the runs before the capture have taken steps
+            return captured, values
 
         work, values = self._works.get(key, make)
         for name, value in parameters.items():
             values[name].copy_(value.detach())
-        if self.capture:
-            packing.load(self._moving, self._start)  # the runs before a capture have moved it
         return work
 
     def _advance(self) -> None:
