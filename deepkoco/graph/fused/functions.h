@@ -63,13 +63,27 @@ template <class V> INLINE V floor_(V a) {
 template <class V> INLINE V trunc_(V a) { return with_sign(floor_(abs_(a)), a); }
 INLINE VL trunc_(VL a) { return a; }
 INLINE VI trunc_(VI a) { return a; }
+// Division of integers: by 0 it gives 0 (torch raises an error), and the one quotient that is out of range wraps.
+INLINE i64 quotient_of(i64 x, i64 y) { return y == 0 ? 0 : y == -1 ? i64(0 - uint64_t(x)) : x / y; }
+INLINE i64 rest_of(i64 x, i64 y) { return y == 0 || y == -1 ? 0 : x % y; }
+INLINE VL truncdiv_(VL a, VL b) {
+  return each2(a, b, [](i64 x, i64 y) { return quotient_of(x, y); });
+}
+INLINE VL fmod_(VL a, VL b) {
+  return each2(a, b, [](i64 x, i64 y) { return rest_of(x, y); });
+}
 INLINE VL remainder_(VL a, VL b) {
-  return each2(a, b, [](i64 x, i64 y) { i64 r = y ? x % y : 0; return r && ((r < 0) != (y < 0)) ? r + y : r; });
+  return each2(a, b, [](i64 x, i64 y) { i64 r = rest_of(x, y); return r && ((r < 0) != (y < 0)) ? r + y : r; });
 }
-INLINE VL fmod_(VL a, VL b) { return each2(a, b, [](i64 x, i64 y) { return y ? x % y : 0; }); }
 INLINE VL floordiv_(VL a, VL b) {
-  return each2(a, b, [](i64 x, i64 y) { i64 q = y ? x / y : 0; return y && q * y != x && ((x < 0) != (y < 0)) ? q - 1 : q; });
+  return each2(a, b, [](i64 x, i64 y) { return quotient_of(x, y) - (rest_of(x, y) && ((x < 0) != (y < 0))); });
 }
+#define NARROW(name) \
+  INLINE VI name(VI a, VI b) { return cvt<VI>(name(cvt<VL>(a), cvt<VL>(b))); }
+NARROW(truncdiv_)
+NARROW(fmod_)
+NARROW(remainder_)
+NARROW(floordiv_)
 template <class V> INLINE V fmod_(V a, V b) {
   return each2(a, b, [](auto x, auto y) { return std::fmod(x, y); });
 }
@@ -84,6 +98,7 @@ template <class V> INLINE V remainder_(V a, V b) {
   r = sel(lt(zero, b) & lt(r, zero), r + b, sel(lt(b, zero) & lt(zero, r), r + b, r));
   return sel((lt(zero, b) & le(b, r)) | (lt(b, zero) & le(r, b)), r - b, r);
 }
+template <class V> INLINE V truncdiv_(V a, V b) { return trunc_(a / b); }
 template <class V> INLINE V floordiv_(V a, V b) { return floor_((a - remainder_(a, b)) / b + splat<V>(0.5)); }
 
 template <int N, class V> INLINE V power(V a) {

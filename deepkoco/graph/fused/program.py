@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.connection import Connection
-from deepkoco.graph.fused.record import Spec
+from deepkoco.graph.fused.record import NUMPY, Spec
 from deepkoco.graph.fused.trace import Ref, Trace, TraceError, trace
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import Input, Node, Supervisor
@@ -37,7 +37,7 @@ class Program:
     readings: dict[str, Spec]
 
 
-def spec(tensor: Tensor, batch: int | None = None) -> Spec:
+def spec(tensor: Tensor) -> Spec:
     """Type and shape of one environment's part of a (B, ...) tensor, or of a scalar for all."""
     return tensor.dtype, tuple(tensor.shape[1:])
 
@@ -82,6 +82,9 @@ def _program(
     sent: Mapping[str, Tensor],
 ) -> Program:
     edges = graph.inputs_of(node.name)
+    for key, value in (*parameters.items(), *state.items(), ("output", sent[node.name])):
+        if value.dtype not in NUMPY:
+            raise TraceError(f'node "{node.name}": "{key}" of type {value.dtype} is not compiled')
     own = {key: one(value) for key, value in state.items()}
     examples = {f"p.{key}": one(value) for key, value in parameters.items()}
     examples |= {f"s.{key}": value for key, value in own.items()}

@@ -95,6 +95,6 @@ class Records:
         first = (field.offset + cell * field.count * field.size) * self.lanes
         part = self.buffer[:, first : first + field.count * field.size * self.lanes]
         view = part.view(NUMPY[field.dtype]).reshape(len(self.buffer), field.count, self.lanes)
-        rows = view.transpose(0, 2, 1).reshape(-1, field.count)
-        rows = rows[lane_of] if self.lanes > 1 else rows.copy()
-        return torch.from_numpy(rows.reshape(-1, *field.shape))
+        rows = view.transpose(0, 2, 1).reshape(len(self.buffer) * self.lanes, field.count)
+        rows = rows[lane_of] if len(rows) > 1 else rows.copy()
+        return torch.from_numpy(rows.reshape(len(rows), *field.shape))

@@ -1,7 +1,7 @@
 """Sources: the C++ text of a graph's kernel and of a policy."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 
 import numpy as np
@@ -18,8 +18,10 @@ from deepkoco.graph.fused.body import (
     contiguous,
     loops_over,
     position,
+    supported,
 )
 from deepkoco.graph.fused.operations import lower
+from deepkoco.graph.fused.operations.views import fill
 from deepkoco.graph.fused.program import TIMES, Program
 from deepkoco.graph.fused.record import Field, Spec, lay_out
 from deepkoco.graph.fused.trace import Ref, Trace, TraceError
@@ -328,13 +330,21 @@ def _seen(body: Body, graph: Graph, name: str, trace: Trace, uses: set[str]) -> 
             elif edge.window == 1:
                 inputs[key] = body.rearrange(each, lambda t: t.unsqueeze(1))
             else:
-                raise TraceError(f'node "{name}": window {edge.window} of large messages "{edge.key}"')
+                inputs[key] = value = body.local(ref.example.shape, ref.example.dtype)
+                assert value.array is not None
+                for j, message in enumerate(each):
+                    start = j * value.array.strides[1]
+                    fill(
+                        body,
+                        replace(value.array, offset=start),
+                        body.rearrange([message], lambda t: t[:, None]),
+                    )
     return inputs
 
 
 def _load(body: Body, pointer: str, ref: Ref, early: bool = False) -> Value:
     """A tensor of a record."""
-    shape, dtype = tuple(ref.example.shape), ref.example.dtype
+    shape, dtype = tuple(ref.example.shape), supported(ref.example.dtype)
     if ref.example.numel() > REGISTERS:
         return Value(shape, dtype, array=Array(pointer, "lanes", contiguous(shape)))
     add = body.parameter if early else body.emit

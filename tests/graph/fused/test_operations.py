@@ -31,6 +31,7 @@ def elementary(x: Tensor) -> Tensor:
         lambda x: torch.fmod(x, 0.7), lambda x: torch.where(x > 0.5, x, 1.0), lambda x: x.isnan().to(x.dtype),
         lambda x: x.isinf().to(x.dtype), lambda x: torch.isfinite(x).to(x.dtype), lambda x: x // 0.5,
         lambda x: torch.maximum(x, -x), lambda x: torch.minimum(x, x * 0 + 1.5), lambda x: torch.atan2(x, 1 + x),
+        torch.nan_to_num, lambda x: torch.nan_to_num(x, 3.0, 1e4, -7.0),
         lambda x: torch.lerp(x, 2 * x, 0.25), lambda x: torch.addcmul(x, x, x, value=0.5), torch.reciprocal,
     )  # fmt: skip
     return torch.stack([f(x[:, 0]) for f in functions], 1)

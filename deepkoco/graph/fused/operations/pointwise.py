@@ -76,7 +76,7 @@ def _sum(body: Body, call: Call, x: Any, y: Any, sign: str, alpha: float) -> Val
 def _div(body: Body, call: Call, x: Any, y: Any, rounding_mode: str | None = None) -> Value:
     dtype = supported(call.outputs[0].example.dtype)
     _, operands = common_type(body, call, x, y)
-    template = {"floor": "floordiv_({0}, {1})", "trunc": "trunc_({0} / {1})"}
+    template = {"floor": "floordiv_({0}, {1})", "trunc": "truncdiv_({0}, {1})"}
     if rounding_mode is None:
         return body.pointwise(operands, dtype, lambda a, b: body.quotient(a, b, dtype), dtype)
     return body.pointwise(operands, dtype, lambda a, b: template[rounding_mode].format(a, b), dtype)
@@ -154,6 +154,30 @@ def _isinf(body: Body, call: Call, x: Value) -> Value:
 def _isfinite(body: Body, call: Call, x: Value) -> Value:
     infinite = body.literal(math.inf, x.dtype)
     return body.pointwise([x], x.dtype, lambda a: f"lt(abs_({a}), {infinite})", torch.bool)
+
+
+def _nan_to_num(
+    body: Body,
+    call: Call,
+    x: Value,
+    nan: float | None = None,
+    posinf: float | None = None,
+    neginf: float | None = None,
+) -> Value:
+    if not x.dtype.is_floating_point:
+        return x
+    limits = torch.finfo(x.dtype)
+    numbers = (nan or 0.0, limits.max if posinf is None else posinf, limits.min if neginf is None else neginf)
+    zero, high, low = (body.literal(number, x.dtype) for number in numbers)
+    most, least = (body.literal(number, x.dtype) for number in (math.inf, -math.inf))
+    return body.pointwise(
+        [x],
+        x.dtype,
+        lambda a: (
+            f"sel(ne({a}, {a}), {zero}, sel(eq({a}, {most}), {high}, sel(eq({a}, {least}), {low}, {a})))"
+        ),
+        x.dtype,
+    )
 
 
 def _lerp(body: Body, call: Call, x: Value, end: Value, weight: Any) -> Value:
@@ -235,6 +259,7 @@ OTHERS: dict[str, Lowering] = {
     "isnan": _isnan,
     "isinf": _isinf,
     "isfinite": _isfinite,
+    "nan_to_num": _nan_to_num,
     "lerp": _lerp,
     "addcmul": _addc("*"),
     "addcdiv": _addc("/"),

@@ -57,12 +57,13 @@ def _join(body: Body, call: Call, parts: Sequence[Value], dim: int = 0) -> Value
     for part in parts:
         array = result.array
         window = Array(array.pointer, "local", array.strides, first * array.strides[dim])
-        _fill(body, window, part)
+        fill(body, window, part)
         first += part.shape[dim]
     return result
 
 
-def _fill(body: Body, target: Array, value: Value) -> None:
+def fill(body: Body, target: Array, value: Value) -> None:
+    """Copy a value into a part of an array."""
     source = body.stored(value)
     assert source.array is not None
     loops, index = loops_over(value.shape)
