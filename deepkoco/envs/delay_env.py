@@ -92,7 +92,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
             gymnasium.logger.warn('render() without a render mode: pass render_mode="rgb_array" to make()')
             return None
         seen = self.state.nodes["agent"]
-        pairs = zip(seen["truth"].numpy(), seen["command"].tolist(), strict=True)
+        pairs = zip(seen["truth"].cpu().numpy(), seen["command"].tolist(), strict=True)
         return tuple(self.system.draw(state, command, self.render_size) for state, command in pairs)
 
     def _make_graph(self) -> Graph:

@@ -53,6 +53,11 @@ class GraphEnv(gymnasium.Env):
         self._left = -1  # no episode has begun
         self._actions: list[np.ndarray] = []
 
+    @property
+    def dt(self) -> float:
+        """Time between two steps of the agent [s]."""
+        return self.batch.dt
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         super().reset(seed=seed)
         own = int(self.np_random.integers(2**31)) if seed is None else seed

@@ -126,7 +126,12 @@ class GraphVectorEnv(VectorEnv):
     @property
     def drawn(self) -> dict[str, np.ndarray]:
         """What the environments have drawn for their episodes from the ranges of ``randomize``, (B,) each."""
-        return {name: value.numpy() for name, value in self._drawn.items()}
+        return {name: value.numpy().copy() for name, value in self._drawn.items()}
+
+    @property
+    def dt(self) -> float:
+        """Time between two steps of the agent [s]."""
+        return float(1 / self.graph.node(self.graph.supervisor).rate)
 
     @property
     def executor(self) -> str:

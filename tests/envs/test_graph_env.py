@@ -12,8 +12,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
+from deepkoco.envs.delay_wrapper import DelayWrapper
 from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
+from deepkoco.envs.vector_delay_wrapper import VectorDelayWrapper
 from deepkoco.graph import Connection, Graph, GraphError, HorizonError, Supervisor
 from deepkoco.graph.delay import RecordedDelays
 
@@ -280,6 +282,24 @@ def test_delays_are_drawn_as_episodes_go_on(mode: str):
             mine, other = short.step(action), long.step(action)
             assert mine[0].tobytes() == other[0].tobytes()
             assert mine[1:] == other[1:]
+
+
+def test_delay_wrappers_take_the_rate_of_the_agent():
+    """10 Hz: what is 0.2 s old was seen two steps before; the count grows by one a step."""
+    single = DelayWrapper(alone(), sensing_delay=0.2)
+    counts = [single.reset(seed=0)[0][0], *(single.step(np.ones(1, np.float32))[0][0] for _ in range(4))]
+    assert counts == [0.0, 0.0, 0.0, 1.0, 2.0]
+    batch = VectorDelayWrapper(together(), sensing_delay=0.2)
+    batch.reset(seed=0)
+    seen = [batch.step(np.ones((4, 1), np.float32))[0][0, 0] for _ in range(4)]
+    assert seen == counts[1:]
+
+
+def test_what_has_been_drawn_is_not_to_be_changed_from_outside():
+    env = together(randomize={"counter.stride": (1.0, 2.0)})
+    env.reset(seed=0)
+    env.drawn["counter.stride"][:] = 100.0
+    assert env.drawn["counter.stride"].max() <= 2.0
 
 
 def test_a_step_before_the_reset_is_refused():
