@@ -21,7 +21,7 @@ class Engine(ABC):
 
     ``world`` takes commands (1,) from the input ``agent`` and puts out the state, or what is known of it, (S,);
     ``sensor`` takes the input ``world`` and puts out the measurements (N,). Both take the parameter ``start``
-    (S,), the start state of the episode, besides the system's.
+    (1, S) or (B, S), the start state of the episode, besides the system's.
 
     Attributes:
         world_rate: Ticks of ``world`` per second [Hz].

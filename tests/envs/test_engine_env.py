@@ -48,7 +48,7 @@ def test_in_mujoco_the_episode_is_the_same():
 def test_a_machine_that_is_held_also_runs_in_the_environment_of_a_graph():
     pytest.importorskip("mujoco")
     env = EngineEnv(engine="mujoco", **DELAYS)
-    nominal = env.system.default_parameters() | {"start": torch.tensor(START["initial_state"])}
+    nominal = env.system.default_parameters() | {"start": torch.tensor(START["initial_state"])[None]}
     same = GraphEnv(env.graph, env.action_space, env.observation_space, parameters={"world": nominal})
     same.reset(seed=0)
     env.reset(seed=0, options=START)
