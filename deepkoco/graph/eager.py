@@ -58,6 +58,13 @@ class EagerExecutor:
         for name in (*parameters, *initial):
             if name not in self.graph.index:
                 raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
+        for name, given in parameters.items():
+            for key, value in given.items():
+                if value.ndim and len(value) not in (1, batch):
+                    raise GraphError(
+                        f'parameter "{name}.{key}" {tuple(value.shape)} is neither a number nor one for each '
+                        f"of {batch} environments"
+                    )
         nodes, outputs, values = {}, {}, {}
         for position, node in enumerate(self.graph.nodes):
             values[node.name] = dict(parameters.get(node.name, {}))

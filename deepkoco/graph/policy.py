@@ -21,14 +21,21 @@ def as_function(
     if not isinstance(policy, nn.Module):
         return policy, parameters or {}
     own = dict(policy.named_parameters()) | dict(policy.named_buffers())
-    return ModuleFunction(policy), own if parameters is None else parameters
+    modes = tuple(module.training for module in policy.modules())
+    return ModuleFunction(policy, modes), own if parameters is None else parameters
 
 
 @dataclass(frozen=True)
 class ModuleFunction:
-    """A module as a function of its parameters; equal to that of the same module."""
+    """A module as a function of its parameters; equal to that of the same module in the same mode.
+
+    Attributes:
+        module: the policy.
+        modes: for it and each module in it, whether it is in training.
+    """
 
     module: nn.Module
+    modes: tuple[bool, ...]
 
     def __call__(self, parameters: Mapping[str, Tensor], seen: Mapping[str, Any]) -> Tensor:
         return torch.func.functional_call(self.module, dict(parameters), (seen["observation"],))

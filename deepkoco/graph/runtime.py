@@ -105,6 +105,8 @@ class BatchedRuntime:
         if schedule is None:
             raise ValueError("no timing: give one to the runtime or to reset")
         row = schedule.timing.row if rows is None else np.asarray(rows, dtype=np.int64)
+        if not len(row):
+            raise ValueError("no rows: a batch has at least one environment")
         self._check_pure(len(row))
         fresh = self._executor.start(schedule, row, parameters, generator, initial or {})
         fresh = self._executor.begin(fresh, trace)
@@ -163,6 +165,8 @@ class BatchedRuntime:
             HorizonError: the timing of an environment ends before the last step; nothing has been done.
             ValueError: a name or shape does not fit.
         """
+        if steps < 1:
+            raise ValueError(f"a rollout of {steps} steps: take at least one")
         names = recorded_names(None if record is None else tuple(record), state)
         return self._executor.rollout(state, policy, steps, parameters, names)
 

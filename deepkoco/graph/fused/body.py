@@ -77,6 +77,7 @@ class Body:
     Attributes:
         prologue, lines: statements that depend on parameters alone, and the others.
         shared: large constants, by name of the array in the kernel's pool.
+        bytes: of the local arrays, per lane.
     """
 
     def __init__(self, name: str) -> None:
@@ -87,6 +88,7 @@ class Body:
         self._known: dict[tuple[str, str], str] = {}
         self._early: dict[str, tuple[torch.dtype, str | None]] = {}
         self._count = 0
+        self.bytes = 0
 
     def fresh(self, letter: str = "a") -> str:
         """A name that is not used yet."""
@@ -167,6 +169,7 @@ class Body:
     def local(self, shape: Sequence[int], dtype: torch.dtype) -> Value:
         """A new array, not yet filled."""
         name = self.fresh()
+        self.bytes += math.prod(shape) * max(dtype.itemsize, 4)
         self.lines.append(f"{VECTORS[dtype]} {name}[{max(math.prod(shape), 1)}];")
         return Value(tuple(shape), dtype, array=Array(name, "local", contiguous(shape)))
 
@@ -221,15 +224,18 @@ class Body:
         """Apply an operation that only picks elements, by doing it to their numbers."""
         dtype = values[0].dtype
         if all(v.array is None or v.size <= REGISTERS for v in values):
-            elements = [name for v in values for name in self.names(v)]
             numbers, first = [], 0
             for v in values:
                 numbers.append(torch.arange(first, first + v.size).reshape(v.shape))
                 first += v.size
             picked = function(*numbers)
-            chosen = tuple(elements[i] for i in picked.flatten().tolist())
-            result = Value(tuple(picked.shape), dtype, chosen)
-            return self.stored(result) if len(chosen) > REGISTERS else result
+            expanded = picked.numel() > REGISTERS and len(values) == 1 and picked._base is not None
+            if not expanded:
+                elements = [name for v in values for name in self.names(v)]
+                chosen = tuple(elements[i] for i in picked.flatten().tolist())
+                result = Value(tuple(picked.shape), dtype, chosen)
+                return self.stored(result) if len(chosen) > REGISTERS else result
+            values = [self.stored(values[0])]  # a view of it, not a statement for every element
         if len(values) > 1:
             raise TraceError("large tensors are joined along more than one dimension")
         (value,) = values

@@ -1,5 +1,6 @@
 """The system's C++ compiler, and kernels kept by the hash of their source."""
 
+import atexit
 import ctypes
 import hashlib
 import os
@@ -53,10 +54,16 @@ def load(source: str) -> ctypes.CDLL:
     """
     compiler = find_compiler()
     words = "\0".join([source, compiler, str(os.stat(compiler).st_mtime_ns), _processor(), *FLAGS])
-    path = cache_folder() / f"{hashlib.sha256(words.encode()).hexdigest()[:32]}.so"
-    if not path.exists():
-        _compile(compiler, source, path)
-    return ctypes.CDLL(str(path))
+    name = f"{hashlib.sha256(words.encode()).hexdigest()[:32]}.so"
+    for folder in (cache_folder, _own_folder):
+        try:
+            path = folder() / name
+            if not path.exists():
+                _compile(compiler, source, path)
+            return ctypes.CDLL(str(path))
+        except OSError as error:  # the folder cannot be written, is full, or may hold no programs
+            failure = error
+    raise CompilerError(f"a compiled kernel cannot be kept or loaded: {failure}")
 
 
 def _compile(compiler: str, source: str, path: Path) -> None:
@@ -69,6 +76,14 @@ def _compile(compiler: str, source: str, path: Path) -> None:
         if done.returncode:
             raise CompilerError(f"{compiler} fails:\n{done.stderr[:2000]}")
         os.replace(library, path)
+
+
+@lru_cache
+def _own_folder() -> Path:
+    """A folder of this process alone, where that of the user cannot be used."""
+    folder = tempfile.mkdtemp(prefix="deepkoco-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 @lru_cache

@@ -1,6 +1,7 @@
 """The fused executor: a graph's node functions compiled into one kernel over blocks of environments."""
 
 import warnings
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -28,6 +29,9 @@ from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Tra
 
 FEW = 4  # up to this many environments, one lane each is faster than blocks that are mostly empty
 
+POLICIES = 16
+"""Policies whose machine code is kept: a program that makes a function for every rollout has no end of them."""
+
 
 class FusedExecutor:
     """Runs compiled kernels; runs the eager executor where a graph cannot be compiled, and says why.
@@ -49,8 +53,7 @@ class FusedExecutor:
         self.name = "fused"
         self._kernels: dict[Any, Kernel] = {}
         self._bindings: dict[Any, Binding] = {}
-        self._policies: dict[Any, CompiledPolicy] = {}
-        self._refused: set[Any] = set()
+        self._policies: OrderedDict[Any, CompiledPolicy | None] = OrderedDict()
 
     def start(
         self,
@@ -111,14 +114,9 @@ class FusedExecutor:
             given = given_actions(policy, state, steps, shape)
             return run_rollout(state, steps, record, self.threads, actions=given)
         function, values = as_function(policy, parameters)
-        try:
-            compiled = self._policy(state, function, values)
-        except (TraceError, CompilerError) as error:
-            if function not in self._refused:
-                self._refused.add(function)
-                warnings.warn(f"{error}; this policy runs between steps", RuntimeWarning, stacklevel=3)
-            after, taken = self._steps(state, function, values, steps, record)
-            return after, taken
+        compiled = self._policy(state, function, values)
+        if compiled is None:
+            return self._steps(state, function, values, steps, record)
         return run_rollout(state, steps, record, self.threads, policy=compiled, weights=compiled.pack(values))
 
     def _steps(
@@ -145,13 +143,22 @@ class FusedExecutor:
 
     def _policy(
         self, state: FusedState, function: PolicyFunction, parameters: Mapping[str, Tensor]
-    ) -> CompiledPolicy:
+    ) -> CompiledPolicy | None:
+        """The policy's machine code; None if it cannot be compiled, which is said once."""
         kernel = state.binding.kernel
         key = id(kernel), function, *((k, v.dtype, v.shape) for k, v in parameters.items())
         if key not in self._policies:
-            self._policies[key] = CompiledPolicy(kernel, function, parameters)
+            try:
+                self._policies[key] = CompiledPolicy(kernel, function, parameters)
+            except (TraceError, CompilerError) as error:
+                warnings.warn(f"{error}; this policy runs between steps", RuntimeWarning, stacklevel=4)
+                self._policies[key] = None
+            if len(self._policies) > POLICIES:
+                self._policies.popitem(last=False)
+        self._policies.move_to_end(key)
         policy = self._policies[key]
-        state.binding.see(policy.source.uses)
+        if policy is not None:
+            state.binding.see(policy.source.uses)
         return policy
 
     def inputs(self, state: RuntimeState) -> Mapping[str, Input]:
@@ -197,13 +204,6 @@ class FusedExecutor:
             ),
         )
         if signature not in self._kernels:
-            for name, values in state.parameters.items():
-                for key, value in values.items():
-                    if value.ndim and len(value) not in (1, state.batch):
-                        raise TraceError(
-                            f'parameter "{name}.{key}" {tuple(value.shape)} is neither a number nor one for each '
-                            f"of {state.batch} environments"
-                        )
             programs = trace_graph(
                 self.graph, state.parameters, state.nodes, {n: own[0] for n, own in state.outputs.items()}
             )

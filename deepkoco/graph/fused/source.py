@@ -32,6 +32,9 @@ _ARGUMENTS = (
     "const char *A, char *S2, char *Y, const char *K"
 )
 
+MOST_STACK = 3 << 20
+"""Bytes that a kernel and the policy that it calls may each take from a thread's stack, often 8 MB."""
+
 
 @dataclass
 class Pool:
@@ -106,7 +109,7 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
     supervisor = by_name[graph.supervisor]
     readings, reading_size = lay_out(supervisor.readings)
     pool, hoisted = Pool(), _Hoisted()
-    texts, prologues, staged, uses = [], [], {}, {}
+    texts, prologues, staged, uses, deepest = [], [], {}, {}, 0
     for index, (n, p) in enumerate(by_name.items()):
         staged[n], uses[n] = False, set()
         if p.trace is None:
@@ -125,6 +128,7 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
             _store(body, f"Y + {place.offset} * W", outputs[f"r.{key}"])
         if "output" in outputs:
             _store(body, "Y", outputs["output"])
+        deepest = max(deepest, body.bytes)
         early, lines = body.finish(hoisted.place)
         prologues += [f"  {{ // {n}", *(f"    {line}" for line in early), "  }"] if early else []
         texts += [f"static void body_{index}({_ARGUMENTS}) {{ // {n}"]
@@ -144,6 +148,9 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
         "HOISTED": max(8, hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
+    _check_stack(
+        lanes * (deepest + sum(defines[k] for k in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")))
+    )
     text = "\n".join(
         [
             f"#define W {lanes}",
@@ -243,6 +250,7 @@ def policy_source(
         if output.shape[1:] != action[1]:
             raise TraceError(f"policy: an action is {action[1]}, not {output.shape[1:]}")
     _store(body, "Y", output)
+    _check_stack(lanes * body.bytes)
     early, lines = body.finish(lambda _: 0)
     assert not early, "a policy has no parameters of single environments"
     behind = Pool(size=pool.size)
@@ -383,6 +391,13 @@ def _pool_lines(body: Body, pool: Pool, base: str) -> list[str]:
         scalar = SCALARS[tensor.dtype]
         lines.append(f"const {scalar} *{name} = (const {scalar} *)({base} + {pool.add(tensor)});")
     return lines
+
+
+def _check_stack(size: int) -> None:
+    if size > MOST_STACK:
+        raise TraceError(
+            f"{size / 2**20:.0f} MB are worked on at once, more than the {MOST_STACK / 2**20:.0f} MB of a kernel"
+        )
 
 
 def _bytes(kind: Spec) -> int:

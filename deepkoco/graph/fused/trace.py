@@ -74,8 +74,8 @@ def trace(
         examples: tensors (1, ...) by name; what counts is their shapes and types.
 
     Raises:
-        TraceError: the function looks at the values of tensors, draws random numbers or writes into its
-            inputs.
+        TraceError: the function looks at the values of tensors, draws random numbers, writes into its
+            inputs or reads a tensor that requires gradients and is none of them.
     """
     recorder = _Recorder(examples)
     with torch.no_grad(), _Guard(), recorder:
@@ -117,6 +117,12 @@ class _Recorder(TorchDispatchMode):
         if known and name.startswith(_VALUE_READS):
             raise TraceError(f"{name} takes a value out of a tensor; use torch.where instead of if")
         result = func(*args, **kwargs)
+        if any(leaf.requires_grad and id(leaf) not in self.refs for leaf in _leaves((args, kwargs), Tensor)):
+            # A kernel would keep the numbers of today while training goes on.
+            raise TraceError(
+                f"{name} reads a tensor that requires gradients and is no argument; hand it over with the "
+                "parameters, or freeze it with requires_grad_(False)"
+            )
         if not known:
             return result
         if name in _ALIASES:

@@ -25,6 +25,18 @@ def test_a_library_is_made_once_for_the_same_source(tmp_path, monkeypatch):
     assert isinstance(compiler.load(SOURCE % 7), ctypes.CDLL)
 
 
+def test_where_the_cache_cannot_be_used_kernels_live_as_long_as_the_process(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert compiler.load(SOURCE % 9).answer() == 9
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "broken"))
+    assert compiler.load(SOURCE % 10).answer() == 10
+    (library,) = compiler.cache_folder().iterdir()
+    library.unlink()
+    library.write_text("no library")
+    assert compiler.load(SOURCE % 10).answer() == 10
+
+
 def test_a_source_that_does_not_compile_is_an_error():
     with pytest.raises(compiler.CompilerError, match="fails"):
         compiler.load("nonsense")

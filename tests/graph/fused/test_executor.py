@@ -129,6 +129,37 @@ def test_a_policy_may_have_parameters_of_its_own():
     torch.testing.assert_close(*results, rtol=2e-5, atol=2e-5)
 
 
+def test_a_policy_that_holds_its_weights_itself_never_acts_with_old_ones():
+    both = Pendulums(batch=9)
+    state, module = both.reset()[0], make_policy()
+
+    def act(parameters, seen):
+        return module(seen["observation"])
+
+    with pytest.warns(RuntimeWarning, match="policy: .* reads a tensor that requires gradients"):
+        before = both.fused.rollout(state, act, 1, record=["action"])[1]["action"]
+    with torch.no_grad():
+        module[-1].weight.zero_()
+        module[-1].bias.fill_(2.0)
+    after = both.fused.rollout(state, act, 1, record=["action"])[1]["action"]
+    assert not torch.equal(before, after)
+    assert torch.equal(after, torch.full_like(after, 2.0))
+
+
+def test_a_policy_in_another_mode_is_another_policy():
+    both = Pendulums(batch=9)
+    state = both.reset()[0]
+
+    class Explorer(torch.nn.Module):
+        def forward(self, observation):
+            return observation[:, :1] * 0 + (3.0 if self.training else 1.0)
+
+    module = Explorer()
+    for training, expected in ((True, 3.0), (False, 1.0)):
+        action = both.fused.rollout(state, module.train(training), 1, record=["action"])[1]["action"]
+        assert torch.equal(action, torch.full_like(action, expected))
+
+
 def test_a_policy_that_cannot_be_compiled_runs_between_steps():
     both = Pendulums(batch=9)
     states = both.reset()
@@ -226,6 +257,12 @@ def test_wrong_actions_names_and_rows_are_refused():
         both.fused.rollout(state, actions(2, 6), 2, record=["speed"])
     with pytest.raises(ValueError, match=r"actions \(2, 6, 1\) for 3 steps"):
         both.fused.rollout(state, actions(2, 6), 3)
+    with pytest.raises(ValueError, match="a rollout of 0 steps"):
+        both.fused.rollout(state, actions(2, 6), 0)
+    with pytest.raises(ValueError, match=r'"world.mass" \(5,\) is neither a number nor one for each of 6'):
+        both.reset({"world": make_parameters()["world"] | {"mass": torch.ones(5)}})
+    with pytest.raises(ValueError, match="no rows"):
+        both.fused.reset(make_parameters(), seed(), rows=np.zeros(0, int))
     with pytest.raises(ValueError, match="there are schedules 0 to 4"):
         both.fused.reset(make_parameters(), seed(), rows=np.array([0, 5]))
     with pytest.raises(ValueError, match='executor "fast" is none of eager, fused'):

@@ -2,11 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
-from compiled import run
+from compiled import Apply, run
 from torch import Tensor
 from torch.nn import functional as F
+
+from deepkoco.graph import BatchedRuntime, Connection, Graph, Node, Supervisor, draw_timing
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -166,3 +169,65 @@ def run_anyway(function, x: Tensor) -> Tensor:
         return run(function, x)
     except AssertionError:
         return run(function, x, "eager")
+
+
+@pytest.mark.parametrize("dtype", [torch.int32, torch.int64])
+def test_integers_are_divided_as_in_torch(dtype):
+    pairs = [(7, 2), (-7, 2), (7, -2), (-7, -2), (torch.iinfo(dtype).min, 3), (6, -1)] * 3
+    x = torch.tensor(pairs, dtype=dtype)
+
+    def function(x: Tensor) -> Tensor:
+        a, b = x.unbind(1)
+        return torch.stack([torch.div(a, b, rounding_mode="trunc"), a // b, a % b, torch.fmod(a, b)], 1)
+
+    assert torch.equal(run(function, x), function(x))
+
+
+class Divide(Node):
+    """Divides the least integer by 1, 0 and -1 in turn."""
+
+    def init(self, parameters, generator, batch):
+        return {"by": torch.ones(batch, 1, dtype=torch.int64)}
+
+    def initial_output(self, parameters, state, batch):
+        return torch.zeros(batch, 3, dtype=torch.int64)
+
+    def step(self, parameters, state, inputs):
+        by = state["by"]
+        least = torch.full_like(by, torch.iinfo(torch.int64).min)
+        results = [torch.div(least, by, rounding_mode="trunc"), least // by, least % by]
+        return {"by": by - 1}, torch.cat(results, 1)
+
+
+def test_a_division_of_integers_never_ends_the_process():
+    agent = Supervisor("agent", 10, initial_action=torch.zeros(1))
+    graph = Graph([Divide("divide", 10), agent], [Connection("divide", "agent")])
+    runtime = BatchedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 2, 1), executor="fused")
+    state, inputs = runtime.reset({}, torch.Generator())
+    seen = [inputs["divide"].data[0, 0].tolist()]
+    for _ in range(2):
+        state, inputs = runtime.step(state, torch.zeros(1, 1))
+        seen.append(inputs["divide"].data[0, 0].tolist())
+    least = torch.iinfo(torch.int64).min
+    assert seen == [[least, least, 0], [0, 0, 0], [least, least, 0]]
+    assert runtime.executor == "fused"
+
+
+def test_what_is_larger_than_the_stack_runs_in_the_eager_executor():
+    agent = Supervisor("agent", 10, initial_action=torch.zeros(1))
+    graph = Graph(
+        [Apply(lambda x: torch.tanh(x) * 2 + 1, torch.rand(5, 40000)), agent], [Connection("apply", "agent")]
+    )
+    runtime = BatchedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 1, 5), executor="fused")
+    with pytest.warns(RuntimeWarning, match="MB are worked on at once"):
+        runtime.reset({}, torch.Generator())
+    assert runtime.executor == "eager"
+
+
+def test_a_number_fills_a_large_tensor():
+    x = torch.rand(20, 6, 50)
+
+    def function(x: Tensor) -> Tensor:
+        return torch.cat([x * 2 + 1, x[:, :1, :1].sum(2, keepdim=True).expand(-1, 1, 50) * x[:, :1]], 1)
+
+    torch.testing.assert_close(run(function, x), function(x))
