@@ -30,6 +30,7 @@ POPULATION, POPULATION_STEPS = 200, 1050
 LEAST_SECONDS = 0.1  # of one measurement: shorter work is repeated
 ROOT = Path(__file__).resolve().parent.parent
 PEER = ROOT / ".venv-peers" / "bin" / "python"
+PEER_SCRIPT = ROOT / "experiments" / "peers" / "rex_rollout.py"
 
 
 class OurWork:
@@ -106,7 +107,7 @@ class PeerWork:
         environment = {k: v for k, v in os.environ.items() if k != "OMP_NUM_THREADS"}
         begin = time.perf_counter()
         self._process = subprocess.Popen(
-            [str(PEER), str(Path(__file__).with_name("rollout_peer.py")), file.name],
+            [str(PEER), str(PEER_SCRIPT), file.name],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -141,7 +142,7 @@ class PeerWork:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise SystemExit("the peer ended; run experiments/rollout_peer.py by hand to see why")
+            raise SystemExit(f"the peer ended; run {PEER_SCRIPT} by hand to see why")
         return json.loads(line)
 
 
@@ -272,15 +273,41 @@ def main(arguments: list[str] | None = None) -> int:
         every, own = workers["fused"].memory(1024)
         result["bytes_per_environment"] = {"fused": every, "own_state": own}
     if peer is not None:
-        result["bytes_per_environment"]["rex"] = next(iter(peer.memory.values()))
+        result.setdefault("bytes_per_environment", {})["rex"] = next(iter(peer.memory.values()))
         result["rex_start_up"] = {"import": peer.import_seconds, **next(iter(peer.first.values()))}
         peer.close()
     if given.start_up:
         result["start_up"] = start_up("fused")
     if given.out is not None:
         write_csv(given.out, rows)
-    sys.stdout.write(json.dumps(result, indent=None if given.json else 2) + "\n")
+    sys.stdout.write(json.dumps(result) + "\n" if given.json else table(result))
     return 0
+
+
+def table(result: dict[str, Any]) -> str:
+    """What was measured, for people: medians with quartiles."""
+    lines = [
+        f"{'work':10s} {'batch':>6s} {'executor':8s} {'steps per s':>32s} {'steps per CPU s':>32s}  to REX per CPU s"
+    ]
+    for row in result["rows"]:
+        rates = []
+        for name in ("steps_per_s", "steps_per_cpu_s"):
+            quartiles = f"[{row[f'{name}_low']:.0f}, {row[f'{name}_high']:.0f}]"
+            rates.append(f"{row[name]:10.0f} {quartiles:>21s}")
+        ratio = row.get("ratio_to_rex_per_cpu_s")
+        ratios = "" if ratio is None else f"  {ratio:.2f} x"
+        lines.append(f"{row['work']:10s} {row['batch']:6d} {row['executor']:8s} {' '.join(rates)}{ratios}")
+    for title, unit, key in (
+        ("memory of an environment", "B", "bytes_per_environment"),
+        ("from the start to the first step", "s", "start_up"),
+        ("REX, from the start to the first step", "s", "rex_start_up"),
+    ):
+        if key in result:
+            numbers = ", ".join(f"{name} {value:.4g} {unit}" for name, value in result[key].items())
+            lines.append(f"{title}: {numbers}")
+    if "device" in result:
+        lines.append(f"device: {result['device']}")
+    return "\n".join(lines) + "\n"
 
 
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:

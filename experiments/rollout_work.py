@@ -1,8 +1,8 @@
 """The work of the rollout benchmark: a disk pendulum with random delays and a neural policy, in float32.
 
 World at 100 Hz (one Runge-Kutta step per tick), sensor, actuator and agent at 50 Hz; the agent sees the last
-two measurements and acts through two layers of 64 tanh units. `rollout_peer.py` is the same work for the
-peer.
+two measurements and acts through two layers of 64 tanh units. `peers/rex_rollout.py` is the same
+work for the peer.
 """
 
 from collections.abc import Mapping

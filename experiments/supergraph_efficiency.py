@@ -117,7 +117,7 @@ def measure_peer(cell: Cell, generation: bool, python: str = PEER_PYTHON) -> dic
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "graphs.npz"
         export_graphs(path, cell, topology, episodes)
-        command = [python, "-m", "experiments.supergraph_efficiency_peer", str(path)]
+        command = [python, "-m", "experiments.peers.supergraph_search", str(path)]
         # The peer's result depends on the hash of its vertices' names.
         environment = os.environ | {"PYTHONHASHSEED": str(cell.seed), "OMP_NUM_THREADS": "1"}
         run = subprocess.run(

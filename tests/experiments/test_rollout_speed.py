@@ -41,6 +41,20 @@ def test_speeds_of_a_cuda_device_name_it(capsys, monkeypatch):
     assert result["rows"][0]["device"] == result["device"] == torch.cuda.get_device_name()
 
 
+def test_without_json_a_table_is_printed():
+    row = {"work": "rollout", "batch": 64, "executor": "fused"}
+    for name, value in (("steps_per_s", 4e6), ("steps_per_cpu_s", 5e6), ("ratio_to_rex_per_cpu_s", 2.5)):
+        row |= {name: value, f"{name}_low": 0.9 * value, f"{name}_high": 1.1 * value}
+    result = {"rows": [row], "bytes_per_environment": {"fused": 212.5, "own_state": 8.0}}
+    header, line, memory = rollout_speed.table(result).splitlines()
+    assert header.split()[:3] == ["work", "batch", "executor"]
+    assert line.split() == [
+        *("rollout", "64", "fused", "4000000", "[3600000,", "4400000]", "5000000", "[4500000,", "5500000]"),
+        *("2.50", "x"),
+    ]
+    assert memory == "memory of an environment: fused 212.5 B, own_state 8 B"
+
+
 def test_the_peer_is_told_the_same_work():
     work = rollout_speed.description()
     assert [len(weights) for weights, _ in work["layers"]] == [64, 64, 1]

@@ -12,15 +12,15 @@ import time
 
 BEGIN = time.perf_counter()
 
-import distrax  # noqa: E402
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
+import distrax  # noqa: E402  # pyright: ignore[reportMissingImports]
+import jax  # noqa: E402  # pyright: ignore[reportMissingImports]
+import jax.numpy as jnp  # noqa: E402  # pyright: ignore[reportMissingImports]
 import numpy as np  # noqa: E402
-from flax import struct  # noqa: E402
-from rex import base  # noqa: E402
-from rex.artificial import generate_graphs  # noqa: E402
-from rex.graph import Graph  # noqa: E402
-from rex.node import BaseNode  # noqa: E402
+from flax import struct  # noqa: E402  # pyright: ignore[reportMissingImports]
+from rex import base  # noqa: E402  # pyright: ignore[reportMissingImports]
+from rex.artificial import generate_graphs  # noqa: E402  # pyright: ignore[reportMissingImports]
+from rex.graph import Graph  # noqa: E402  # pyright: ignore[reportMissingImports]
+from rex.node import BaseNode  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 GRAVITY, SMOOTHING, SPEED_LIMIT = 9.81, 0.1, 40.0
 
@@ -68,7 +68,7 @@ class World(BaseNode):
         return Vector(jnp.stack([angle, jnp.float32(0.0)]))
 
     def init_output(self, rng=None, graph_state=None):
-        return Vector(graph_state.state[self.name].value)
+        return Vector(graph_state.state[self.name].value)  # pyright: ignore[reportOptionalMemberAccess]
 
     def step(self, step_state):
         p, x, dt = step_state.params, step_state.state.value, 1 / self.rate
