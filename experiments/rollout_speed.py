@@ -303,7 +303,10 @@ def table(result: dict[str, Any]) -> str:
         ("REX, from the start to the first step", "s", "rex_start_up"),
     ):
         if key in result:
-            numbers = ", ".join(f"{name} {value:.4g} {unit}" for name, value in result[key].items())
+            numbers = ", ".join(
+                f"{name} {value:.4g}{'' if name == 'slots' else ' ' + unit}"
+                for name, value in result[key].items()
+            )
             lines.append(f"{title}: {numbers}")
     if "device" in result:
         lines.append(f"device: {result['device']}")
