@@ -1,7 +1,7 @@
 """Sources: the C++ text of a graph's kernel and of a policy."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
 import numpy as np
@@ -22,6 +22,7 @@ from deepkoco.graph.fused.body import (
 )
 from deepkoco.graph.fused.operations import lower
 from deepkoco.graph.fused.operations.views import fill
+from deepkoco.graph.fused.pool import Pool
 from deepkoco.graph.fused.program import TIMES, Program
 from deepkoco.graph.fused.record import Field, Spec, lay_out
 from deepkoco.graph.fused.trace import Ref, Trace, TraceError
@@ -34,27 +35,6 @@ _ARGUMENTS = (
 
 MOST_STACK = 3 << 20
 """Bytes that a kernel and the policy that it calls may each take from a thread's stack, often 8 MB."""
-
-
-@dataclass
-class Pool:
-    """Large constants, one after the other."""
-
-    parts: list[np.ndarray] = field(default_factory=list)
-    size: int = 0
-
-    def add(self, tensor: Tensor) -> int:
-        """Append a tensor and return where it starts [bytes]."""
-        numbers = tensor.numpy()
-        part = numbers.astype(np.uint8) if numbers.dtype == np.bool_ else numbers
-        data = np.frombuffer(part.tobytes(), dtype=np.uint8)
-        start = self.size
-        self.parts.append(np.concatenate([data, np.zeros(-len(data) % 64, dtype=np.uint8)]))
-        self.size += len(self.parts[-1])
-        return start
-
-    def join(self) -> np.ndarray:
-        return np.concatenate([np.zeros(0, dtype=np.uint8), *self.parts])
 
 
 @dataclass(frozen=True)
