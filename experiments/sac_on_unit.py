@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -275,7 +276,7 @@ def _evaluate(agent: Any, env: gymnasium.Env, episodes: int) -> pd.DataFrame:
 def _draw(study: Study, summary: Any, by_seed: Any, path: Path) -> None:
     systems = [name for name in study.benches if name in set(summary["system"])]
     figure, axes = plt.subplots(
-        1, len(systems), figsize=(1.5 + 4.0 * len(systems), 3.6), layout="constrained", squeeze=False
+        1, len(systems), figsize=(3.0 + 4.0 * len(systems), 3.8), layout="constrained", squeeze=False
     )
     conditions = list(study.conditions)
     for axis, system in zip(axes[0], systems, strict=True):
@@ -298,8 +299,11 @@ def _draw(study: Study, summary: Any, by_seed: Any, path: Path) -> None:
         axis.set_xticks(range(len(places)), [PLACES[p] for p in places])
         axis.set(title=system.replace("_", " "), ylabel="cost of an episode, mean and seeds")
         axis.grid(alpha=0.3, axis="y")
-    axes[0, -1].legend(fontsize=8, title="trained")
-    figure.suptitle(study.title)
+    # Outside of the axes, where it covers no seed.
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=8, title="trained"
+    )
+    figure.suptitle(textwrap.fill(study.title, 14 + 34 * len(systems)))
     partial = path.with_name(f".{path.name}")
     figure.savefig(partial, dpi=150, format="png")
     plt.close(figure)
