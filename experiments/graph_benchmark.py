@@ -15,6 +15,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import pandas as pd
 from rich.console import Console
 
 from experiments.provenance import as_markdown
@@ -61,6 +63,25 @@ def run(console: Console, module: list[str], text: Path) -> bool:
     return True
 
 
+def draw_rollouts(table: Path) -> None:
+    """Draw steps per CPU second against the batch, beside the CSV that they come from."""
+    data = pd.read_csv(table)
+    data = data[data["work"] == "rollout"]
+    figure, axis = plt.subplots(figsize=(6, 3.8), layout="constrained")
+    for i, (executor, own) in enumerate(data.groupby("executor", sort=False)):
+        axis.plot(own["batch"], own["steps_per_cpu_s"], "o-", color=f"C{i}", label=executor)
+        axis.fill_between(
+            own["batch"], own["steps_per_cpu_s_low"], own["steps_per_cpu_s_high"], color=f"C{i}", alpha=0.2
+        )
+    axis.set(xscale="log", yscale="log", xlabel="environments", ylabel="agent steps per CPU second")
+    axis.grid(alpha=0.3)
+    axis.legend(title="median and quartiles")
+    partial = table.with_name(f".{table.stem}.png")
+    figure.savefig(partial, dpi=150, format="png")
+    plt.close(figure)
+    os.replace(partial, table.with_suffix(".png"))
+
+
 def write_readme(folder: Path) -> None:
     """Collect what the benchmarks printed, with the versions and the machine."""
     parts = ["# The delay graph: speed and size, against its peers", ""]
@@ -70,6 +91,9 @@ def write_readme(folder: Path) -> None:
         if text.exists():
             command = f"python -m {' '.join(module)}"
             parts += [f"## {title}", "", f"`{command}`", "", "```", text.read_text().rstrip(), "```", ""]
+    if (folder / "rollout.csv").exists():
+        draw_rollouts(folder / "rollout.csv")
+        parts += ["![agent steps per CPU second against the number of environments](rollout.png)", ""]
     parts += ["## Made with", "", as_markdown(), ""]
     partial = folder / ".README.md.partial"
     partial.write_text("\n".join(parts), encoding="utf-8")
