@@ -206,7 +206,8 @@ def _unit(study: Study, run: Run, clock: str) -> UnitEnv:
 
 
 def _agent(study: Study, run: Run, env: gymnasium.Env, steps: int) -> Any:
-    from stable_baselines3 import SAC  # the bench extra, only where an agent is trained or run
+    # The bench extra, only where an agent is trained or run.
+    from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
 
     torch.set_num_threads(1)
     bench = study.benches[run.system]
