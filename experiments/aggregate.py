@@ -80,7 +80,7 @@ def conditions(configs: Mapping[Path, TrainRunConfig]) -> dict[Path, str]:
                 f"{run}: same settings and seed as {seen[key, seed]}; move one of them elsewhere"
             )
         seen[key, seed] = run
-    plain = {key: f"{s['env.name']}, distractors {s['distractors']}" for key, s in groups.items()}
+    plain = {key: f"{s['task.name']}, distractors {s['distractors']}" for key, s in groups.items()}
     labels = {}
     for key, settings in groups.items():
         same = [groups[other] for other in groups if plain[other] == plain[key]]

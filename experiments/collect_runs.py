@@ -79,7 +79,7 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
         last = pd.read_csv(folder / "metrics.csv").iloc[-1]
         rows.append(
             {
-                "env": config.env.name,
+                "task": config.task.name,
                 "distractors": config.distractors,
                 "seed": config.seed,
                 **{name: evaluation[name] for name in ("n", "mean", "sd", "median", "upright")},
@@ -87,7 +87,7 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
                 "train_seconds": last["seconds"],
             }
         )
-    table = pd.DataFrame(rows).sort_values(["env", "distractors", "seed"])
+    table = pd.DataFrame(rows).sort_values(["task", "distractors", "seed"])
     table.to_csv(partial / "evaluations.csv", index=False, float_format="%.6g")
     for folder in folders:
         kept = partial / "runs" / folder.relative_to(runs)

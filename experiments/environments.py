@@ -10,23 +10,23 @@ from gymnasium.vector import VectorEnv
 
 from deepkoco.agent.collection import VectorEnvFactory, box_sizes
 from deepkoco.envs.distractors import VectorStateDistractors
-from experiments.settings import EnvConfig, ExperimentError
+from experiments.settings import ExperimentError, TaskConfig
 
 
-def plain(envs: VectorEnv, config: EnvConfig, seed: int) -> VectorEnv:
+def plain(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
     """No distractors."""
     return envs
 
 
-def copies(envs: VectorEnv, config: EnvConfig, seed: int) -> VectorEnv:
+def copies(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
     """Four further systems in the observation; the order is drawn once per run seed."""
     return VectorStateDistractors(envs, system=config.system, shuffle_seed=seed)
 
 
-DISTRACTORS: dict[str, Callable[[VectorEnv, EnvConfig, int], VectorEnv]] = {"none": plain, "copies": copies}
+DISTRACTORS: dict[str, Callable[[VectorEnv, TaskConfig, int], VectorEnv]] = {"none": plain, "copies": copies}
 
 
-def make_factory(config: EnvConfig, distractors: str) -> VectorEnvFactory:
+def make_factory(config: TaskConfig, distractors: str) -> VectorEnvFactory:
     """Check an environment's settings and make its factory.
 
     Args:
@@ -45,7 +45,7 @@ def make_factory(config: EnvConfig, distractors: str) -> VectorEnvFactory:
     try:
         spec = gymnasium.spec(config.id)
     except gymnasium.error.Error as error:
-        raise ExperimentError(f'env.id = "{config.id}": {error}') from error
+        raise ExperimentError(f'task.id = "{config.id}": {error}') from error
     # An own vector class steps the whole batch at once; else one environment after the other.
     mode = "vector_entry_point" if spec.vector_entry_point is not None else "sync"
     kwargs: dict[str, Any] = dict(config.kwargs)
@@ -57,7 +57,7 @@ def make_factory(config: EnvConfig, distractors: str) -> VectorEnvFactory:
     try:
         probe = make(1, 0)
     except (gymnasium.error.Error, TypeError, ValueError) as error:
-        raise ExperimentError(f"env.kwargs = {kwargs}: {error}") from error
+        raise ExperimentError(f"task.kwargs = {kwargs}: {error}") from error
     box_sizes(probe)
     probe.close()
     return make

@@ -19,7 +19,7 @@ class ExperimentError(ValueError):
 
 
 @dataclass
-class EnvConfig:
+class TaskConfig:
     """A Gymnasium environment."""
 
     name: str = MISSING
@@ -29,22 +29,22 @@ class EnvConfig:
     system: str = "rod_pendulum"
     """System of the distractor copies."""
     kwargs: dict[str, Any] = field(default_factory=dict)
-    """Arguments of the environment; a new one is given as env.kwargs.NAME=VALUE with a leading +."""
+    """Arguments of the environment; a new one is given as task.kwargs.NAME=VALUE with a leading +."""
 
 
 @dataclass
 class TrainRunConfig:
     """Settings of one training run."""
 
-    env: EnvConfig = field(default_factory=EnvConfig)
-    """The environment, a file of configs/env."""
+    task: TaskConfig = field(default_factory=TaskConfig)
+    """The environment, a file of configs/task."""
     agent: TrainingConfig = field(default_factory=TrainingConfig)
     """Hyper-parameters."""
     seed: int = 0
     """Seed of everything: weights, episodes, noise, distractors."""
     distractors: str = "none"
     """Distractors of the observation: "none" or "copies" (four further systems, shuffled order)."""
-    run: str = "runs/${env.name}/${distractors}/seed_${seed}"
+    run: str = "runs/${task.name}/${distractors}/seed_${seed}"
     """Folder of the run; it must not exist."""
     resume: str | None = None
     """Folder of a run to continue, with the settings stored there."""
@@ -106,4 +106,4 @@ def register() -> None:
     store.store(name="train_schema", node=TrainRunConfig)
     store.store(name="evaluate_schema", node=EvaluateConfig)
     store.store(name="aggregate_schema", node=AggregateConfig)
-    store.store(group="env", name="env_schema", node=EnvConfig)
+    store.store(group="task", name="task_schema", node=TaskConfig)

@@ -1,4 +1,4 @@
-"""Train DeepKoCo: `python -m experiments.train env=rod_pendulum seed=0 distractors=none run=RUN`."""
+"""Train DeepKoCo: `python -m experiments.train task=pendulum seed=0 distractors=none run=RUN`."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
                 f"{folder}: exists already; choose another run= or continue it with resume={folder}"
             )
         return _same_settings(config, folder), folder, False
-    make_factory(config.env, config.distractors)
+    make_factory(config.task, config.distractors)
     config.agent.check()
     # The folder appears with its settings inside, so a kill leaves one that can be resumed, or none.
     partial = folder.with_name(f"{folder.name}.partial")
@@ -142,7 +142,7 @@ def train(given: TrainRunConfig) -> None:
 
 
 def _train(config: TrainRunConfig, folder: Path) -> None:
-    trainer = Trainer(make_factory(config.env, config.distractors), config.agent, config.seed, folder)
+    trainer = Trainer(make_factory(config.task, config.distractors), config.agent, config.seed, folder)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -95,9 +95,9 @@ def check_run(run: Path, unit: UnitSpec) -> None:
     """
     config = load_run_config(run)
     check_finished(run)
-    if config.env.system != unit.system:
+    if config.task.system != unit.system:
         raise ExperimentError(
-            f"{run}: trained on env.system {config.env.system}, but the unit is a {unit.system}"
+            f"{run}: trained on task.system {config.task.system}, but the unit is a {unit.system}"
         )
     model, _, low, high = load_model(run)
     env = _environment(config, unit, "simulated", film=False)
@@ -105,14 +105,14 @@ def check_run(run: Path, unit: UnitSpec) -> None:
     if entries[0] != model.observation_size:
         raise ExperimentError(
             f"{run}: the policy takes {model.observation_size} observation entries, the unit gives "
-            f"{entries[0]}; train with the same env.kwargs.action_history and distractors"
+            f"{entries[0]}; train with the same task.kwargs.action_history and distractors"
         )
     space = env.action_space
     assert isinstance(space, spaces.Box)
     if not (np.allclose(space.low, low) and np.allclose(space.high, high)):
         raise ExperimentError(
             f"{run}: the policy's actions lie in {low.tolist()} to {high.tolist()}, those of the unit in "
-            f"{space.low.tolist()} to {space.high.tolist()}; train with another env.kwargs.action_units"
+            f"{space.low.tolist()} to {space.high.tolist()}; train with another task.kwargs.action_units"
         )
 
 
@@ -165,7 +165,7 @@ def run_trial(
 
 
 def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool):
-    kwargs = config.env.kwargs
+    kwargs = config.task.kwargs
     env = UnitEnv(
         unit,
         clock,
@@ -175,7 +175,7 @@ def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool)
     )
     if config.distractors == "none":
         return env
-    return StateDistractors(env, config.env.system, shuffle_seed=config.seed)
+    return StateDistractors(env, config.task.system, shuffle_seed=config.seed)
 
 
 def run_trials(

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deepkoco.koopman.exported import Array, ExportedModel, ModelFolderError
+from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.model_folder import ModelFolderError, read_model_folder
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
 
@@ -93,7 +94,7 @@ def load_model(folder: str | Path, **planner: Any) -> tuple[ExportedModel, Plann
     folder = Path(folder)
     if (folder / "model").is_dir():
         folder = folder / "model"
-    model, config = ExportedModel.load(folder)
+    model, config = read_model_folder(folder)
     try:
         settings = PlannerConfig(**config["planner"])
         low, high = (np.array(config[name], dtype=np.float64) for name in ("action_low", "action_high"))

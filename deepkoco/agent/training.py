@@ -30,6 +30,7 @@ from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.losses import Losses, chunk_losses
 from deepkoco.koopman.model import KoopmanModel
+from deepkoco.koopman.model_folder import write_model_folder
 
 CHECKPOINT_FILE = "checkpoint.pt"
 MODEL_FOLDER = "model"
@@ -287,4 +288,4 @@ class Trainer:
             "seed": self.seed,
             "episodes": len(self._buffer),
         }
-        export_model(self.averaged_model).save(self.folder / MODEL_FOLDER, extra)
+        write_model_folder(export_model(self.averaged_model), self.folder / MODEL_FOLDER, extra)

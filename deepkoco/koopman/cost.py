@@ -1,4 +1,4 @@
-"""The cost model c(s, a) = (C_s s)^2 + a' R a with the state-dependent row C_s = psi(s)."""
+"""The cost model c(s, a) = |C_s s|^2 + a' R a with the state-dependent factor C_s = psi(s)."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ SIGN_BIAS = 1.0
 
 
 class CostFactor(nn.Module):
-    r"""The row $C_s = \psi(s)$, 1 x 2P, whose square makes the rank-one state cost.
+    r"""The factor $C_s = \psi(s)$, r x 2P, of the state cost $s^\top C_s^\top C_s s$; published with r = 1.
 
     Source: DeepKoCo, Eq. 5.8.
     """
 
-    def __init__(self, pairs: int, hidden: Sequence[int]) -> None:
+    def __init__(self, pairs: int, hidden: Sequence[int], rank: int = 1) -> None:
         """Make the network.
 
         Args:
             pairs: Number P of eigenvalue pairs.
             hidden: Width of each hidden layer.
+            rank: Rows r of C.
         """
         super().__init__()
-        self.network = ReluNetwork(2 * pairs, hidden, 2 * pairs)
+        self.rank = rank
+        self.network = ReluNetwork(2 * pairs, hidden, rank * 2 * pairs)
         with torch.no_grad():
             self.network.linears[-1].bias[0] = SIGN_BIAS
 
@@ -38,16 +40,16 @@ class CostFactor(nn.Module):
             latent: (..., 2P).
 
         Returns:
-            Row C_s (..., 2P).
+            C_s (..., r, 2P).
         """
-        return self.network(latent)
+        return self.network(latent).unflatten(-1, (self.rank, -1))
 
 
 def quadratic_cost(factor: Tensor, latent: Tensor, action: Tensor, action_weight: float) -> Tensor:
-    """Predict the cost of one step, (C s)^2 + R a'a.
+    """Predict the cost of one step, |C s|^2 + R a'a.
 
     Args:
-        factor: C (..., 2P), broadcast against the latent.
+        factor: C (..., r, 2P), broadcast against the latent.
         latent: s (..., 2P).
         action: a (..., M).
         action_weight: R, the weight on each squared action.
@@ -57,4 +59,4 @@ def quadratic_cost(factor: Tensor, latent: Tensor, action: Tensor, action_weight
 
     Source: DeepKoCo, Eq. 5.8.
     """
-    return (factor * latent).sum(-1).square() + action_weight * action.square().sum(-1)
+    return (factor * latent.unsqueeze(-2)).sum(-1).square().sum(-1) + action_weight * action.square().sum(-1)

@@ -77,7 +77,7 @@ def chunk_losses(model: KoopmanModel, batch: ChunkBatch, horizon: int, cost_weig
     encoded = latents[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, 2P)
     linear = ((encoded - rolled).square().mean((1, 2)) * weights).sum()
 
-    factors = factors.flatten(0, 1)  # (W, 2P)
+    factors = factors.flatten(0, 1)  # (W, r, 2P)
     actions = batch.actions[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, M)
     costs = batch.costs[:, 1:].unfold(1, horizon, 1).flatten(0, 1)  # (W, T)
     weight = model.config.action_weight

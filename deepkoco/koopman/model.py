@@ -24,6 +24,8 @@ class ModelConfig:
     """Widths of the hidden layers of phi."""
     cost_hidden: tuple[int, ...] = (70, 70)
     """Widths of the hidden layers of psi."""
+    cost_rank: int = 1
+    """r, rows of the cost factor C."""
     action_weight: float = 0.001
     """R, weight of a squared action in the predicted cost."""
 
@@ -32,7 +34,7 @@ class KoopmanModel(nn.Module):
     r"""A cost-predictive Koopman latent model.
 
     $s = \varphi(o, a)$, $s_{k+1} = \Lambda s_k + B \Delta a_k$, $a_{k+1} = a_k + \Delta a_k$,
-    $\hat c = (C s)^2 + a^\top R a$, with $B = \partial\varphi/\partial a$ and $C = \psi(s)$ at the present
+    $\hat c = |C s|^2 + a^\top R a$, with $B = \partial\varphi/\partial a$ and $C = \psi(s)$ at the present
     state. There is no observation decoder: with B frozen over a rollout it would enter no loss.
 
     Source: DeepKoCo, Eq. 5.4-5.8.
@@ -52,7 +54,7 @@ class KoopmanModel(nn.Module):
         self.action_size = action_size
         self.encoder = Encoder(observation_size, action_size, config.pairs, config.encoder_hidden)
         self.dynamics = JordanDynamics(config.pairs, config.time_step)
-        self.cost_factor = CostFactor(config.pairs, config.cost_hidden)
+        self.cost_factor = CostFactor(config.pairs, config.cost_hidden, config.cost_rank)
 
     def encoder_and_factors(
         self, observations: Tensor, actions: Tensor, starts: int
@@ -65,7 +67,7 @@ class KoopmanModel(nn.Module):
             starts: Number of leading steps at which B and C are wanted.
 
         Returns:
-            Latents (G, L, 2P), input matrices (G, starts, 2P, M) and cost rows (G, starts, 2P).
+            Latents (G, L, 2P), input matrices (G, starts, 2P, M) and cost factors (G, starts, r, 2P).
         """
         latent, input_matrix, factor = self.linearise(observations[:, :starts], actions[:, :starts])
         rest = self.encoder(observations[:, starts:], actions[:, starts:])
@@ -79,7 +81,7 @@ class KoopmanModel(nn.Module):
             action: (..., M).
 
         Returns:
-            Latent s (..., 2P), input matrix B (..., 2P, M) and cost row C (..., 2P).
+            Latent s (..., 2P), input matrix B (..., 2P, M) and cost factor C (..., r, 2P).
         """
         latent, input_matrix = self.encoder.with_input_matrix(observation, action)
         return latent, input_matrix, self.cost_factor(latent)

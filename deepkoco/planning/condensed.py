@@ -10,7 +10,7 @@ from deepkoco.planning.config import Array, PlanningProblem
 
 
 class CondensedProgram:
-    r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $\sum y^2 + R a^2 + \tilde R \sum \Delta a^2$.
+    r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $\sum |y|^2 + R a^2 + \tilde R \sum \Delta a^2$.
 
     With B and C frozen, $y_k = C s_k = C \Lambda^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ and $g_i = C
     \Lambda^i B$. Written in the actions instead of the increments the limits are plain bounds and $y = y_0
@@ -34,17 +34,20 @@ class CondensedProgram:
         """
         steps, actions = problem.horizon, problem.action_low.size
         self._increment_weight = problem.increment_weight
-        self._shape = (steps, actions)
+        self._shape = (problem.cost_rank, steps, actions)
         powers = problem.eigenvalues[:, None] ** np.arange(steps + 1)  # (P, H + 1)
         # Re(lambda^k w) for w stored as (real, imaginary) pairs.
         self._powers = np.stack((powers.real, -powers.imag), axis=1).reshape(-1, steps + 1)
         difference = np.eye(steps) - np.eye(steps, k=-1)
         fixed = problem.action_weight * np.eye(steps) + problem.increment_weight * difference.T @ difference
         self._fixed = 2.0 * np.kron(fixed, np.eye(actions))
-        self._coefficients = np.zeros((2 * steps - 1, actions))
-        row, column = self._coefficients.strides
+        self._coefficients = np.zeros((problem.cost_rank, 2 * steps - 1, actions))
+        rank, row, column = self._coefficients.strides
         self._toeplitz = as_strided(
-            self._coefficients[steps - 1 :], (steps, steps, actions), (row, -row, column), writeable=False
+            self._coefficients[:, steps - 1 :],
+            (problem.cost_rank, steps, steps, actions),
+            (rank, row, -row, column),
+            writeable=False,
         )
         low, high = np.tile(problem.action_low, steps), np.tile(problem.action_high, steps)
         self._solver = make_box_solver(solver, low, high, tolerance)
@@ -54,24 +57,24 @@ class CondensedProgram:
 
         Args:
             rows: Latent and input columns (1 + M, 2P) as given by `ExportedModel.linearise`.
-            factor: Cost row C (2P,).
+            factor: Cost factor C (r, 2P).
             action: Present action a_0 (M,).
 
         Returns:
             Hessian (HM, HM) and gradient (HM,) for the stacked actions a_1 .. a_H.
         """
-        steps, actions = self._shape
-        weighted = rows.view(np.complex128) * factor.view(np.complex128).conj()
-        response = weighted.view(np.float64) @ self._powers  # (1 + M, H + 1)
-        impulse = response[1:, :steps].T  # (H, M)
-        free = response[0, 1:] - impulse @ action
+        rank, steps, actions = self._shape
+        weighted = factor.view(np.complex128).conj()[:, None] * rows.view(np.complex128)
+        response = weighted.view(np.float64) @ self._powers  # (r, 1 + M, H + 1)
+        impulse = response[:, 1:, :steps].swapaxes(1, 2)  # (r, H, M)
+        free = response[:, 0, 1:] - impulse @ action  # (r, H)
         coefficients = self._coefficients
-        coefficients[steps - 1 :] = impulse
-        coefficients[steps:] -= impulse[:-1]
-        matrix = self._toeplitz.reshape(steps, steps * actions)
+        coefficients[:, steps - 1 :] = impulse
+        coefficients[:, steps:] -= impulse[:, :-1]
+        matrix = self._toeplitz.reshape(rank * steps, steps * actions)
         hessian = 2.0 * (matrix.T @ matrix)
         hessian += self._fixed
-        gradient = 2.0 * (free @ matrix)
+        gradient = 2.0 * (free.ravel() @ matrix)
         gradient[:actions] -= 2.0 * self._increment_weight * action
         return hessian, gradient
 
@@ -89,4 +92,4 @@ class CondensedProgram:
         Raises:
             SolverError: The program was not solved.
         """
-        return self._solver.solve(*self.matrices(rows, factor, action)).reshape(self._shape)
+        return self._solver.solve(*self.matrices(rows, factor, action)).reshape(self._shape[1:])

@@ -92,6 +92,7 @@ class PlanningProblem:
         action_weight: R.
         increment_weight: R~.
         horizon: H.
+        cost_rank: r, rows of the cost factor.
     """
 
     eigenvalues: NDArray[np.complex128]
@@ -100,3 +101,4 @@ class PlanningProblem:
     action_weight: float
     increment_weight: float
     horizon: int
+    cost_rank: int = 1

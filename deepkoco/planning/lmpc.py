@@ -63,6 +63,7 @@ class LinearMPC:
             model.action_weight,
             config.increment_weight,
             config.horizon,
+            model.cost_rank,
         )
         if config.form == "condensed":
             self._program = CondensedProgram(problem, config.solver, config.tolerance)
@@ -80,7 +81,7 @@ class LinearMPC:
 
         Args:
             rows: Latent and input columns (1 + M, 2P) as given by `ExportedModel.linearise`.
-            factor: Cost row C (2P,).
+            factor: Cost factor C (r, 2P).
             action: Present action a_0 (M,).
 
         Returns:

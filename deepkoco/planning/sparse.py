@@ -12,10 +12,10 @@ from deepkoco.planning.config import Array, PlanningProblem
 
 
 class SparseProgram:
-    r"""min of $\sum_{k=1}^H y_k^2 + R |a_k|^2 + \tilde R |\Delta a_{k-1}|^2$ s.t. the dynamics.
+    r"""min of $\sum_{k=1}^H |y_k|^2 + R |a_k|^2 + \tilde R |\Delta a_{k-1}|^2$ s.t. the dynamics.
 
     Variables are $s_1 \dots s_H$, $y_1 \dots y_H$, $a_1 \dots a_H$ and $\Delta a_0 \dots \Delta a_{H-1}$.
-    The auxiliary $y_k = C s_k$ keeps the Hessian diagonal; $(C s_k)^2$ written out would make it a dense
+    The auxiliary $y_k = C s_k$ keeps the Hessian diagonal; $|C s_k|^2$ written out would make it a dense
     block of $C^\top C$ per step. Only the entries of B and C and the right-hand side of the first steps
     change, in a fixed pattern.
 
@@ -30,21 +30,22 @@ class SparseProgram:
             tolerance: Absolute and relative tolerance of OSQP.
         """
         steps, actions, latents = problem.horizon, problem.action_low.size, 2 * problem.eigenvalues.size
+        rank = problem.cost_rank
         self._shape = (steps, actions)
         self._dynamics = _jordan(problem.eigenvalues)
-        sizes = np.array([steps * latents, steps, steps * actions, steps * actions])
+        sizes = np.array([steps * latents, steps * rank, steps * actions, steps * actions])
         s_at, y_at, a_at, da_at = np.concatenate(([0], sizes.cumsum()[:-1]))
         total = int(sizes.sum())
 
         eye, shift = sparse.identity(steps), sparse.csc_matrix(np.eye(steps, k=-1))
-        ones_b, ones_c = np.ones((latents, actions)), np.ones((1, latents))
+        ones_b, ones_c = np.ones((latents, actions)), np.ones((rank, latents))
         move = sparse.kron(eye, np.eye(latents)) - sparse.kron(shift, self._dynamics)
         hold = sparse.kron(eye - shift, np.eye(actions))
         matrix = sparse.csc_matrix(
             sparse.block_array(
                 [
                     [move, None, None, sparse.kron(eye, -ones_b)],
-                    [sparse.kron(eye, -ones_c), eye, None, None],
+                    [sparse.kron(eye, -ones_c), sparse.identity(steps * rank), None, None],
                     [None, None, hold, -sparse.identity(steps * actions)],
                     [None, None, sparse.identity(steps * actions), None],
                 ]
@@ -56,9 +57,9 @@ class SparseProgram:
         is_b = (columns >= da_at) & (row_of < s_at + sizes[0])
         is_c = (columns < y_at) & (row_of >= sizes[0])
         self._changing = np.flatnonzero(is_b | is_c)
-        # Position of every changing entry in the flat vector (B row by row, then C).
+        # Position of every changing entry in the flat vector (B, then C, row by row).
         b_source = (row_of % latents) * actions + (columns - da_at) % actions
-        c_source = latents * actions + columns % latents
+        c_source = latents * (actions + (row_of - sizes[0]) % rank) + columns % latents
         self._source = np.where(is_b, b_source, c_source)[self._changing]
         self._changing = self._changing.astype(np.int32)
 
@@ -94,7 +95,7 @@ class SparseProgram:
 
         Args:
             rows: Latent and input columns (1 + M, 2P) as given by `ExportedModel.linearise`.
-            factor: Cost row C (2P,).
+            factor: Cost factor C (r, 2P).
             action: Present action a_0 (M,).
 
         Returns:
@@ -103,7 +104,7 @@ class SparseProgram:
         Raises:
             SolverError: The program was not solved.
         """
-        entries = -np.concatenate((rows[1:].T.ravel(), factor))
+        entries = -np.concatenate((rows[1:].T.ravel(), factor.ravel()))
         start = self._dynamics @ rows[0]
         check_entries("osqp", entries, start, action)
         for bound in (self._low, self._high):

@@ -34,11 +34,11 @@ def train_side_by_side(out: Path, model: Path, episodes: int, seed: int, console
         DemoError: A training failed; the other one is stopped.
     """
     common = [
-        *(sys.executable, "-m", "experiments.train", "env=rod_pendulum"),
-        *("env.id=deepkoco/RodPendulumDelay-v0", "distractors=copies", f"seed={seed}"),
+        *(sys.executable, "-m", "experiments.train", "task=pendulum"),
+        *("task.id=deepkoco/RodPendulumDelay-v0", "distractors=copies", f"seed={seed}"),
         *(f"agent.total_episodes={episodes}", f"agent.noise_last_episode={episodes}"),
     ]
-    own = {"baseline": [], "extended": [f"+env.kwargs.model={model}"]}
+    own = {"baseline": [], "extended": [f"+task.kwargs.model={model}"]}
     columns = (TextColumn("{task.description:>10}"), BarColumn(), TextColumn("{task.fields[note]}"))
     with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as progress:
         tasks = {name: progress.add_task(name, total=episodes, note="") for name in POLICIES}

@@ -9,6 +9,7 @@ from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
 from deepkoco.agent.policy import ObservationError
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
+from deepkoco.koopman.model_folder import write_model_folder
 from deepkoco.planning import LinearMPC, PlannerConfig
 
 LOW, HIGH = np.array([-2.0]), np.array([2.0])
@@ -86,7 +87,7 @@ def test_observations_may_carry_further_entries_and_several_actions():
 
 def test_a_loaded_policy_acts_as_the_saved_one_and_takes_other_planner_settings(model, tmp_path):
     stored = {"planner": {"horizon": 6}, "action_low": [-2.0], "action_high": [2.0]}
-    model.save(tmp_path / "run" / "model", stored)
+    write_model_folder(model, tmp_path / "run" / "model", stored)
     policy, loaded = KoopmanPolicy(model, CONFIG, LOW, HIGH), load_policy(tmp_path / "run")
     osqp = load_policy(tmp_path / "run" / "model", solver="osqp", tolerance=1e-9)
     for o in observations(6):

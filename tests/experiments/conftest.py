@@ -11,15 +11,16 @@ import torch
 from omegaconf import OmegaConf
 
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
+from deepkoco.koopman.model_folder import write_model_folder
 from deepkoco.planning import PlannerConfig
-from experiments.settings import EnvConfig, TrainRunConfig
+from experiments.settings import TaskConfig, TrainRunConfig
 
 MakeRun = Callable[..., Path]
 METRICS = "episodes,updates,seconds,train/cost,evaluation/cost,evaluation/cost_sd,evaluation/cost_median,"
 
 SMALL = [
-    "env=gymnasium_pendulum",
-    "+env.kwargs.max_episode_steps=45",
+    "task=gymnasium_pendulum",
+    "+task.kwargs.max_episode_steps=45",
     "agent.model.encoder_hidden=[8]",
     "agent.model.cost_hidden=[8]",
     "agent.first_episodes=4",
@@ -33,7 +34,7 @@ SMALL = [
 
 def write_run(
     folder: Path,
-    env: EnvConfig | None = None,
+    task: TaskConfig | None = None,
     distractors: str = "none",
     seed: int = 0,
     entries: int = 3,
@@ -43,9 +44,9 @@ def write_run(
     **agent: object,
 ) -> Path:
     """Write config.yaml, metrics.csv and a small exported model of the rod pendulum."""
-    if env is None:
-        env = EnvConfig("rod_pendulum", "deepkoco/RodPendulum-v0", kwargs={"action_units": "physical"})
-    config = TrainRunConfig(env=env, distractors=distractors, seed=seed, run=str(folder))
+    if task is None:
+        task = TaskConfig("pendulum", "deepkoco/RodPendulum-v0", kwargs={"action_units": "physical"})
+    config = TrainRunConfig(task=task, distractors=distractors, seed=seed, run=str(folder))
     for name, value in agent.items():
         setattr(config.agent, name, value)
     folder.mkdir(parents=True)
@@ -56,7 +57,9 @@ def write_run(
         torch.manual_seed(seed)
         model = export_model(KoopmanModel(entries, 1, ModelConfig(2, 0.05, (8,), (8,))))
         limits = {"action_low": [-limit], "action_high": [limit]}
-        model.save(folder / "model", {"planner": asdict(PlannerConfig(5)), **limits, "seed": seed})
+        write_model_folder(
+            model, folder / "model", {"planner": asdict(PlannerConfig(5)), **limits, "seed": seed}
+        )
     return folder
 
 

@@ -17,15 +17,15 @@ def labels(*runs):
 
 def test_seeds_of_the_same_settings_are_one_condition(make_run, tmp_path):
     runs = [make_run(tmp_path / f"seed_{seed}", seed=seed) for seed in (0, 1)]
-    assert labels(*runs) == ["rod_pendulum, distractors none"] * 2
+    assert labels(*runs) == ["pendulum, distractors none"] * 2
     runs.append(make_run(tmp_path / "copies", distractors="copies"))
-    assert labels(*runs)[2] == "rod_pendulum, distractors copies"
+    assert labels(*runs)[2] == "pendulum, distractors copies"
 
 
 def test_runs_of_other_settings_are_told_apart_by_what_differs(make_run, tmp_path):
     one, two = make_run(tmp_path / "a", cost=100.0), make_run(tmp_path / "b", horizon=20, cost=300.0)
     third = make_run(tmp_path / "c", horizon=20, planner=PlannerConfig(20))
-    assert labels(one, two) == [f"rod_pendulum, distractors none, agent.horizon = {t}" for t in (15, 20)]
+    assert labels(one, two) == [f"pendulum, distractors none, agent.horizon = {t}" for t in (15, 20)]
     assert labels(one, two, third)[2].endswith("agent.horizon = 20, agent.planner.horizon = 20")
     aggregate(AggregateConfig(str(tmp_path), str(tmp_path / "out")))
     final = pd.read_csv(tmp_path / "out" / "final.csv")
@@ -69,7 +69,7 @@ def test_collection_keeps_everything_but_the_weights(make_run, tmp_path, capsys)
         "runs/none/seed_1/metrics.csv",
     ]
     row = pd.read_csv(out / "evaluations.csv").iloc[0]
-    assert (row["env"], row["seed"], row["n"], row["train_seconds"]) == ("rod_pendulum", 1, 2, 110.5)
+    assert (row["task"], row["seed"], row["n"], row["train_seconds"]) == ("pendulum", 1, 2, 110.5)
     assert row["mean"] > 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "runs"]
     assert main([str(runs), "--out", str(out)]) == 2

@@ -1,4 +1,4 @@
-"""The files of configs/env fit the environments they name."""
+"""The files of configs/task fit the environments they name."""
 
 import gymnasium
 import pytest
@@ -11,7 +11,7 @@ from experiments.commands import CONFIGS
 from experiments.environments import make_factory
 from experiments.settings import TrainRunConfig, register
 
-OWN = sorted({path.stem for path in (CONFIGS / "env").glob("*.yaml")} - {"gymnasium"})
+OWN = sorted({path.stem for path in (CONFIGS / "task").glob("*.yaml")} - {"gymnasium"})
 
 
 def read(*overrides: str) -> TrainRunConfig:
@@ -24,27 +24,27 @@ def read(*overrides: str) -> TrainRunConfig:
 
 @pytest.mark.parametrize("name", OWN)
 def test_every_environment_steps_in_the_time_that_the_model_takes_for_a_step(name):
-    config = read(f"env={name}")
-    assert config.env.name == name
-    assert config.agent.model.time_step * TASKS[config.env.system].control_rate == pytest.approx(1.0)
+    config = read(f"task={name}")
+    assert config.task.name == name
+    assert config.agent.model.time_step * TASKS[config.task.system].control_rate == pytest.approx(1.0)
     config.agent.check()
-    envs = make_factory(config.env, "copies")(2, 0)
+    envs = make_factory(config.task, "copies")(2, 0)
     observation, _ = envs.reset(seed=0)
     assert envs.step(envs.action_space.sample() * 0.0)[0].shape == observation.shape
     space = envs.single_action_space
     assert isinstance(space, gymnasium.spaces.Box)
-    assert space.high[0] == pytest.approx(TASKS[config.env.system].command_limit)
+    assert space.high[0] == pytest.approx(TASKS[config.task.system].command_limit)
     envs.close()
 
 
 def test_any_gymnasium_id_is_taken_without_arguments_of_ours():
-    config = read("env=gymnasium", "env.id=MountainCarContinuous-v0", "agent.model.time_step=1")
-    envs = make_factory(config.env, config.distractors)(2, 0)
+    config = read("task=gymnasium", "task.id=MountainCarContinuous-v0", "agent.model.time_step=1")
+    envs = make_factory(config.task, config.distractors)(2, 0)
     assert envs.reset(seed=0)[0].shape == (2, 2)
     assert config.agent.model.time_step == 1
     with pytest.raises(MissingMandatoryValue, match="id"):
-        read("env=gymnasium")
+        read("task=gymnasium")
 
 
 def test_settings_given_by_the_user_win_over_those_of_the_environment():
-    assert read("env=pendulum", "agent.model.time_step=0.04").agent.model.time_step == 0.04
+    assert read("task=disk_pendulum", "agent.model.time_step=0.04").agent.model.time_step == 0.04

@@ -14,7 +14,7 @@ from deepkoco.agent.collection import SpaceError
 from experiments.aggregate import aggregate, learning_curves, mean_with_band, read_runs
 from experiments.environments import make_factory
 from experiments.planner_benchmark import FRESH, benchmark, random_model
-from experiments.settings import AggregateConfig, EnvConfig, ExperimentError
+from experiments.settings import AggregateConfig, ExperimentError, TaskConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -68,20 +68,20 @@ def test_unknown_settings_end_with_status_two_and_no_folder(tmp_path):
 
 def test_unknown_environments_and_distractors_are_named():
     with pytest.raises(ExperimentError, match="Nope-v7"):
-        make_factory(EnvConfig("nope", "Nope-v7"), "none")
+        make_factory(TaskConfig("nope", "Nope-v7"), "none")
     with pytest.raises(ExperimentError, match="none, copies"):
-        make_factory(EnvConfig("pendulum", "Pendulum-v1"), "videos")
+        make_factory(TaskConfig("pendulum", "Pendulum-v1"), "videos")
 
 
 def test_arguments_and_spaces_that_do_not_fit_are_named_before_work_starts():
     with pytest.raises(ExperimentError, match="colour"):
-        make_factory(EnvConfig("pendulum", "Pendulum-v1", kwargs={"colour": 1}), "none")
+        make_factory(TaskConfig("pendulum", "Pendulum-v1", kwargs={"colour": 1}), "none")
     with pytest.raises(SpaceError, match="Discrete"):
-        make_factory(EnvConfig("cart", "CartPole-v1"), "none")
+        make_factory(TaskConfig("cart", "CartPole-v1"), "none")
 
 
 def test_the_order_of_distractor_entries_belongs_to_the_run_seed():
-    make = make_factory(EnvConfig("pendulum", "Pendulum-v1"), "copies")
+    make = make_factory(TaskConfig("pendulum", "Pendulum-v1"), "copies")
     one, same, other = (make(2, seed).reset(seed=5)[0] for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)

@@ -11,7 +11,7 @@ import yaml
 from experiments import planner_benchmark
 from experiments.commands import run_command
 from experiments.evaluate import evaluate
-from experiments.settings import EnvConfig, EvaluateConfig, ExperimentError, TrainRunConfig
+from experiments.settings import EvaluateConfig, ExperimentError, TaskConfig, TrainRunConfig
 from experiments.train import load_run_config, prepare_folder, train
 
 
@@ -31,7 +31,7 @@ def call_train(monkeypatch, small):
 
 
 def settings(folder, **changes) -> TrainRunConfig:
-    return TrainRunConfig(EnvConfig("pendulum", "Pendulum-v1"), run=str(folder), **changes)
+    return TrainRunConfig(TaskConfig("pendulum", "Pendulum-v1"), run=str(folder), **changes)
 
 
 def test_a_new_folder_appears_with_its_settings_inside(tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from deepkoco.agent.policy import load_policy
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.unit import make_unit
-from experiments.settings import EnvConfig, ExperimentError
+from experiments.settings import ExperimentError, TaskConfig
 from experiments.unit_trials import (
     Trial,
     as_json,
@@ -78,12 +78,12 @@ def test_a_run_given_twice_is_refused(tmp_path):
 
 
 def test_a_policy_that_does_not_fit_the_unit_is_refused_before_anything_moves(make_run, tmp_path, unit):
-    swapped = make_run(tmp_path / "units", EnvConfig("e", "deepkoco/RodPendulum-v0"))
+    swapped = make_run(tmp_path / "units", TaskConfig("e", "deepkoco/RodPendulum-v0"))
     with pytest.raises(ExperimentError, match="action_units"):
         check_run(swapped, unit)
     with pytest.raises(ExperimentError, match="5 observation entries, the unit gives 3"):
         check_run(make_run(tmp_path / "entries", entries=5), unit)
-    other = EnvConfig("e", "deepkoco/Pendulum-v0", "pendulum", {"action_units": "physical"})
+    other = TaskConfig("e", "deepkoco/Pendulum-v0", "pendulum", {"action_units": "physical"})
     with pytest.raises(ExperimentError, match="unit is a rod_pendulum"):
         run_trials([make_run(tmp_path / "system", other)], unit, 1, clock="simulated")
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from deepkoco.agent import load_policy
-from deepkoco.koopman import ExportedModel, KoopmanModel, ModelConfig, export_model
-from deepkoco.koopman.exported import ModelFolderError
+from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
+from deepkoco.koopman.model_folder import ModelFolderError, read_model_folder, write_model_folder
 
 
 @pytest.fixture
@@ -41,8 +41,8 @@ def test_eigenvalues_are_those_of_the_transition_matrix(model):
 
 def test_saved_model_is_read_back_bit_for_bit(model, tmp_path):
     exported = export_model(model)
-    exported.save(tmp_path / "m", {"note": "x"})
-    loaded, config = ExportedModel.load(tmp_path / "m")
+    write_model_folder(exported, tmp_path / "m", {"note": "x"})
+    loaded, config = read_model_folder(tmp_path / "m")
     assert config["note"] == "x"
     o, a = np.ones(3), np.ones(2)
     for one, other in zip(exported.linearise(o, a), loaded.linearise(o, a), strict=True):
@@ -51,17 +51,17 @@ def test_saved_model_is_read_back_bit_for_bit(model, tmp_path):
 
 def test_an_existing_folder_is_not_overwritten(model, tmp_path):
     with pytest.raises(ModelFolderError, match="exists"):
-        export_model(model).save(tmp_path, {})
+        write_model_folder(export_model(model), tmp_path, {})
 
 
 def test_a_missing_file_and_another_version_are_named(model, tmp_path):
     with pytest.raises(ModelFolderError, match=r"config\.json"):
-        ExportedModel.load(tmp_path)
-    export_model(model).save(tmp_path / "m", {})
+        read_model_folder(tmp_path)
+    write_model_folder(export_model(model), tmp_path / "m", {})
     path = tmp_path / "m" / "config.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "version": 99}))
     with pytest.raises(ModelFolderError, match="99"):
-        ExportedModel.load(tmp_path / "m")
+        read_model_folder(tmp_path / "m")
 
 
 def config_without(*names):
@@ -85,19 +85,19 @@ def config_without(*names):
     ],
 )
 def test_damaged_settings_of_a_model_are_named(damage, message, model, tmp_path):
-    export_model(model).save(tmp_path / "m", {})
+    write_model_folder(export_model(model), tmp_path / "m", {})
     path = tmp_path / "m" / "config.json"
     path.write_text(damage(json.loads(path.read_text())))
     with pytest.raises(ModelFolderError, match=message):
-        ExportedModel.load(tmp_path / "m")
+        read_model_folder(tmp_path / "m")
 
 
 def test_damaged_weights_are_named(model, tmp_path):
-    export_model(model).save(tmp_path / "m", {})
+    write_model_folder(export_model(model), tmp_path / "m", {})
     path = tmp_path / "m" / "model.safetensors"
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(ModelFolderError, match="damaged"):
-        ExportedModel.load(tmp_path / "m")
+        read_model_folder(tmp_path / "m")
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_damaged_weights_are_named(model, tmp_path):
     ],
 )
 def test_a_model_without_its_planner_is_named(extra, message, model, tmp_path):
-    export_model(model).save(tmp_path / "m", extra)
+    write_model_folder(export_model(model), tmp_path / "m", extra)
     with pytest.raises(ModelFolderError, match=message):
         load_policy(tmp_path / "m")
 
@@ -118,7 +118,7 @@ def test_a_model_without_its_planner_is_named(extra, message, model, tmp_path):
 def test_control_runs_without_torch(model, tmp_path):
     planner = {"horizon": 5}
     limits = {"action_low": [-1.0, -1.0], "action_high": [1.0, 1.0]}
-    export_model(model).save(tmp_path / "m", {"planner": planner, **limits})
+    write_model_folder(export_model(model), tmp_path / "m", {"planner": planner, **limits})
     code = (
         "import sys; from deepkoco.agent import load_policy\n"
         f"policy = load_policy({str(tmp_path / 'm')!r})\n"

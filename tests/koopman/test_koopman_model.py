@@ -13,7 +13,7 @@ def test_predicted_root_cost_starts_with_one_sign_over_the_state_space():
         speed = (torch.rand(2000) * 2 - 1) * 8
         observation = torch.stack((angle.cos(), angle.sin(), speed), -1)
         latent, _, factor = model.linearise(observation, torch.rand(2000, 1) * 4 - 2)
-        y = (factor * latent).sum(-1)
+        y = (factor[..., 0, :] * latent).sum(-1)
         assert y.min() > 0.3
 
 

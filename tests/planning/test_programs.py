@@ -34,7 +34,7 @@ def residuals(model, problem, rows, factor, action, planned):
             axis=1,
         )
         s = turned.ravel() + (a - before) @ rows[1:]
-        terms += [[factor @ s], problem.action_weight**0.5 * a, problem.increment_weight**0.5 * (a - before)]
+        terms += [factor @ s, problem.action_weight**0.5 * a, problem.increment_weight**0.5 * (a - before)]
         before = a
     return np.concatenate(terms)
 
@@ -105,5 +105,5 @@ def test_one_step_by_hand():
     problem = PlanningProblem(np.ones(1, complex), np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1)
     rows = np.array([[3.0, 0.0], [2.0, 0.0]])
     for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, 1e-9)):
-        planned = program.solve(rows, np.array([1.0, 0.0]), np.array([0.5]))
+        planned = program.solve(rows, np.array([[1.0, 0.0]]), np.array([0.5]))
         assert planned[0, 0] == pytest.approx(0.5 - 6 / 4.01, abs=1e-6)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
+from deepkoco.koopman.model_folder import write_model_folder
 from deepkoco.systems import make_system
 from deepkoco.unit import EXCITATIONS, ExcitationError, make_excitation, make_unit, policy_excitation
 from deepkoco.unit.excitation import load_policy_excitation, natural_frequency
@@ -104,7 +105,9 @@ def test_bad_excitation_is_named(arguments, message):
 def test_trained_policy_drives_the_unit_at_its_own_rate(tmp_path):
     torch.manual_seed(0)
     model = export_model(KoopmanModel(3, 1, ModelConfig(3, 0.04, (8,), (6,))))
-    model.save(tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]})
+    write_model_folder(
+        model, tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]}
+    )
     excitation, rate = load_policy_excitation(tmp_path / "policy", "rod_pendulum")
     recording = record(make_unit("rod_pendulum"), excitation, 2.0, clock="simulated", control_rate=rate)
     torque = recording.channels["torque"].value
@@ -116,7 +119,9 @@ def test_trained_policy_drives_the_unit_at_its_own_rate(tmp_path):
 
 def test_policy_for_other_observations_is_refused(tmp_path):
     model = export_model(KoopmanModel(15, 1, ModelConfig(3, 0.05, (8,), (6,))))
-    model.save(tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]})
+    write_model_folder(
+        model, tmp_path / "policy", {"planner": {}, "action_low": [-2.0], "action_high": [2.0]}
+    )
     with pytest.raises(ExcitationError, match="takes 15 observations, rod_pendulum gives 3"):
         load_policy_excitation(tmp_path / "policy", "rod_pendulum")
 
@@ -124,6 +129,8 @@ def test_policy_for_other_observations_is_refused(tmp_path):
 @pytest.mark.parametrize(("low", "high"), [(-1.0, 1.0), (-1.5, 1.5), (-2.0, 1.0)])
 def test_policy_in_other_units_or_for_other_limits_is_refused(tmp_path, low, high):
     model = export_model(KoopmanModel(3, 1, ModelConfig(3, 0.05, (8,), (6,))))
-    model.save(tmp_path / "policy", {"planner": {}, "action_low": [low], "action_high": [high]})
+    write_model_folder(
+        model, tmp_path / "policy", {"planner": {}, "action_low": [low], "action_high": [high]}
+    )
     with pytest.raises(ExcitationError, match=r"commands of rod_pendulum in \[-2\] to \[2\] N m; .*physical"):
         load_policy_excitation(tmp_path / "policy", "rod_pendulum")
