@@ -67,7 +67,7 @@ def fresh_controller(
         Function from observation to action.
     """
     problem = PlanningProblem(
-        model.eigenvalues, low, high, model.action_weight, config.increment_weight, config.horizon
+        model.dynamics, low, high, model.action_weight, config.increment_weight, config.horizon
     )
     state = {"action": np.zeros_like(low)}
 

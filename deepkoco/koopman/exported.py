@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deepkoco.koopman.latent_model import JordanBlocks
+
 Array = NDArray[np.float64]
 
 
@@ -48,6 +50,11 @@ class ExportedModel:
     def eigenvalues(self) -> NDArray[np.complex128]:
         """Discrete-time eigenvalues e^{(mu + i omega) dt} (P,), one of each conjugate pair."""
         return np.exp((self.mu + 1j * self.omega) * self.time_step)
+
+    @property
+    def dynamics(self) -> JordanBlocks:
+        """Free motion of the latent over one step."""
+        return JordanBlocks(self.eigenvalues)
 
     def linearise(self, observation: Array, action: Array) -> tuple[Array, Array]:
         """Latent, input matrix and cost factor at one point or a batch of points.

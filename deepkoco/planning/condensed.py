@@ -12,11 +12,9 @@ from deepkoco.planning.config import Array, PlanningProblem
 class CondensedProgram:
     r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $\sum |y|^2 + R a^2 + \tilde R \sum \Delta a^2$.
 
-    With B and C frozen, $y_k = C s_k = C \Lambda^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ and $g_i = C
-    \Lambda^i B$. Written in the actions instead of the increments the limits are plain bounds and $y = y_0
-    + D a$ with the Toeplitz matrix $D_{ki} = g_{k-i} - g_{k-i-1}$; the two programs are one linear change
-    of variables apart. The powers of the diagonal $\Lambda$ are known beforehand, so one product yields all
-    of $C\Lambda^k s_0$ and $g_i$.
+    With B and C frozen, $y_k = C s_k = C A^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ and $g_i = C A^i B$.
+    Written in the actions instead of the increments the limits are plain bounds and $y = y_0 + D a$ with the
+    Toeplitz matrix $D_{ki} = g_{k-i} - g_{k-i-1}$; the two programs are one linear change of variables apart.
 
     Source: DeepKoCo, Eq. 5.16.
     """
@@ -35,9 +33,7 @@ class CondensedProgram:
         steps, actions = problem.horizon, problem.action_low.size
         self._increment_weight = problem.increment_weight
         self._shape = (problem.cost_rank, steps, actions)
-        powers = problem.eigenvalues[:, None] ** np.arange(steps + 1)  # (P, H + 1)
-        # Re(lambda^k w) for w stored as (real, imaginary) pairs.
-        self._powers = np.stack((powers.real, -powers.imag), axis=1).reshape(-1, steps + 1)
+        self._respond = problem.dynamics.responses(steps)
         difference = np.eye(steps) - np.eye(steps, k=-1)
         fixed = problem.action_weight * np.eye(steps) + problem.increment_weight * difference.T @ difference
         self._fixed = 2.0 * np.kron(fixed, np.eye(actions))
@@ -56,16 +52,15 @@ class CondensedProgram:
         """The quadratic program at one state.
 
         Args:
-            rows: Latent and input columns (1 + M, 2P) as given by `ExportedModel.linearise`.
-            factor: Cost factor C (r, 2P).
+            rows: Latent and input columns (1 + M, n) as given by `LatentModel.linearise`.
+            factor: Cost factor C (r, n).
             action: Present action a_0 (M,).
 
         Returns:
             Hessian (HM, HM) and gradient (HM,) for the stacked actions a_1 .. a_H.
         """
         rank, steps, actions = self._shape
-        weighted = factor.view(np.complex128).conj()[:, None] * rows.view(np.complex128)
-        response = weighted.view(np.float64) @ self._powers  # (r, 1 + M, H + 1)
+        response = self._respond(rows, factor)  # (r, 1 + M, H + 1)
         impulse = response[:, 1:, :steps].swapaxes(1, 2)  # (r, H, M)
         free = response[:, 0, 1:] - impulse @ action  # (r, H)
         coefficients = self._coefficients

@@ -8,6 +8,8 @@ import numpy as np
 import qpsolvers
 from numpy.typing import NDArray
 
+from deepkoco.koopman.latent_model import LatentDynamics
+
 Array = NDArray[np.float64]
 FORMS = ("condensed", "sparse")
 UPDATED_SOLVERS = ("daqp", "osqp")  # set up once, updated at every step
@@ -83,10 +85,10 @@ def check_solver(name: str) -> None:
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """What stays fixed in a control loop: the dynamics' eigenvalues, weights and limits.
+    """What stays fixed in a control loop: dynamics, weights and limits.
 
     Attributes:
-        eigenvalues: Discrete-time eigenvalues (P,), complex.
+        dynamics: A of the free motion s' = A s, for one step.
         action_low: a_min (M,).
         action_high: a_max (M,).
         action_weight: R.
@@ -95,7 +97,7 @@ class PlanningProblem:
         cost_rank: r, rows of the cost factor.
     """
 
-    eigenvalues: NDArray[np.complex128]
+    dynamics: LatentDynamics
     action_low: Array
     action_high: Array
     action_weight: float

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepkoco.koopman.exported import ExportedModel
+from deepkoco.koopman.latent_model import LatentModel
 from deepkoco.planning.condensed import CondensedProgram
 from deepkoco.planning.config import Array, PlannerConfig, PlanningProblem, SolverError
 from deepkoco.planning.sparse import SparseProgram
@@ -40,12 +40,12 @@ class LinearMPC:
     """
 
     def __init__(
-        self, model: ExportedModel, config: PlannerConfig, action_low: Array, action_high: Array
+        self, model: LatentModel, config: PlannerConfig, action_low: Array, action_high: Array
     ) -> None:
         """Set up the solver.
 
         Args:
-            model: Gives eigenvalues and R.
+            model: Gives dynamics, R and r.
             config: Settings.
             action_low: a_min (M,).
             action_high: a_max (M,).
@@ -57,7 +57,7 @@ class LinearMPC:
         config.check()
         self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
         problem = PlanningProblem(
-            model.eigenvalues,
+            model.dynamics,
             self._low,
             self._high,
             model.action_weight,
@@ -80,8 +80,8 @@ class LinearMPC:
         """Decide the next action increment.
 
         Args:
-            rows: Latent and input columns (1 + M, 2P) as given by `ExportedModel.linearise`.
-            factor: Cost factor C (r, 2P).
+            rows: Latent and input columns (1 + M, n) as given by `LatentModel.linearise`.
+            factor: Cost factor C (r, n).
             action: Present action a_0 (M,).
 
         Returns:

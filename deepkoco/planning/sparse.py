@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import osqp
-from numpy.typing import NDArray
 from scipy import sparse
 
 from deepkoco.planning.backends import check_entries, osqp_solution
@@ -29,17 +28,17 @@ class SparseProgram:
             problem: Dynamics, weights and limits.
             tolerance: Absolute and relative tolerance of OSQP.
         """
-        steps, actions, latents = problem.horizon, problem.action_low.size, 2 * problem.eigenvalues.size
-        rank = problem.cost_rank
+        steps, actions, rank = problem.horizon, problem.action_low.size, problem.cost_rank
+        latents = problem.dynamics.latent_size
         self._shape = (steps, actions)
-        self._dynamics = _jordan(problem.eigenvalues)
+        self._dynamics = problem.dynamics.matrix
         sizes = np.array([steps * latents, steps * rank, steps * actions, steps * actions])
         s_at, y_at, a_at, da_at = np.concatenate(([0], sizes.cumsum()[:-1]))
         total = int(sizes.sum())
 
         eye, shift = sparse.identity(steps), sparse.csc_matrix(np.eye(steps, k=-1))
         ones_b, ones_c = np.ones((latents, actions)), np.ones((rank, latents))
-        move = sparse.kron(eye, np.eye(latents)) - sparse.kron(shift, self._dynamics)
+        move = sparse.kron(eye, np.eye(latents)) - sparse.kron(shift, sparse.csc_matrix(self._dynamics))
         hold = sparse.kron(eye - shift, np.eye(actions))
         matrix = sparse.csc_matrix(
             sparse.block_array(
@@ -94,8 +93,8 @@ class SparseProgram:
         """Plan.
 
         Args:
-            rows: Latent and input columns (1 + M, 2P) as given by `ExportedModel.linearise`.
-            factor: Cost factor C (r, 2P).
+            rows: Latent and input columns (1 + M, n) as given by `LatentModel.linearise`.
+            factor: Cost factor C (r, n).
             action: Present action a_0 (M,).
 
         Returns:
@@ -112,11 +111,3 @@ class SparseProgram:
             bound[self._first_action] = action
         self._solver.update(Ax=entries[self._source], Ax_idx=self._changing, l=self._low, u=self._high)
         return osqp_solution(self._solver)[self._actions].reshape(self._shape)
-
-
-def _jordan(eigenvalues: NDArray[np.complex128]) -> Array:
-    """Real Jordan form (2P, 2P) of complex eigenvalues (P,)."""
-    blocks = np.stack((eigenvalues.real, -eigenvalues.imag, eigenvalues.imag, eigenvalues.real), -1).reshape(
-        -1, 2, 2
-    )
-    return np.asarray(sparse.block_diag(list(blocks)).toarray())

@@ -1,5 +1,7 @@
 """Both forms of the planning problem against a brute-force solution and each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from deepkoco.koopman import ExportedModel
+from deepkoco.koopman.latent_model import DenseTransition, JordanBlocks
 from deepkoco.planning.backends import QpsolversSolver
 from deepkoco.planning.condensed import CondensedProgram
 from deepkoco.planning.config import PlanningProblem, SolverError
@@ -17,12 +20,12 @@ LIMIT = 1.5
 
 def make_problem(model: ExportedModel, horizon: int, action_weight: float = 0.001) -> PlanningProblem:
     limit = np.full(model.action_size, LIMIT)
-    return PlanningProblem(model.eigenvalues, -limit, limit, action_weight, 0.01, horizon)
+    return PlanningProblem(model.dynamics, -limit, limit, action_weight, 0.01, horizon)
 
 
 def residuals(model, problem, rows, factor, action, planned):
     """Square roots of all terms of the objective, by running the latent model forward."""
-    angle, growth = np.angle(problem.eigenvalues), np.abs(problem.eigenvalues)
+    angle, growth = np.angle(model.eigenvalues), np.abs(model.eigenvalues)
     s, before, terms = rows[0], action, []
     for a in planned.reshape(problem.horizon, -1):
         pairs = s.reshape(-1, 2)
@@ -102,8 +105,34 @@ def test_what_another_solver_raises_is_a_solver_error():
 def test_one_step_by_hand():
     # P = 1, Lambda = 1, s = (3, 0), B = (2, 0), C = (1, 0), a_0 = 0.5, R = 0, R~ = 0.01:
     # min (3 + 2 d)^2 + 0.01 d^2 -> d = -6 / 4.01, within the limits: a_1 = 0.5 - 6 / 4.01
-    problem = PlanningProblem(np.ones(1, complex), np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1)
+    problem = PlanningProblem(
+        JordanBlocks(np.ones(1, complex)), np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1
+    )
     rows = np.array([[3.0, 0.0], [2.0, 0.0]])
     for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, 1e-9)):
         planned = program.solve(rows, np.array([[1.0, 0.0]]), np.array([0.5]))
         assert planned[0, 0] == pytest.approx(0.5 - 6 / 4.01, abs=1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**20), actions=st.integers(1, 2))
+def test_jordan_blocks_written_as_a_dense_matrix_give_the_same_plan(
+    random_model, random_state, seed, actions
+):
+    model = random_model(seed, actions=actions)
+    jordan = make_problem(model, 6)
+    dense = replace(jordan, dynamics=DenseTransition(model.dynamics.matrix))
+    state = random_state(model, seed)
+    expected = CondensedProgram(jordan, "daqp", 1e-6).solve(*state)
+    np.testing.assert_allclose(CondensedProgram(dense, "daqp", 1e-6).solve(*state), expected, atol=1e-8)
+    np.testing.assert_allclose(SparseProgram(dense, 1e-8).solve(*state), expected, atol=2e-4)
+
+
+def test_a_model_that_takes_the_action_itself_is_a_dense_transition():
+    # z' = z + u with u the action itself: latent (z, a), a' = a + da, so z' = z + a + da.
+    # One step from z = 3, a_0 = 0: min (3 + d)^2 + 0.01 d^2 -> d = -3 / 1.01, beyond the limit of -1.5.
+    dynamics = DenseTransition(np.array([[1.0, 1.0], [0.0, 1.0]]))
+    problem = PlanningProblem(dynamics, np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1)
+    state = np.array([[3.0, 0.0], [1.0, 1.0]]), np.array([[1.0, 0.0]]), np.zeros(1)
+    for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, 1e-9)):
+        assert program.solve(*state)[0, 0] == pytest.approx(-1.5, abs=1e-6)
