@@ -1,37 +1,18 @@
-"""From an environment's settings to the factory the agent collects with."""
+"""From a task's settings to the factory the agent collects with."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import gymnasium
-from gymnasium.vector import VectorEnv
-
 from deepkoco.agent.collection import VectorEnvFactory, box_sizes
-from deepkoco.envs.distractors import VectorStateDistractors
-from experiments.settings import ExperimentError, TaskConfig
-
-
-def plain(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
-    """No distractors."""
-    return envs
-
-
-def copies(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
-    """Four further systems in the observation; the order is drawn once per run seed."""
-    return VectorStateDistractors(envs, system=config.system, shuffle_seed=seed)
-
-
-DISTRACTORS: dict[str, Callable[[VectorEnv, TaskConfig, int], VectorEnv]] = {"none": plain, "copies": copies}
+from deepkoco.envs.task_factory import TaskConfig, TaskError, make_task_factory
+from experiments.settings import ExperimentError
 
 
 def make_factory(config: TaskConfig, distractors: str) -> VectorEnvFactory:
-    """Check an environment's settings and make its factory.
+    """Check a task's settings and make its factory.
 
     Args:
-        config: The environment.
-        distractors: A name of `DISTRACTORS`.
+        config: The task.
+        distractors: A name of `deepkoco.envs.task_factory.DISTRACTORS`.
 
     Returns:
         Makes environments from (count, seed of the run).
@@ -40,24 +21,19 @@ def make_factory(config: TaskConfig, distractors: str) -> VectorEnvFactory:
         ExperimentError: The id or the distractors are unknown, or the environment refuses its arguments.
         SpaceError: A space is not a flat Box.
     """
-    if distractors not in DISTRACTORS:
-        raise ExperimentError(f'distractors = "{distractors}"; choose one of {", ".join(DISTRACTORS)}')
     try:
-        spec = gymnasium.spec(config.id)
-    except gymnasium.error.Error as error:
-        raise ExperimentError(f'task.id = "{config.id}": {error}') from error
-    # An own vector class steps the whole batch at once; else one environment after the other.
-    mode = "vector_entry_point" if spec.vector_entry_point is not None else "sync"
-    kwargs: dict[str, Any] = dict(config.kwargs)
-
-    def make(count: int, seed: int) -> VectorEnv:
-        envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **kwargs)
-        return DISTRACTORS[distractors](envs, config, seed)
-
-    try:
-        probe = make(1, 0)
-    except (gymnasium.error.Error, TypeError, ValueError) as error:
-        raise ExperimentError(f"task.kwargs = {kwargs}: {error}") from error
+        make = make_task_factory(config, distractors)
+    except TaskError as error:
+        raise ExperimentError(str(error)) from error
+    probe = make(1, 0)
     box_sizes(probe)
     probe.close()
     return make
+
+
+def _check_draws(config: TaskConfig, envs: VectorEnv) -> None:
+    """Draw one frame: an environment finds out only then that it lacks a package to draw with."""
+    try:
+        envs.reset(seed=0)
+    except gymnasium.error.Error as error:
+        raise ExperimentError(f"{config.id} cannot be drawn: {error}") from error

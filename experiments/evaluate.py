@@ -34,7 +34,7 @@ def evaluate(config: EvaluateConfig) -> None:
     run = load_run_config(folder)
     check_finished(folder)
     model, planner, low, high = load_model(folder)
-    envs = make_factory(run.task, run.distractors)(config.episodes, run.seed)
+    envs = make_factory(run.task, run.distractors, run.observation)(config.episodes, run.seed)
     box_sizes(envs)
     agent = VectorAgent(model, planner, low, high, config.episodes)
     # Index 0 is the evaluation that training itself makes at its end.

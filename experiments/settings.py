@@ -9,27 +9,15 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from deepkoco.agent.config import TrainingConfig, flatten
+from deepkoco.envs.task_factory import TaskConfig
 
 EXISTING = ("refuse", "resume")
+OBSERVATIONS = ("states", "images")
 OF_THE_CALL = ("run", "resume", "existing", "threads")
 
 
 class ExperimentError(ValueError):
     """A setting or folder given to an experiment command is wrong."""
-
-
-@dataclass
-class TaskConfig:
-    """A Gymnasium environment."""
-
-    name: str = MISSING
-    """Short name, for folders and figures."""
-    id: str = MISSING
-    """Registered Gymnasium id."""
-    system: str = "rod_pendulum"
-    """System of the distractor copies."""
-    kwargs: dict[str, Any] = field(default_factory=dict)
-    """Arguments of the environment; a new one is given as task.kwargs.NAME=VALUE with a leading +."""
 
 
 @dataclass
@@ -42,9 +30,11 @@ class TrainRunConfig:
     """Hyper-parameters."""
     seed: int = 0
     """Seed of everything: weights, episodes, noise, distractors."""
+    observation: str = "states"
+    """What the agent sees: "states", or "images": one uint8 RGB frame (64, 64, 3) per step."""
     distractors: str = "none"
     """Distractors of the observation: "none" or "copies" (four further systems, shuffled order)."""
-    run: str = "runs/${task.name}/${distractors}/seed_${seed}"
+    run: str = "runs/${task.name}/${observation}/${distractors}/seed_${seed}"
     """Folder of the run; it must not exist."""
     resume: str | None = None
     """Folder of a run to continue, with the settings stored there."""
@@ -64,6 +54,10 @@ class TrainRunConfig:
             raise ExperimentError(f"seed = {self.seed}; give 0 or more")
         if self.threads < 1:
             raise ExperimentError(f"threads = {self.threads}; give at least 1")
+        if self.observation not in OBSERVATIONS:
+            raise ExperimentError(
+                f'observation = "{self.observation}"; choose one of {", ".join(OBSERVATIONS)}'
+            )
         if self.existing not in EXISTING:
             raise ExperimentError(f'existing = "{self.existing}"; choose one of {", ".join(EXISTING)}')
 

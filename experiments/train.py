@@ -94,7 +94,7 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
                 f"{folder}: exists already; choose another run= or continue it with resume={folder}"
             )
         return _same_settings(config, folder), folder, False
-    make_factory(config.task, config.distractors)
+    make_factory(config.task, config.distractors, config.observation)
     config.agent.check()
     # The folder appears with its settings inside, so a kill leaves one that can be resumed, or none.
     partial = folder.with_name(f"{folder.name}.partial")
@@ -142,7 +142,8 @@ def train(given: TrainRunConfig) -> None:
 
 
 def _train(config: TrainRunConfig, folder: Path) -> None:
-    trainer = Trainer(make_factory(config.task, config.distractors), config.agent, config.seed, folder)
+    factory = make_factory(config.task, config.distractors, config.observation)
+    trainer = Trainer(factory, config.agent, config.seed, folder)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
