@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from deepkoco.koopman.model import ModelConfig
+from deepkoco.koopman.rollout import ROLLOUTS
 from deepkoco.planning.config import PlannerConfig
 
 
@@ -55,6 +56,9 @@ class TrainingConfig:
     """Episodes of the run; the last iteration collects what is missing."""
     horizon: int = 15
     """T, steps predicted in a training window of T + 1 steps."""
+    rollout: str = "frozen"
+    """B and C in a predicted window: "frozen" at its first step, or "updated": evaluated anew at every
+    predicted step through the decoder, see model.decoder_hidden."""
     chunks: int = 8
     """G, chunks in a minibatch."""
     chunk_length: int = 40
@@ -108,6 +112,13 @@ class TrainingConfig:
             raise TrainingConfigError(
                 f"chunk_length = {self.chunk_length} holds no window of {self.horizon + 1} steps; "
                 "give more than horizon"
+            )
+        if self.rollout not in ROLLOUTS:
+            raise TrainingConfigError(f'rollout = "{self.rollout}"; choose one of {", ".join(ROLLOUTS)}')
+        if (self.rollout == "updated") != bool(self.model.decoder_hidden):
+            raise TrainingConfigError(
+                f'rollout = "{self.rollout}" with model.decoder_hidden = {list(self.model.decoder_hidden)}; '
+                "updated rollouts, and only they, train a decoder: give both or neither"
             )
         if self.model.pairs < 1 or not self.model.time_step > 0:
             raise TrainingConfigError("model.pairs and model.time_step must be above 0")

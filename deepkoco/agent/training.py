@@ -31,6 +31,7 @@ from deepkoco.koopman.export import export_model
 from deepkoco.koopman.losses import Losses, chunk_losses
 from deepkoco.koopman.model import KoopmanModel
 from deepkoco.koopman.model_folder import write_model_folder
+from deepkoco.koopman.rollout import ROLLOUTS
 
 CHECKPOINT_FILE = "checkpoint.pt"
 MODEL_FOLDER = "model"
@@ -98,7 +99,7 @@ class Trainer:
         decay = get_ema_multi_avg_fn(config.averaging)
         self._average = AveragedModel(self.model, multi_avg_fn=decay)
         # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
-        networks = [*self.model.encoder.parameters(), *self.model.cost_factor.parameters()]
+        networks = [p for name, p in self.model.named_parameters() if not name.startswith("dynamics.")]
         eigenvalues = {"params": self.model.dynamics.parameters(), "lr": config.eigenvalue_learning_rate}
         self._optimiser = torch.optim.Adam(
             [{"params": networks}, eigenvalues],
@@ -201,7 +202,8 @@ class Trainer:
     def _update(self) -> None:
         config = self.config
         batch = self._buffer.sample(config.chunks, config.chunk_length, config.horizon, self._sampling)
-        losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight)
+        rollout = ROLLOUTS[config.rollout]
+        losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight, rollout)
         self._optimiser.zero_grad()
         losses.total.backward()
         self._optimiser.step()

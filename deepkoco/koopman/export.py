@@ -34,4 +34,5 @@ def export_model(model: KoopmanModel) -> ExportedModel:
         model.dynamics.time_step,
         model.config.action_weight,
         model.action_size,
+        () if model.decoder is None else layers(model.decoder),
     )

@@ -12,6 +12,10 @@ from deepkoco.koopman.latent_model import JordanBlocks
 Array = NDArray[np.float64]
 
 
+class NoDecoderError(ValueError):
+    """A pseudo-observation was asked of a model without a decoder."""
+
+
 @dataclass(frozen=True)
 class ExportedModel:
     """Encoder, eigenvalues and cost factor for control with NumPy only.
@@ -26,6 +30,7 @@ class ExportedModel:
         time_step: Seconds per step.
         action_weight: R of the cost model.
         action_size: M.
+        decoder: The layers of phi^-1; empty where B and C are frozen over a rollout.
     """
 
     encoder: tuple[tuple[Array, Array], ...]
@@ -35,6 +40,7 @@ class ExportedModel:
     time_step: float
     action_weight: float
     action_size: int
+    decoder: tuple[tuple[Array, Array], ...] = ()
 
     @property
     def observation_size(self) -> int:
@@ -91,8 +97,53 @@ class ExportedModel:
         Returns:
             C (..., r, 2P).
         """
-        h = latent
-        for weight, bias in self.cost_factor[:-1]:
-            h = np.maximum(h @ weight.T + bias, 0.0)
-        weight, bias = self.cost_factor[-1]
-        return (h @ weight.T + bias).reshape(*h.shape[:-1], -1, 2 * self.mu.size)
+        factor = _evaluate(self.cost_factor, latent)
+        return factor.reshape(*factor.shape[:-1], -1, 2 * self.mu.size)
+
+    def decode(self, latent: Array) -> Array:
+        """The pseudo-observation phi^-1(s), at which B can be evaluated anew.
+
+        It is trained to give good B and nothing else, so it need not look like an observation.
+
+        Args:
+            latent: (..., 2P).
+
+        Returns:
+            Pseudo-observation (..., N).
+
+        Raises:
+            NoDecoderError: The model has none.
+
+        Source: DeepKoCo, Eq. 5.10.
+        """
+        if not self.decoder:
+            raise NoDecoderError(
+                "this model has no decoder; train one with agent.rollout=updated agent.model.decoder_hidden=[90,90]"
+            )
+        return _evaluate(self.decoder, latent)
+
+    def linearise_along(self, latents: Array, actions: Array) -> tuple[Array, Array]:
+        """B and C at latents of a plan instead of at an observation.
+
+        Args:
+            latents: Predicted s_k (..., 2P).
+            actions: Planned a_k (..., M).
+
+        Returns:
+            The M columns of B_k as rows (..., M, 2P), at the pseudo-observations, and C_k (..., r, 2P).
+
+        Raises:
+            NoDecoderError: The model has no decoder.
+
+        Source: DeepKoCo, Eq. 5.7, 5.8 and 5.10.
+        """
+        rows, _ = self.linearise(self.decode(latents), actions)
+        return rows[..., 1:, :], self.factor(latents)
+
+
+def _evaluate(layers: tuple[tuple[Array, Array], ...], x: Array) -> Array:
+    """A ReLU network at x (..., inputs)."""
+    for weight, bias in layers[:-1]:
+        x = np.maximum(x @ weight.T + bias, 0.0)
+    weight, bias = layers[-1]
+    return x @ weight.T + bias

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from deepkoco.koopman.cost import quadratic_cost
 from deepkoco.koopman.model import KoopmanModel
+from deepkoco.koopman.rollout import Rollout, frozen_rollout
 
 
 @dataclass
@@ -46,13 +47,20 @@ class Losses:
     latent_scale: Tensor
 
 
-def chunk_losses(model: KoopmanModel, batch: ChunkBatch, horizon: int, cost_weight: float) -> Losses:
+def chunk_losses(
+    model: KoopmanModel,
+    batch: ChunkBatch,
+    horizon: int,
+    cost_weight: float,
+    rollout: Rollout = frozen_rollout,
+) -> Losses:
     r"""Losses of all windows of a batch of chunks, each step encoded once.
 
     $L = L_{lin} + \alpha_1 (L_{recon} + L_{pred})$ with, for each window,
     $L_{lin} = \frac{1}{T} \sum_{k=1}^{T} \| \varphi(o_k, a_k) - s_k \|^2 / 2P$,
     $L_{recon} = (c_0 - \hat c_0)^2$ and $L_{pred} = \frac{1}{T}\sum_{k=1}^{T} (c_k - \hat c_k)^2$. The
-    rolled latents $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does.
+    rolled latents $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does, or
+    those that another rollout gives.
     Gradients flow through B (second order), through psi and its input, and into both sides of $L_{lin}$.
 
     Args:
@@ -60,6 +68,7 @@ def chunk_losses(model: KoopmanModel, batch: ChunkBatch, horizon: int, cost_weig
         batch: The chunks.
         horizon: T, predicted steps per window.
         cost_weight: alpha_1.
+        rollout: One of `deepkoco.koopman.rollout.ROLLOUTS`.
 
     Returns:
         The losses, averaged over the valid windows, time and components.
@@ -72,19 +81,18 @@ def chunk_losses(model: KoopmanModel, batch: ChunkBatch, horizon: int, cost_weig
     latents, input_matrices, factors = model.encoder_and_factors(batch.observations, batch.actions, windows)
 
     start = latents[:, :windows].flatten(0, 1)  # (W, 2P)
-    increments = batch.actions.diff(dim=1).unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, M)
-    rolled = model.dynamics.rollout(start, input_matrices.flatten(0, 1), increments)  # (W, T, 2P)
+    factors = factors.flatten(0, 1)  # (W, r, 2P)
+    actions = batch.actions.unfold(1, horizon + 1, 1).flatten(0, 1).transpose(1, 2)  # (W, T + 1, M)
+    rolled, followed = rollout(model, start, input_matrices.flatten(0, 1), factors, actions)
     encoded = latents[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, 2P)
     linear = ((encoded - rolled).square().mean((1, 2)) * weights).sum()
 
-    factors = factors.flatten(0, 1)  # (W, r, 2P)
-    actions = batch.actions[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, M)
     costs = batch.costs[:, 1:].unfold(1, horizon, 1).flatten(0, 1)  # (W, T)
     weight = model.config.action_weight
-    predicted = quadratic_cost(factors.unsqueeze(1), rolled, actions, weight)
+    predicted = quadratic_cost(followed, rolled, actions[:, 1:], weight)
     prediction = ((costs - predicted).square().mean(1) * weights).sum()
 
-    first = quadratic_cost(factors, start, batch.actions[:, :windows].flatten(0, 1), weight)
+    first = quadratic_cost(factors, start, actions[:, 0], weight)
     reconstruction = ((batch.costs[:, :windows].flatten() - first).square() * weights).sum()
     return Losses(
         total=linear + cost_weight * (reconstruction + prediction),

@@ -9,7 +9,9 @@ from torch import Tensor, nn
 
 from deepkoco.koopman.cost import CostFactor
 from deepkoco.koopman.encoder import Encoder
+from deepkoco.koopman.exported import NoDecoderError
 from deepkoco.koopman.jordan import JordanDynamics
+from deepkoco.koopman.mlp import ReluNetwork
 
 
 @dataclass
@@ -28,6 +30,8 @@ class ModelConfig:
     """r, rows of the cost factor C."""
     action_weight: float = 0.001
     """R, weight of a squared action in the predicted cost."""
+    decoder_hidden: tuple[int, ...] = ()
+    """Widths of the hidden layers of phi^-1; empty for no decoder, which only updated rollouts use."""
 
 
 class KoopmanModel(nn.Module):
@@ -35,9 +39,10 @@ class KoopmanModel(nn.Module):
 
     $s = \varphi(o, a)$, $s_{k+1} = \Lambda s_k + B \Delta a_k$, $a_{k+1} = a_k + \Delta a_k$,
     $\hat c = |C s|^2 + a^\top R a$, with $B = \partial\varphi/\partial a$ and $C = \psi(s)$ at the present
-    state. There is no observation decoder: with B frozen over a rollout it would enter no loss.
+    state. With B frozen over a rollout a decoder would enter no loss, so there is none then; where B and C are
+    evaluated anew at predicted latents it gives the pseudo-observations $\varphi^{-1}(s)$ for that.
 
-    Source: DeepKoCo, Eq. 5.4-5.8.
+    Source: DeepKoCo, Eq. 5.4-5.10.
     """
 
     def __init__(self, observation_size: int, action_size: int, config: ModelConfig) -> None:
@@ -55,6 +60,9 @@ class KoopmanModel(nn.Module):
         self.encoder = Encoder(observation_size, action_size, config.pairs, config.encoder_hidden)
         self.dynamics = JordanDynamics(config.pairs, config.time_step)
         self.cost_factor = CostFactor(config.pairs, config.cost_hidden, config.cost_rank)
+        self.decoder: ReluNetwork | None = None
+        if config.decoder_hidden:
+            self.decoder = ReluNetwork(2 * config.pairs, config.decoder_hidden, observation_size)
 
     def encoder_and_factors(
         self, observations: Tensor, actions: Tensor, starts: int
@@ -85,3 +93,22 @@ class KoopmanModel(nn.Module):
         """
         latent, input_matrix = self.encoder.with_input_matrix(observation, action)
         return latent, input_matrix, self.cost_factor(latent)
+
+    def input_matrix_at(self, latent: Tensor, action: Tensor) -> Tensor:
+        """B at a predicted latent, by way of its pseudo-observation.
+
+        Args:
+            latent: (..., 2P).
+            action: (..., M).
+
+        Returns:
+            B (..., 2P, M).
+
+        Raises:
+            NoDecoderError: The model has no decoder.
+
+        Source: DeepKoCo, Eq. 5.7 and 5.10.
+        """
+        if self.decoder is None:
+            raise NoDecoderError("this model has no decoder; give agent.model.decoder_hidden=[90,90]")
+        return self.encoder.with_input_matrix(self.decoder(latent), action)[1]

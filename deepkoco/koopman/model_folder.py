@@ -37,7 +37,10 @@ def write_model_folder(model: ExportedModel, folder: Path, extra: dict[str, Any]
     if folder.exists():
         raise ModelFolderError(f"{folder}: exists already; choose another folder")
     arrays = {"mu": model.mu, "omega": model.omega}
-    for name, layers in (("encoder", model.encoder), ("cost_factor", model.cost_factor)):
+    networks = {"encoder": model.encoder, "cost_factor": model.cost_factor}
+    if model.decoder:
+        networks["decoder"] = model.decoder
+    for name, layers in networks.items():
         for i, (weight, bias) in enumerate(layers):
             arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"] = weight, bias
     config = {
@@ -46,7 +49,7 @@ def write_model_folder(model: ExportedModel, folder: Path, extra: dict[str, Any]
         "time_step": model.time_step,
         "action_weight": model.action_weight,
         "action_size": model.action_size,
-        "layers": {"encoder": len(model.encoder), "cost_factor": len(model.cost_factor)},
+        "layers": {name: len(layers) for name, layers in networks.items()},
         **extra,
     }
     partial = folder.with_name(folder.name + ".partial")
@@ -89,7 +92,7 @@ def read_model_folder(folder: Path) -> tuple[ExportedModel, dict[str, Any]]:
         raise ModelFolderError(f"{folder / WEIGHTS_FILE}: damaged: {error}") from error
 
     def layers(name: str) -> tuple[tuple[Array, Array], ...]:
-        count = int(config["layers"][name])
+        count = int(config["layers"][name] if name != "decoder" else config["layers"].get(name, 0))
         return tuple((arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(count))
 
     try:
@@ -101,6 +104,7 @@ def read_model_folder(folder: Path) -> tuple[ExportedModel, dict[str, Any]]:
             float(config["time_step"]),
             float(config["action_weight"]),
             int(config["action_size"]),
+            layers("decoder"),
         )
     except KeyError as error:
         raise ModelFolderError(f"{folder}: damaged, entry {error} is missing") from error
@@ -113,7 +117,8 @@ def read_model_folder(folder: Path) -> tuple[ExportedModel, dict[str, Any]]:
 def _check_shapes(model: ExportedModel, folder: Path) -> None:
     """Check that the layers fit each other and the sizes."""
     latents = 2 * model.mu.size
-    for name, layers in (("encoder", model.encoder), ("cost_factor", model.cost_factor)):
+    networks = [("encoder", model.encoder), ("cost_factor", model.cost_factor)]
+    for name, layers in networks + ([("decoder", model.decoder)] if model.decoder else []):
         size = layers[0][0].shape[-1] if layers and name == "encoder" else latents
         for i, (weight, bias) in enumerate(layers):
             if weight.shape != (bias.size, size) or bias.ndim != 1:
@@ -121,7 +126,12 @@ def _check_shapes(model: ExportedModel, folder: Path) -> None:
                     f"{folder / WEIGHTS_FILE}: damaged, {name}.{i}.weight has shape {weight.shape}"
                 )
             size = bias.size
-        if not layers or size == 0 or (size % latents if name == "cost_factor" else size != latents):
+        if name == "decoder":
+            if size != model.observation_size:
+                raise ModelFolderError(
+                    f"{folder}: damaged, decoder does not end in the observation's entries"
+                )
+        elif not layers or size == 0 or (size % latents if name == "cost_factor" else size != latents):
             raise ModelFolderError(f"{folder}: damaged, {name} does not end in {latents} entries")
     if model.omega.shape != model.mu.shape or not 1 <= model.action_size < model.encoder[0][0].shape[1]:
         raise ModelFolderError(f"{folder}: damaged, omega or action_size does not fit the other entries")
