@@ -80,7 +80,7 @@ class VectorPixels(VectorWrapper):
     def render(self) -> tuple[np.ndarray, ...]:
         """What the agents see, enlarged, beside what the environments render where they do."""
         pictures = self.env.render() if self.env.render_mode is not None else None
-        beside = [None] * self.num_envs if pictures is None else list(pictures)
+        beside = [None] * self.num_envs if pictures is None else [np.asarray(p) for p in pictures]
         pairs = zip(self._frames, beside, strict=True)
         return tuple(film_frame(frame, picture) for frame, picture in pairs)
 
@@ -98,7 +98,7 @@ class VectorPixels(VectorWrapper):
                 "these environments are rendered, and same-step autoreset leaves no picture of an episode's "
                 'end; make them with the autoreset mode "NextStep" or "Disabled"'
             )
-        return RenderedFrames(lambda: env.render() or ())
+        return RenderedFrames(lambda: [np.asarray(picture) for picture in env.render() or ()])
 
 
 class Pixels(gymnasium.Wrapper):

@@ -11,6 +11,8 @@ from gymnasium.vector import VectorEnv
 from omegaconf import MISSING
 
 from deepkoco.envs.distractors import VectorStateDistractors
+from deepkoco.envs.frames import find_painter
+from deepkoco.envs.pixels import VectorPixels
 
 
 class TaskError(ValueError):
@@ -41,27 +43,38 @@ def copies(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
     return VectorStateDistractors(envs, system=config.system, shuffle_seed=seed)
 
 
-DISTRACTORS: dict[str, Callable[[VectorEnv, TaskConfig, int], VectorEnv]] = {"none": plain, "copies": copies}
+def pixels(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
+    """Frames without distractors."""
+    return VectorPixels(envs)
+
+
+DISTRACTORS: dict[str, dict[str, Callable[[VectorEnv, TaskConfig, int], VectorEnv]]] = {
+    "states": {"none": plain, "copies": copies},
+    "images": {"none": pixels},
+}
 
 
 def make_task_factory(
-    config: TaskConfig, distractors: str = "none", **kwargs: Any
+    config: TaskConfig, distractors: str = "none", observation: str = "states", **kwargs: Any
 ) -> Callable[[int, int], VectorEnv]:
     """Check the description of a task and make the factory of its environments.
 
     Args:
         config: The task.
         distractors: A name of `DISTRACTORS`.
+        observation: What the agent sees: "states" or "images".
         **kwargs: Further arguments of the environment, such as `render_mode`.
 
     Returns:
         Makes environments from (count, seed of the run).
 
     Raises:
-        TaskError: The id or the distractors are unknown, or the environment refuses its arguments.
+        TaskError: The id or the distractors are unknown, the environment refuses its arguments, or it cannot
+            be drawn.
     """
-    if distractors not in DISTRACTORS:
-        raise TaskError(f'distractors = "{distractors}"; choose one of {", ".join(DISTRACTORS)}')
+    known = DISTRACTORS[observation]
+    if distractors not in known:
+        raise TaskError(f'distractors = "{distractors}"; choose one of {", ".join(known)}')
     try:
         spec = gymnasium.spec(config.id)
     except gymnasium.error.Error as error:
@@ -72,10 +85,25 @@ def make_task_factory(
 
     def make(count: int, seed: int) -> VectorEnv:
         envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **arguments)
-        return DISTRACTORS[distractors](envs, config, seed)
+        if observation == "images" and find_painter(envs) is None and envs.render_mode is None:
+            envs.close()
+            rendered = {**arguments, "render_mode": "rgb_array"}
+            envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **rendered)
+        return known[distractors](envs, config, seed)
 
     try:
-        make(1, 0).close()
+        probe = make(1, 0)
     except (gymnasium.error.Error, TypeError, ValueError) as error:
         raise TaskError(f"task.kwargs = {arguments}: {error}") from error
+    if observation == "images":
+        _check_draws(config, probe)
+    probe.close()
     return make
+
+
+def _check_draws(config: TaskConfig, envs: VectorEnv) -> None:
+    """Draw one frame: an environment finds out only then that it lacks a package to draw with."""
+    try:
+        envs.reset(seed=0)
+    except gymnasium.error.Error as error:
+        raise TaskError(f"{config.id} cannot be drawn: {error}") from error
