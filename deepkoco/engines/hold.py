@@ -9,12 +9,12 @@ from deepkoco.graph import Input
 
 
 def mean_over_tick(values: Tensor, commands: Input, period: float) -> Tensor:
-    """Time average (B,) over the tick that ends now.
+    """Time average (B, ...) over the tick that ends now.
 
     Each command holds from its arrival to the next one's; the oldest has held since before the tick.
 
     Args:
-        values: (B, window) what each of the commands delivers.
+        values: (B, window, ...) what each of the commands delivers.
         commands: The commands, with their arrivals.
         period: Length of the tick [s].
     """
@@ -22,4 +22,7 @@ def mean_over_tick(values: Tensor, commands: Input, period: float) -> Tensor:
     arrival = torch.minimum(torch.maximum(commands.t_received, (end - period)[:, None]), end[:, None])
     until = torch.cat([arrival[:, 1:], end[:, None]], 1)
     since = torch.cat([(end - period)[:, None], arrival[:, 1:]], 1)
-    return (values * (until - since)).sum(1) / period
+    held = until - since
+    if values.ndim > 2:
+        held = held.unsqueeze(-1)
+    return (values * held).sum(1) / period

@@ -11,7 +11,7 @@ from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
 from deepkoco.graph.node import State
-from deepkoco.systems import JointSystem, Parameters, rk4_step
+from deepkoco.systems import Parameters, System, rk4_step
 
 
 class World(Node):
@@ -24,11 +24,11 @@ class World(Node):
     The start state is the parameter ``start`` (B, S), or what the runtime's reset gives as ``initial``.
 
     Args:
-        system: Dynamics.
+        system: Dynamics; a command of the graph is (..., M).
         rate: Ticks per second [Hz].
         integrator: ``rk4``, or ``semi_implicit_euler``, which at the control rate is Gymnasium's own scheme.
-        command_limit: Largest command, in the command's unit.
-        speed_limit: The joint goes no faster [rad/s]: without friction a random command would else spin it
+        command_limit: Largest command of all channels, or one for each, in the command's unit.
+        speed_limit: The joints go no faster [rad/s]: without friction a random command would else spin one
             up without end, and Gymnasium's Pendulum-v1 has such a limit.
     """
 
@@ -36,23 +36,29 @@ class World(Node):
 
     def __init__(
         self,
-        system: JointSystem,
+        system: System,
         rate: float,
         integrator: str = "rk4",
-        command_limit: float = math.inf,
+        command_limit: float | tuple[float, ...] = math.inf,
         speed_limit: float = math.inf,
     ) -> None:
         super().__init__("world", rate)
         self.period, self.speed_limit = 1.0 / rate, speed_limit
         self.system = system
-        self.low = max(-command_limit, system.command.low)
-        self.high = min(command_limit, system.command.high)
+        channels = system.commands
+        if isinstance(command_limit, int | float):
+            command_limit = (command_limit,) * len(channels)
+        self.limits = tuple(
+            (max(-limit, channel.low), min(limit, channel.high))
+            for limit, channel in zip(command_limit, channels, strict=True)
+        )
         self.advance_by = {"rk4": self._rk4, "semi_implicit_euler": self._semi_implicit_euler}[integrator]
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
+        idle = torch.zeros(batch, len(self.limits), dtype=torch.float64)
         return {
             "state": start_state(self.system, parameters, batch),
-            "effort": torch.zeros(batch, dtype=torch.float64),
+            "effort": self.system.effort_of(idle),
             "started": torch.zeros(batch, dtype=torch.bool),
         }
 
@@ -61,9 +67,13 @@ class World(Node):
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         dt = self.period
-        command = inputs["agent"].data[..., 0].to(torch.float64).clamp(self.low, self.high)
+        sent = inputs["agent"].data.to(torch.float64)
+        cut = [sent[..., i].clamp(low, high) for i, (low, high) in enumerate(self.limits)]
+        command = self.system.effort_of(torch.stack(cut, -1))
         target = mean_over_tick(self.system.actuate(command, parameters), inputs["agent"], dt)
         lag = self.system.timing(parameters).lag
+        if target.ndim > 1:
+            lag = lag.unsqueeze(-1)
         # Exact first-order response; where the time constant is zero the effort is the target.
         held = torch.where(lag > 0, lag, 1.0)
         decay = torch.where(lag > 0, torch.exp(-dt / held), 0.0)
@@ -71,19 +81,29 @@ class World(Node):
         after = self.advance_by(state["state"], mean, dt, parameters)
         started = state["started"]
         now = torch.where(started[:, None], after, state["state"])
+        if target.ndim > 1:
+            started = started[:, None]
         delivered = torch.where(started, target + (state["effort"] - target) * decay, state["effort"])
-        return {"state": now, "effort": delivered, "started": torch.ones_like(started)}, now
+        return {"state": now, "effort": delivered, "started": torch.ones_like(state["started"])}, now
 
     def _rk4(self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters) -> Tensor:
         after = rk4_step(self.system, state, effort, dt, parameters)
-        return torch.stack([after[..., 0], self._limited(after[..., 1])], -1)
+        joints = self.system.joints
+        if not math.isfinite(self.speed_limit):
+            return after
+        return self._joined(after[..., :joints], after[..., joints : 2 * joints], after[..., 2 * joints :])
 
     def _semi_implicit_euler(
         self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters
     ) -> Tensor:
-        slope = self.system.derivative(state, effort, parameters)
-        speed = self._limited(state[..., 1] + slope[..., 1] * dt)
-        return torch.stack([state[..., 0] + speed * dt, speed], -1)
+        joints = self.system.joints
+        explicit = state + self.system.derivative(state, effort, parameters) * dt
+        speed = self._limited(explicit[..., joints : 2 * joints])
+        return self._joined(state[..., :joints] + speed * dt, speed, explicit[..., 2 * joints :])
+
+    def _joined(self, angles: Tensor, speeds: Tensor, rest: Tensor) -> Tensor:
+        parts = [angles, self._limited(speeds)]
+        return torch.cat(parts if rest.shape[-1] == 0 else [*parts, rest], -1)
 
     def _limited(self, speed: Tensor) -> Tensor:
         return speed.clamp(-self.speed_limit, self.speed_limit) if math.isfinite(self.speed_limit) else speed

@@ -1,4 +1,4 @@
-"""The sensor of a one-joint robot on a simulating engine."""
+"""The sensor of a robot on a simulating engine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deepkoco.engines.noise import draw_keys, normal
 from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
 from deepkoco.graph.node import State
-from deepkoco.systems import JointSystem, Parameters
+from deepkoco.systems import Parameters, System
 
 
 class Sensor(Node):
@@ -24,7 +24,7 @@ class Sensor(Node):
         noise: Standard deviation of the noise per channel, in the channel's unit.
     """
 
-    def __init__(self, system: JointSystem, rate: float, noise: tuple[float, ...]) -> None:
+    def __init__(self, system: System, rate: float, noise: tuple[float, ...]) -> None:
         super().__init__("sensor", rate)
         self.system, self.noise = system, noise
         self.noisy = any(spread > 0.0 for spread in noise)

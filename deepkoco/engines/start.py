@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepkoco.systems import JointSystem, Parameters
+from deepkoco.systems import Parameters, System
 
 
-def start_state(system: JointSystem, parameters: Parameters, batch: int) -> Tensor:
+def start_state(system: System, parameters: Parameters, batch: int) -> Tensor:
     """The parameter ``start`` as states (B, S), float64; zeros where there is none."""
     width = len(system.state_names)
     start = parameters.get("start")

@@ -1,4 +1,4 @@
-"""The package's own environments: a one-joint task on the delay graph, a batch at once and one alone."""
+"""The package's own environments: a task on the delay graph, a batch at once and one alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from deepkoco.engines.sensor import Sensor
 from deepkoco.envs.delay_traces import Delays
 from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
-from deepkoco.envs.nodes import SwingUpAgent
+from deepkoco.envs.nodes import TaskAgent
 from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
 from deepkoco.graph import Connection, Graph
 from deepkoco.graph.delay import Delay, Deterministic, make_delay
@@ -66,11 +66,12 @@ class DelayGraphVectorEnv(GraphVectorEnv):
     ) -> None:
         self.settings = EnvironmentSettings(**settings)
         self.render_mode, self.render_size = render_mode, render_size
-        self.system = self.settings.make_system()
-        self.task = self.settings.task
-        limit = self.task.command_limit
-        self.action_scale = limit if self.settings.action_units == "normalized" else 1.0
-        bound = np.array([limit / self.action_scale], np.float32)
+        self.task = self.settings.find_task()
+        self.system = self.task.scene(self.settings.make_system())
+        self.limits = np.array(self.task.command_limits)
+        physical = self.settings.action_units == "physical"
+        self.action_scale = np.ones_like(self.limits) if physical else self.limits
+        bound = (self.limits / self.action_scale).astype(np.float32)
         entries = np.array(self.task.observation_bounds, np.float32)
         entries = np.concatenate([entries, np.tile(bound, self.settings.action_history)])
         super().__init__(
@@ -92,8 +93,13 @@ class DelayGraphVectorEnv(GraphVectorEnv):
             gymnasium.logger.warn('render() without a render mode: pass render_mode="rgb_array" to make()')
             return None
         seen = self.state.nodes["agent"]
-        pairs = zip(seen["truth"].cpu().numpy(), seen["command"].tolist(), strict=True)
+        truth = self.system.ideal_measurement(seen["truth"].cpu()).numpy()
+        pairs = zip(truth, seen["command"].cpu().numpy(), strict=True)
         return tuple(self.system.draw(state, command, self.render_size) for state, command in pairs)
+
+    def draw_observation(self, observation: np.ndarray, image: np.ndarray) -> None:
+        """Draw what one observation (N,) shows onto a picture, uint8 (size, size, 3), whatever that shows."""
+        self.task.draw_observation(self.system, observation, image)
 
     def _make_graph(self) -> Graph:
         settings, rate = self.settings, self.task.control_rate
@@ -108,11 +114,11 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 self.system,
                 settings.world_rate,
                 settings.integrator,
-                self.task.command_limit,
+                self.task.command_limits,
                 self.task.speed_limit,
             ),
             Sensor(self.system, sensor_rate, noise),
-            SwingUpAgent(self.system, self.task, settings.action_history, self.action_scale),
+            TaskAgent(self.system, self.task, settings.action_history, self.action_scale.tolist()),
         ]
         window = command_window(actuation, rate, settings.world_rate)
         connections = [
@@ -174,9 +180,10 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         return {"world": {"state": start}, "sensor": {"start": start}}
 
     def _command(self, actions: Any) -> np.ndarray:
-        limit = self.task.command_limit
-        # Two ufuncs cost a third of np.clip for one number.
-        return np.minimum(np.maximum(super()._command(actions) * self.action_scale, -limit), limit)
+        # Two ufuncs cost a third of np.clip for few numbers.
+        return np.minimum(
+            np.maximum(super()._command(actions) * self.action_scale, -self.limits), self.limits
+        )
 
 
 class DelayGraphEnv(GraphEnv):
@@ -201,6 +208,10 @@ class DelayGraphEnv(GraphEnv):
         self._use(batch, longest_episode)
         self.render_mode = render_mode
         self.system, self.task = batch.system, batch.task
+
+    def draw_observation(self, observation: np.ndarray, image: np.ndarray) -> None:
+        """See :meth:`DelayGraphVectorEnv.draw_observation`."""
+        self.task.draw_observation(self.system, observation, image)
 
     def _batched(self, options: Mapping[str, Any]) -> dict[str, Any]:
         if options.get("initial_state") is None:

@@ -10,9 +10,9 @@ import torch
 from gymnasium import spaces
 
 from deepkoco.engines import Engine, MujocoEngine, OdeEngine, find_engine, find_object, make_graph
-from deepkoco.envs.nodes import SwingUpAgent
+from deepkoco.envs.nodes import TaskAgent
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
-from deepkoco.envs.tasks import TASKS
+from deepkoco.envs.tasks import SWING_UPS
 from deepkoco.graph import draw_timing
 from deepkoco.graph.realtime import SimulatedRuntime, WallClockRuntime
 
@@ -58,7 +58,7 @@ class EngineEnv(gymnasium.Env):
             raise SettingsError(f'action_units "{action_units}" is none of {", ".join(ACTION_UNITS)}')
         if action_history < 0:
             raise SettingsError(f"action_history = {action_history}; give 0 or more")
-        self.system, self.task = find_object(object).dynamics, TASKS[object]
+        self.system, self.task = find_object(object).dynamics, SWING_UPS[object]
         self.engine = self._with_limits(engine)
         self.render_mode, self.render_size, self.longest_episode = render_mode, render_size, longest_episode
         self.metadata = {**self.metadata, "render_fps": round(self.task.control_rate)}
@@ -72,7 +72,7 @@ class EngineEnv(gymnasium.Env):
         self.graph = make_graph(
             object,
             self.engine,
-            agent=SwingUpAgent(self.system, self.task, action_history, self.action_scale),
+            agent=TaskAgent(self.system, self.task, action_history, (self.action_scale,)),
             actuation_delay=actuation_delay,
             sensing_delay=sensing_delay,
         )

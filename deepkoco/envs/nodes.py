@@ -1,56 +1,59 @@
-"""The agent of a one-joint task: the supervisor of its graph."""
+"""The agent of a task: the supervisor of its graph."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
-from deepkoco.envs.tasks import SwingUp
+from deepkoco.envs.tasks import Task
 from deepkoco.graph import Input, Supervisor
 from deepkoco.graph.node import State
-from deepkoco.systems import JointSystem, Parameters
+from deepkoco.systems import Parameters, System
 
 
-class SwingUpAgent(Supervisor):
-    """The seat of the agent: it sees measurements, and is paid for the true state and its command.
+class TaskAgent(Supervisor):
+    """The seat of the agent: it sees measurements, and is paid for the true state and its commands.
 
     Readings: ``observation`` (B, N) of what it has received, then its last commands, newest first;
-    ``reward`` (B,), minus the task's cost of the true state at its step before and the command given then;
-    ``angle_from_upright`` (B,) [rad] of the true state now.
+    ``reward`` (B,), minus the task's cost of the true state at its step before and the commands given then;
+    and what the task reads of the true state now.
 
     Args:
-        system: Declares the measurements.
+        scene: The system with what the task adds to it.
         task: Says what the agent sees and pays, and its rate.
-        history: How many commands are appended.
-        scale: Commands are divided by it before they are appended, in the command's unit.
+        history: How many steps' commands are appended.
+        scale: Commands are divided by it (M,) before they are appended, in the commands' units.
     """
 
     inputs = ("truth", "sensor")
 
-    def __init__(self, system: JointSystem, task: SwingUp, history: int = 0, scale: float = 1.0) -> None:
-        super().__init__(rate=task.control_rate, initial_action=torch.zeros(1, dtype=torch.float64))
-        self.system, self.task, self.history, self.scale = system, task, history, scale
+    def __init__(self, scene: System, task: Task, history: int, scale: Sequence[float]) -> None:
+        self.width = len(scene.commands)
+        idle = torch.zeros(self.width, dtype=torch.float64)
+        super().__init__(rate=task.control_rate, initial_action=idle)
+        self.scene, self.task, self.history, self.scale = scene, task, history, tuple(scale)
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         state = {
-            "truth": torch.zeros(batch, len(self.system.state_names), dtype=torch.float64),
-            "command": torch.zeros(batch, dtype=torch.float64),
+            "truth": torch.zeros(batch, len(self.scene.state_names), dtype=torch.float64),
+            "command": torch.zeros(batch, self.width, dtype=torch.float64),
         }
         if self.history:
-            state["history"] = torch.zeros(batch, self.history, dtype=torch.float64)
+            state["history"] = torch.zeros(batch, self.history * self.width, dtype=torch.float64)
         return state
 
     def observe(
         self, parameters: Parameters, state: State, inputs: Mapping[str, Input], action: Tensor
     ) -> tuple[State, dict[str, Tensor]]:
         truth = inputs["truth"].data[:, -1]
-        observation = self.task.observation(self.system, inputs["sensor"].data[:, -1])
-        reward = -self.task.cost(self.system, state["truth"], action[:, 0])
-        state = {**state, "truth": truth, "command": action[:, 0]}
+        observation = self.task.observation(self.scene, inputs["sensor"].data[:, -1])
+        reward = -self.task.cost(self.scene, state["truth"], action)
+        state = {**state, "truth": truth, "command": action}
         if self.history:
-            state["history"] = torch.cat([action / self.scale, state["history"][:, :-1]], 1)
+            scaled = [action[:, i : i + 1] / scale for i, scale in enumerate(self.scale)]
+            state["history"] = torch.cat([*scaled, state["history"][:, : -self.width]], 1)
             observation = torch.cat([observation, state["history"]], 1)
-        angle = self.task.angle_from_upright(self.system, truth)
-        return state, {"observation": observation, "reward": reward, "angle_from_upright": angle}
+        readings = {"observation": observation, "reward": reward}
+        return state, readings | self.task.readings(self.scene, truth)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deepkoco.envs.tasks import TASKS, SwingUp
+from deepkoco.envs.tasks import Task, UnknownTaskError, find_task
 from deepkoco.graph.delay import Delay, DelayError, make_delay
-from deepkoco.systems import ExtendedSystem, JointSystem, load_model, make_system
+from deepkoco.systems import ExtendedSystem, System, load_model, make_system
 
 INTEGRATORS = ("rk4", "semi_implicit_euler")
 ACTION_UNITS = ("normalized", "physical")
@@ -27,6 +27,7 @@ class EnvironmentSettings:
 
     Attributes:
         system: Name of the system.
+        task: Name of a task on it; None: its swing-up, which bears the system's name.
         model: Path of a model.yaml, or a system, to simulate in place of the nominal system.
         actuation_delay: Delay from the agent to the actuator [s]: a number, a delay law or its
             description; the model's own delay adds to it.
@@ -37,11 +38,12 @@ class EnvironmentSettings:
             environment. A range replaces the nominal value.
         noise: Whether measurements carry the noise that the system's channels declare.
         action_history: How many past actions are appended to the observation, newest first.
-        action_units: ``normalized``: actions in [-1, 1]; ``physical``: in the command's unit.
+        action_units: ``normalized``: actions in [-1, 1]; ``physical``: in the commands' units.
     """
 
     system: str
-    model: str | Path | JointSystem | None = None
+    task: str | None = None
+    model: str | Path | System | None = None
     actuation_delay: Delay | float | Mapping[str, Any] = 0.0
     sensing_delay: Delay | float | Mapping[str, Any] = 0.0
     world_rate: float = 100.0
@@ -62,10 +64,11 @@ class EnvironmentSettings:
             raise SettingsError(f"action_history = {self.action_history}; give 0 or more")
         if not (self.world_rate > 0 and math.isfinite(self.world_rate)):
             raise SettingsError(f"world_rate = {self.world_rate} Hz; give a positive number")
-        if self.system in TASKS and self.world_rate < self.task.control_rate:
+        rate = self.find_task().control_rate
+        if self.world_rate < rate:
             raise SettingsError(
                 f"world_rate = {self.world_rate:g} Hz is below the control rate of {self.system}; give "
-                f"{self.task.control_rate:g} Hz or more"
+                f"{rate:g} Hz or more"
             )
         for name in DELAYS:
             try:
@@ -74,24 +77,32 @@ class EnvironmentSettings:
                 raise SettingsError(f"{name}: {error}") from error
         self._check_ranges()
 
-    @property
-    def task(self) -> SwingUp:
-        """The system's task."""
-        return TASKS[self.system]
-
-    def make_system(self) -> JointSystem:
+    def make_system(self) -> System:
         """The system to simulate, with its nominal parameters.
 
         Raises:
             SettingsError: The model belongs to another system.
         """
-        system = self.model if isinstance(self.model, JointSystem) else None
+        system = self.model if isinstance(self.model, System) else None
         if system is None:
             system = make_system(self.system) if self.model is None else load_model(str(self.model))
-        assert isinstance(system, JointSystem)
         if system.name != self.system:
             raise SettingsError(f"the model is of {system.name}, the environment of {self.system}")
         return system
+
+    def find_task(self) -> Task:
+        """The task.
+
+        Raises:
+            SettingsError: There is none of that name, or it is of another system.
+        """
+        try:
+            task = find_task(self.task or self.system)
+        except UnknownTaskError as error:
+            raise SettingsError(f"task: {error}") from error
+        if task.system != self.system:
+            raise SettingsError(f'task "{self.task}" is one of {task.system}, not of {self.system}')
+        return task
 
     def _check_ranges(self) -> None:
         system = self.make_system()

@@ -11,7 +11,7 @@ import torch
 from gymnasium import spaces
 
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
-from deepkoco.envs.tasks import TASKS
+from deepkoco.envs.tasks import SWING_UPS
 from deepkoco.systems import JointSystem, make_system
 from deepkoco.unit import ControlLoop, SimulatedUnit, Unit, UnitSpec, load_unit
 
@@ -55,7 +55,7 @@ class UnitEnv(gymnasium.Env):
         spec = unit if isinstance(unit, UnitSpec) else load_unit(unit)
         system = make_system(spec.system)
         assert isinstance(system, JointSystem)
-        self.system, self.task, self.episode_steps = system, TASKS[spec.system], episode_steps
+        self.system, self.task, self.episode_steps = system, SWING_UPS[spec.system], episode_steps
         self.render_mode, self.render_size = render_mode, render_size
         limit = self.task.command_limit
         self.action_scale = limit if action_units == "normalized" else 1.0
@@ -99,7 +99,7 @@ class UnitEnv(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
         limit = self.task.command_limit
         self._command = float(np.clip(np.asarray(action).item() * self.action_scale, -limit, limit))
-        command = torch.tensor(self._command, dtype=torch.float64)
+        command = torch.tensor([self._command], dtype=torch.float64)
         cost = float(self.task.cost(self.system, self._measured, command))
         self._history = np.append(self._command / self.action_scale, self._history)[: len(self._history)]
         self._take(self._loop.step(self._command).values)

@@ -101,8 +101,8 @@ class ExtendedSystem(JointSystem):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
 
-    def draw(self, measurement: np.ndarray, command: float, size: int = 256) -> np.ndarray:
-        return self.base.draw(measurement, command, size)
+    def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
+        self.base.draw_body(image, angle_from_upright)
 
     def _at(self, place: str, parameters: Parameters) -> list[tuple[Effect, dict[str, Tensor]]]:
         return [(e, _own(e.name, parameters)) for e in self.effects if e.place == place]

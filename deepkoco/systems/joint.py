@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.systems import drawing
 from deepkoco.systems.system import Channel, Parameters, System
 
 
@@ -32,9 +33,18 @@ def speed_channel(noise_sd: float) -> Channel:
 class JointSystem(System):
     """J theta'' = torque(theta, omega, effort) + load, with J and torque given by the subclass."""
 
-    state_names: ClassVar[tuple[str, ...]] = ("theta", "omega")
-    state_units: ClassVar[tuple[str, ...]] = ("rad", "rad/s")
+    joints = 1
+    state_names = ("theta", "omega")
+    state_units = ("rad", "rad/s")
     upright: float  # angle at which the tip points up [rad]
+    command: Channel
+
+    @property
+    def commands(self) -> tuple[Channel, ...]:
+        return (self.command,)
+
+    def effort_of(self, commands: Tensor) -> Tensor:
+        return commands[..., 0]
 
     @abstractmethod
     def inertia(self, parameters: Parameters) -> Tensor:
@@ -43,6 +53,17 @@ class JointSystem(System):
     @abstractmethod
     def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         """Sum of the modelled torques [N m]."""
+
+    @abstractmethod
+    def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
+        """Draw what turns onto a picture (size, size, 3)."""
+
+    def draw_on(
+        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
+    ) -> None:
+        self.draw_body(image, float(measurement[0]) - self.upright)
+        if command is not None:
+            drawing.draw_command(image, float(np.ravel(command)[0]) / self.command.high)
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         theta, omega = state.unbind(-1)

@@ -65,8 +65,5 @@ class Pendulum(JointSystem):
             "inertia": parameters["inertia"] + mass * length**2,
         }
 
-    def draw(self, measurement: np.ndarray, command: float, size: int = 256) -> np.ndarray:
-        image = drawing.canvas(size)
-        drawing.draw_disk(image, float(measurement[0]))
-        drawing.draw_command(image, command / self.command.high)
-        return image
+    def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
+        drawing.draw_disk(image, angle_from_upright)

@@ -52,8 +52,5 @@ class RodPendulum(JointSystem):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return {**parameters, "tip_mass": mass}
 
-    def draw(self, measurement: np.ndarray, command: float, size: int = 256) -> np.ndarray:
-        image = drawing.canvas(size)
-        drawing.draw_rod(image, float(measurement[0]))
-        drawing.draw_command(image, command / self.command.high)
-        return image
+    def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
+        drawing.draw_rod(image, angle_from_upright)

@@ -6,11 +6,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from deepkoco.systems.drawing import canvas
 
 Parameters = Mapping[str, Tensor]
 
@@ -86,19 +88,31 @@ class Timing(NamedTuple):
 
 
 class System(ABC):
-    """Dynamics with named parameters, one command channel and some measurement channels.
+    """Dynamics with named parameters, command channels and measurement channels.
 
     A system is pure: its methods neither keep state nor draw random numbers. Every method is
     elementwise over the leading batch shape; a parameter is a scalar tensor or has the batch shape, so
     a population of parameters is one more batch.
+
+    Attributes:
+        joints: How many; a state begins with the angles of all joints, then their speeds.
     """
 
     name: str
-    state_names: ClassVar[tuple[str, ...]]
-    state_units: ClassVar[tuple[str, ...]]
+    joints: int
+    state_names: tuple[str, ...]
+    state_units: tuple[str, ...]
     parameters: tuple[Parameter, ...]
-    command: Channel
     measurements: tuple[Channel, ...]
+
+    @property
+    @abstractmethod
+    def commands(self) -> tuple[Channel, ...]:
+        """The command channels, M of them."""
+
+    def effort_of(self, commands: Tensor) -> Tensor:
+        """Commands (..., M) in the shape that `actuate` and `derivative` take: the same, or (...) for one joint."""
+        return commands
 
     @abstractmethod
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
@@ -106,7 +120,7 @@ class System(ABC):
 
         Args:
             state: (..., S), units ``state_units``.
-            effort: (...), what the actuator delivers, in the command's unit.
+            effort: (..., M), for one joint (...): what the actuators deliver, in the commands' units.
             parameters: Named values, each scalar or (...).
 
         Returns:
@@ -118,7 +132,7 @@ class System(ABC):
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to the tip."""
 
     def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
-        """Effort that answers a command (...), without dynamics: the command itself for a plain system."""
+        """Effort that answers a command of its shape, without dynamics: the command itself for a plain system."""
         return command
 
     def timing(self, parameters: Parameters) -> Timing:
@@ -128,6 +142,10 @@ class System(ABC):
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         """Noise-free measurements (..., N) of a state (..., S), in the order of ``measurements``."""
+        return self.ideal_measurement(state)
+
+    def ideal_measurement(self, state: Tensor) -> Tensor:
+        """What sensors without any error measure (..., N) of a state (..., S)."""
         return state
 
     @property
@@ -136,14 +154,22 @@ class System(ABC):
         """Typical joint torque [N m]: the unit in which bounds of extra loads are set."""
 
     @abstractmethod
-    def draw(self, measurement: np.ndarray, command: float, size: int = 256) -> np.ndarray:
-        """Picture of the system, uint8 (size, size, 3), RGB.
+    def draw_on(
+        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
+    ) -> None:
+        """Draw the system onto a picture, whatever that shows already.
 
         Args:
+            image: uint8 (size, size, 3), RGB, of any size; it may be a part of a larger picture.
             measurement: (N,) values in the order of ``measurements``.
-            command: Command now, in its unit.
-            size: Side of the picture in pixels.
+            command: Commands now (M,), in their units, to be drawn too.
         """
+
+    def draw(self, measurement: np.ndarray, command: np.ndarray | float, size: int = 256) -> np.ndarray:
+        """Picture of the system on an empty background, uint8 (size, size, 3), RGB; see `draw_on`."""
+        image = canvas(size)
+        self.draw_on(image, measurement, command)
+        return image
 
     def default_parameters(self) -> dict[str, Tensor]:
         """Nominal parameters as float64 scalars."""
@@ -170,7 +196,7 @@ def rk4_step(
     Args:
         system: Dynamics.
         state: (..., S).
-        effort: (...), held over the step.
+        effort: (..., M), for one joint (...), held over the step.
         dt: Step [s], scalar or (...).
         parameters: Named values, each scalar or (...).
 

@@ -55,8 +55,5 @@ class TorquePendulum(JointSystem):
             "gravity_torque": parameters["gravity_torque"] + mass * GRAVITY * TIP_LENGTH,
         }
 
-    def draw(self, measurement: np.ndarray, command: float, size: int = 256) -> np.ndarray:
-        image = drawing.canvas(size)
-        drawing.draw_point_mass(image, float(measurement[0]) - math.pi)
-        drawing.draw_command(image, command / self.command.high)
-        return image
+    def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
+        drawing.draw_point_mass(image, angle_from_upright)

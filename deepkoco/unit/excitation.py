@@ -162,9 +162,9 @@ def load_policy_excitation(folder: str | Path, system: str) -> tuple[Excitation,
     import torch
 
     from deepkoco.agent.policy import KoopmanPolicy, load_model
-    from deepkoco.envs.tasks import TASKS
+    from deepkoco.envs.tasks import SWING_UPS
 
-    physics, task = make_system(system), TASKS[system]
+    physics, task = make_system(system), SWING_UPS[system]
     assert isinstance(physics, JointSystem)
     try:
         model, planner, low, high = load_model(folder)

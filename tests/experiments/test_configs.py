@@ -6,7 +6,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
-from deepkoco.envs.tasks import TASKS
+from deepkoco.envs.tasks import SWING_UPS
 from experiments.commands import CONFIGS
 from experiments.environments import make_factory
 from experiments.settings import TrainRunConfig, register
@@ -26,14 +26,14 @@ def read(*overrides: str) -> TrainRunConfig:
 def test_every_environment_steps_in_the_time_that_the_model_takes_for_a_step(name):
     config = read(f"task={name}")
     assert config.task.name == name
-    assert config.agent.model.time_step * TASKS[config.task.system].control_rate == pytest.approx(1.0)
+    assert config.agent.model.time_step * SWING_UPS[config.task.system].control_rate == pytest.approx(1.0)
     config.agent.check()
     envs = make_factory(config.task, "copies")(2, 0)
     observation, _ = envs.reset(seed=0)
     assert envs.step(envs.action_space.sample() * 0.0)[0].shape == observation.shape
     space = envs.single_action_space
     assert isinstance(space, gymnasium.spaces.Box)
-    assert space.high[0] == pytest.approx(TASKS[config.task.system].command_limit)
+    assert space.high[0] == pytest.approx(SWING_UPS[config.task.system].command_limit)
     envs.close()
 
 

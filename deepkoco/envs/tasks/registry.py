@@ -1,0 +1,32 @@
+"""Names of the tasks: a new task is an entry here, a new family of tasks one file more."""
+
+from __future__ import annotations
+
+from deepkoco.envs.tasks.swing_up import SwingUp
+from deepkoco.envs.tasks.task import Task
+
+SWING_UPS: dict[str, SwingUp] = {
+    task.system: task
+    for task in (
+        SwingUp("rod_pendulum", (2.0,), speed_limit=8.0, control_rate=20.0, speed_weight=0.1, command_weight=0.001),
+        SwingUp("pendulum", (2.0,), speed_limit=25.0, control_rate=50.0, speed_weight=0.01, command_weight=0.01),
+        SwingUp("torque_pendulum", (1.5,), speed_limit=12.0, control_rate=50.0, speed_weight=0.1, command_weight=0.01),
+    )
+}  # fmt: skip
+
+TASKS: dict[str, Task] = {**SWING_UPS}
+
+
+class UnknownTaskError(ValueError):
+    """A name does not belong to any task."""
+
+
+def find_task(name: str) -> Task:
+    """Task of the given name.
+
+    Raises:
+        UnknownTaskError: There is no such task; the message lists those there are.
+    """
+    if name not in TASKS:
+        raise UnknownTaskError(f'unknown task "{name}"; known tasks: {", ".join(sorted(TASKS))}')
+    return TASKS[name]
