@@ -12,6 +12,22 @@ from torch.utils.tensorboard import SummaryWriter
 Row = dict[str, float]
 
 
+def write_rows(path: Path, rows: list[Row]) -> None:
+    """Write rows as a CSV so that a kill at any moment leaves the old or the new file, whole.
+
+    Args:
+        path: Target file.
+        rows: At least one; all have the keys of the first.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(text.getvalue())
+    os.replace(partial, path)
+
+
 class MetricsLog:
     """One row per training iteration.
 
@@ -35,7 +51,7 @@ class MetricsLog:
         for row in self.rows:
             self._write_events(row)
         if self.rows:
-            self._write_csv()
+            write_rows(self._path, self.rows)
 
     def add(self, row: Row) -> None:
         """Append a row; every row has the same keys, `episodes` is the x-axis.
@@ -45,7 +61,7 @@ class MetricsLog:
         """
         self.rows.append(row)
         self._write_events(row)
-        self._write_csv()
+        write_rows(self._path, self.rows)
 
     def close(self) -> None:
         """Flush the events."""
@@ -55,12 +71,3 @@ class MetricsLog:
         for name, value in row.items():
             self._writer.add_scalar(name, value, global_step=int(row["episodes"]))
         self._writer.flush()
-
-    def _write_csv(self) -> None:
-        text = io.StringIO()
-        writer = csv.DictWriter(text, fieldnames=list(self.rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        partial = self._path.with_name(self._path.name + ".partial")
-        partial.write_text(text.getvalue())
-        os.replace(partial, self._path)

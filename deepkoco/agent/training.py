@@ -24,6 +24,7 @@ from deepkoco.agent.collection import (
     episode_costs,
 )
 from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
 from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.seeding import Purpose, derive_seed
@@ -113,10 +114,13 @@ class Trainer:
         self._collected: Row = {}
         self._loss_sums = torch.zeros(len(LOSS_NAMES), dtype=torch.float64)
         self.progress = Progress()
-        rows: list[Row] = []
+        rows, history = [], []
         if (folder / CHECKPOINT_FILE).exists():
-            rows = self._restore(load_checkpoint(folder / CHECKPOINT_FILE))
+            rows, history = self._restore(load_checkpoint(folder / CHECKPOINT_FILE))
         self.metrics = MetricsLog(folder, rows)
+        self.eigenvalues = EigenvalueHistory(folder, history)
+        if not history and not self.progress.updates:
+            self._note_eigenvalues()
 
     @property
     def finished(self) -> bool:
@@ -191,6 +195,10 @@ class Trainer:
         self._loss_sums.zero_()
         self.progress.collected, self.progress.iteration_updates = True, 0
 
+    def _note_eigenvalues(self) -> None:
+        dynamics = self.averaged_model.dynamics
+        self.eigenvalues.add(len(self._buffer), dynamics.mu.detach(), dynamics.omega.detach())
+
     def _planned_updates(self) -> int:
         config = self.config
         batch = config.chunks * (config.chunk_length - config.horizon)
@@ -231,6 +239,7 @@ class Trainer:
             )
             costs = episode_costs(collect_episodes(self._envs(count), agent, derive_seed(self.seed, purpose)))
             failures = agent.statistics.failures
+        self._note_eigenvalues()
         self.progress.iteration += 1
         self.progress.collected, self.progress.iteration_updates = False, 0
         self.metrics.add(
@@ -267,10 +276,11 @@ class Trainer:
                 "collected": self._collected,
                 "loss_sums": self._loss_sums,
                 "metrics": self.metrics.rows,
+                "eigenvalues": self.eigenvalues.rows,
             },
         )
 
-    def _restore(self, state: dict[str, Any]) -> list[Row]:
+    def _restore(self, state: dict[str, Any]) -> tuple[list[Row], list[Row]]:
         check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed)
         self.model.load_state_dict(state["model"])
         self._average.load_state_dict(state["average"])
@@ -280,7 +290,7 @@ class Trainer:
         self._noise.set_state(state["noise"])
         self.progress = Progress(**state["progress"])
         self._collected, self._loss_sums = state["collected"], state["loss_sums"]
-        return state["metrics"]
+        return state["metrics"], state.get("eigenvalues", [])
 
     def _export(self) -> None:
         extra = {

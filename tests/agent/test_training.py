@@ -74,6 +74,17 @@ def test_the_exported_weights_are_the_moving_average(finished):
     assert not torch.equal(last, exported["encoder.0.weight"].float())
 
 
+def test_the_history_of_the_eigenvalues_goes_from_the_start_values_to_the_exported_ones(finished):
+    rows = pd.read_csv(finished / "eigenvalues.csv")
+    exported = load_file(finished / "model" / "model.safetensors")
+    assert rows["episodes"].tolist() == [0, 6, 10, 14, 18, 22, 26, 30]
+    assert rows[["mu_1", "mu_2", "omega_1", "omega_2"]].iloc[0].tolist() == pytest.approx(
+        [0, 0, 0, 2 * math.pi]
+    )
+    assert rows[["mu_1", "mu_2"]].iloc[-1].tolist() == exported["mu"].tolist()
+    assert rows[["omega_1", "omega_2"]].iloc[-1].tolist() == exported["omega"].tolist()
+
+
 def test_a_finished_run_is_left_as_it_is(finished):
     before = (finished / "model" / "model.safetensors").read_bytes()
     trainer = Trainer(make_envs, small_config(), 7, finished)
@@ -108,6 +119,7 @@ def test_runs_killed_again_and_again_end_bit_for_bit_like_an_uninterrupted_one(f
         assert torch.equal(one[part], other[part])
     for name in ("model.safetensors", "config.json"):
         assert (finished / "model" / name).read_bytes() == (folder / "model" / name).read_bytes()
+    assert (finished / "eigenvalues.csv").read_bytes() == (folder / "eigenvalues.csv").read_bytes()
     curves = [pd.read_csv(f / "metrics.csv").drop(columns="seconds") for f in (finished, folder)]
     pd.testing.assert_frame_equal(curves[0], curves[1], check_exact=True)
 
