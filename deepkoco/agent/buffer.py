@@ -64,16 +64,21 @@ class EpisodeBuffer:
         self._costs = torch.cat([self._costs, *(e.costs.float() for e in episodes)])
         self._lengths = torch.cat([self._lengths, torch.tensor([e.costs.numel() for e in episodes])])
 
-    def windows(self, horizon: int) -> int:
+    def windows(self, horizon: int, stride: int = 1) -> int:
         """Count the training windows.
 
         Args:
             horizon: T; a window has T + 1 steps.
+            stride: Steps between the starts of neighbouring windows.
 
         Returns:
-            Windows that lie inside one episode, at stride 1.
+            Windows that lie inside one episode.
         """
-        return int((self._lengths - horizon).clamp(min=0).sum())
+        return int(self._window_counts(horizon, stride).sum())
+
+    def _window_counts(self, horizon: int, stride: int) -> Tensor:
+        """Windows of every episode, the first of which starts at its first step."""
+        return (self._lengths - horizon + stride - 1).clamp(min=0) // stride
 
     def check_windows(self, horizon: int) -> None:
         """Check that there is something to learn from.
@@ -90,7 +95,9 @@ class EpisodeBuffer:
                 "collect longer episodes or lower horizon"
             )
 
-    def sample(self, chunks: int, chunk_length: int, horizon: int, generator: torch.Generator) -> ChunkBatch:
+    def sample(
+        self, chunks: int, chunk_length: int, horizon: int, generator: torch.Generator, stride: int = 1
+    ) -> ChunkBatch:
         """Draw chunks such that every window of every episode is equally likely.
 
         A chunk may hang over either end of its episode, else windows near the ends would be rare; what hangs
@@ -101,6 +108,7 @@ class EpisodeBuffer:
             chunk_length: L, steps per chunk.
             horizon: T.
             generator: Source of every draw.
+            stride: Steps between the starts of neighbouring windows; above 1 with chunks of one window only.
 
         Returns:
             The chunks, with weights for the L - T windows of each.
@@ -110,16 +118,16 @@ class EpisodeBuffer:
         """
         self.check_windows(horizon)
         width = chunk_length - horizon
-        windows = (self._lengths - horizon).clamp(min=0)
+        windows = self._window_counts(horizon, stride)
         choices = torch.where(windows > 0, windows + width - 1, 0).cumsum(0)
         total = int(choices[-1])
         draw = torch.randint(total, (chunks,), generator=generator)
         episode = torch.searchsorted(choices, draw, right=True)
         before = choices[episode] - (windows[episode] + width - 1)
-        start = draw - before - (width - 1)  # from -(width - 1) to windows - 1
+        start = (draw - before - (width - 1)) * stride  # at stride 1 from -(width - 1) to windows - 1
         step = start[:, None] + torch.arange(chunk_length)
         window = step[:, :width]
-        weights = ((window >= 0) & (window < windows[episode, None])).float()
+        weights = ((window >= 0) & (window < windows[episode, None] * stride)).float()
         step = step.clamp(min=0).minimum(self._lengths[episode, None] - 1)
         first = self._lengths.cumsum(0)[episode] - self._lengths[episode]
         index = first[:, None] + step

@@ -59,6 +59,8 @@ class TrainingConfig:
     rollout: str = "frozen"
     """B and C in a predicted window: "frozen" at its first step, or "updated": evaluated anew at every
     predicted step through the decoder, see model.decoder_hidden."""
+    window_stride: int = 1
+    """Steps between the starts of neighbouring windows; T + 1 for windows that do not overlap."""
     chunks: int = 8
     """G, chunks in a minibatch."""
     chunk_length: int = 40
@@ -96,7 +98,7 @@ class TrainingConfig:
         """
         positive = (
             "first_episodes first_epochs iteration_episodes iteration_epochs iteration_updates "
-            "total_episodes horizon chunks learning_rate eigenvalue_learning_rate noise_last_episode "
+            "total_episodes horizon window_stride chunks learning_rate eigenvalue_learning_rate noise_last_episode "
             "final_evaluation_episodes checkpoint_updates"
         )
         for name in positive.split():
@@ -113,6 +115,16 @@ class TrainingConfig:
                 f"chunk_length = {self.chunk_length} holds no window of {self.horizon + 1} steps; "
                 "give more than horizon"
             )
+        if self.window_stride > 1 and self.chunk_length != self.horizon + 1:
+            raise TrainingConfigError(
+                f"window_stride = {self.window_stride} with chunk_length = {self.chunk_length}: windows of a chunk "
+                f"overlap at stride 1; give chunk_length = {self.horizon + 1}, one window per chunk"
+            )
+        unknown = set(self.model.stop_gradients) - {"B", "C"}
+        if unknown:
+            raise TrainingConfigError(f"model.stop_gradients holds {sorted(unknown)}; it takes B and C")
+        if self.model.cost_rank < 1:
+            raise TrainingConfigError(f"model.cost_rank = {self.model.cost_rank}; give at least 1")
         if self.rollout not in ROLLOUTS:
             raise TrainingConfigError(f'rollout = "{self.rollout}"; choose one of {", ".join(ROLLOUTS)}')
         if (self.rollout == "updated") != bool(self.model.decoder_hidden):

@@ -36,7 +36,7 @@ from deepkoco.koopman.rollout import ROLLOUTS
 
 CHECKPOINT_FILE = "checkpoint.pt"
 MODEL_FOLDER = "model"
-LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale")
+LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale", "inverse")
 
 
 @dataclass
@@ -202,14 +202,16 @@ class Trainer:
     def _planned_updates(self) -> int:
         config = self.config
         batch = config.chunks * (config.chunk_length - config.horizon)
-        epoch = max(1, self._buffer.windows(config.horizon) // batch)
+        epoch = max(1, self._buffer.windows(config.horizon, config.window_stride) // batch)
         if self.progress.iteration == 0:
             return config.first_epochs * epoch
         return min(config.iteration_epochs * epoch, config.iteration_updates)
 
     def _update(self) -> None:
         config = self.config
-        batch = self._buffer.sample(config.chunks, config.chunk_length, config.horizon, self._sampling)
+        batch = self._buffer.sample(
+            config.chunks, config.chunk_length, config.horizon, self._sampling, config.window_stride
+        )
         rollout = ROLLOUTS[config.rollout]
         losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight, rollout)
         self._optimiser.zero_grad()

@@ -30,6 +30,9 @@ class CostFactor(nn.Module):
         super().__init__()
         self.rank = rank
         self.network = ReluNetwork(2 * pairs, hidden, rank * 2 * pairs)
+
+    def bias_sign(self) -> None:
+        """Start the first row as the unit vector of latent unit 0, nearly; further rows start near zero."""
         with torch.no_grad():
             self.network.linears[-1].bias[0] = SIGN_BIAS
 

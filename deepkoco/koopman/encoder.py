@@ -38,6 +38,9 @@ class Encoder(nn.Module):
         super().__init__()
         self.action_size = action_size
         self.network = ReluNetwork(observation_size + action_size, hidden, 2 * pairs)
+
+    def bias_sign(self) -> None:
+        """Start latent unit 0 clearly positive."""
         with torch.no_grad():
             self.network.linears[-1].bias[0] = SIGN_BIAS
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from deepkoco.koopman.cost import quadratic_cost
@@ -38,6 +39,7 @@ class Losses:
         cost_reconstruction: Mean squared error of the cost at the first step of the windows [cost^2].
         cost_prediction: Mean squared error of the cost over the T following steps [cost^2].
         latent_scale: Root mean square of the encoded latents; L_linear alone would shrink it to 0.
+        inverse: Mean squared error of predicted latents that are decoded and encoded again; 0 without decoder.
     """
 
     total: Tensor
@@ -45,6 +47,7 @@ class Losses:
     cost_reconstruction: Tensor
     cost_prediction: Tensor
     latent_scale: Tensor
+    inverse: Tensor
 
 
 def chunk_losses(
@@ -60,7 +63,7 @@ def chunk_losses(
     $L_{lin} = \frac{1}{T} \sum_{k=1}^{T} \| \varphi(o_k, a_k) - s_k \|^2 / 2P$,
     $L_{recon} = (c_0 - \hat c_0)^2$ and $L_{pred} = \frac{1}{T}\sum_{k=1}^{T} (c_k - \hat c_k)^2$. The
     rolled latents $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does, or
-    those that another rollout gives.
+    those that another rollout gives, which may add the error of its decoder to the sum.
     Gradients flow through B (second order), through psi and its input, and into both sides of $L_{lin}$.
 
     Args:
@@ -83,21 +86,27 @@ def chunk_losses(
     start = latents[:, :windows].flatten(0, 1)  # (W, 2P)
     factors = factors.flatten(0, 1)  # (W, r, 2P)
     actions = batch.actions.unfold(1, horizon + 1, 1).flatten(0, 1).transpose(1, 2)  # (W, T + 1, M)
-    rolled, followed = rollout(model, start, input_matrices.flatten(0, 1), factors, actions)
+    predicted = rollout(model, start, input_matrices.flatten(0, 1), factors, actions)
     encoded = latents[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, 2P)
-    linear = ((encoded - rolled).square().mean((1, 2)) * weights).sum()
+    linear = ((encoded - predicted.latents).square().mean((1, 2)) * weights).sum()
 
     costs = batch.costs[:, 1:].unfold(1, horizon, 1).flatten(0, 1)  # (W, T)
     weight = model.config.action_weight
-    predicted = quadratic_cost(followed, rolled, actions[:, 1:], weight)
-    prediction = ((costs - predicted).square().mean(1) * weights).sum()
+    predicted_costs = quadratic_cost(predicted.factors, predicted.latents, actions[:, 1:], weight)
+    prediction = ((costs - predicted_costs).square().mean(1) * weights).sum()
 
     first = quadratic_cost(factors, start, actions[:, 0], weight)
     reconstruction = ((batch.costs[:, :windows].flatten() - first).square() * weights).sum()
+    total = linear + cost_weight * (reconstruction + prediction)
+    inverse = torch.zeros_like(linear)
+    if predicted.inverse is not None:
+        inverse = (predicted.inverse * weights).sum()
+        total = total + inverse
     return Losses(
-        total=linear + cost_weight * (reconstruction + prediction),
+        total=total,
         linear=linear.detach(),
         cost_reconstruction=reconstruction.detach(),
         cost_prediction=prediction.detach(),
         latent_scale=latents.detach().square().mean().sqrt(),
+        inverse=inverse.detach(),
     )

@@ -32,6 +32,10 @@ class ModelConfig:
     """R, weight of a squared action in the predicted cost."""
     decoder_hidden: tuple[int, ...] = ()
     """Widths of the hidden layers of phi^-1; empty for no decoder, which only updated rollouts use."""
+    sign_initialisation: bool = True
+    """Start with output biases that give y = C s one sign everywhere; off: PyTorch's default biases."""
+    stop_gradients: tuple[str, ...] = ()
+    """Paths that training does not differentiate: "B" (into the input matrix), "C" (into the input of psi)."""
 
 
 class KoopmanModel(nn.Module):
@@ -60,6 +64,9 @@ class KoopmanModel(nn.Module):
         self.encoder = Encoder(observation_size, action_size, config.pairs, config.encoder_hidden)
         self.dynamics = JordanDynamics(config.pairs, config.time_step)
         self.cost_factor = CostFactor(config.pairs, config.cost_hidden, config.cost_rank)
+        if config.sign_initialisation:
+            self.encoder.bias_sign()
+            self.cost_factor.bias_sign()
         self.decoder: ReluNetwork | None = None
         if config.decoder_hidden:
             self.decoder = ReluNetwork(2 * config.pairs, config.decoder_hidden, observation_size)
@@ -92,17 +99,28 @@ class KoopmanModel(nn.Module):
             Latent s (..., 2P), input matrix B (..., 2P, M) and cost factor C (..., r, 2P).
         """
         latent, input_matrix = self.encoder.with_input_matrix(observation, action)
-        return latent, input_matrix, self.cost_factor(latent)
+        return latent, self._maybe_stopped("B", input_matrix), self.factor(latent)
 
-    def input_matrix_at(self, latent: Tensor, action: Tensor) -> Tensor:
-        """B at a predicted latent, by way of its pseudo-observation.
+    def factor(self, latent: Tensor) -> Tensor:
+        """The cost factor C_s = psi(s).
+
+        Args:
+            latent: (..., 2P).
+
+        Returns:
+            C (..., r, 2P).
+        """
+        return self.cost_factor(self._maybe_stopped("C", latent))
+
+    def linearise_latent(self, latent: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """Decode a predicted latent and linearise at its pseudo-observation.
 
         Args:
             latent: (..., 2P).
             action: (..., M).
 
         Returns:
-            B (..., 2P, M).
+            The latent encoded again (..., 2P) and B (..., 2P, M).
 
         Raises:
             NoDecoderError: The model has no decoder.
@@ -111,4 +129,8 @@ class KoopmanModel(nn.Module):
         """
         if self.decoder is None:
             raise NoDecoderError("this model has no decoder; give agent.model.decoder_hidden=[90,90]")
-        return self.encoder.with_input_matrix(self.decoder(latent), action)[1]
+        encoded, input_matrix = self.encoder.with_input_matrix(self.decoder(latent), action)
+        return encoded, self._maybe_stopped("B", input_matrix)
+
+    def _maybe_stopped(self, path: str, tensor: Tensor) -> Tensor:
+        return tensor.detach() if path in self.config.stop_gradients else tensor

@@ -3,20 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from deepkoco.koopman.model import KoopmanModel
 
-Rollout = Callable[[KoopmanModel, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
-"""From (model, s_0 (W, 2P), B_0 (W, 2P, M), C_0 (W, r, 2P), a_0 .. a_T (W, T + 1, M)) to the predicted s_1 .. s_T
-(W, T, 2P) and the factors of their costs, (W, 1, r, 2P) or (W, T, r, 2P)."""
+
+@dataclass
+class Prediction:
+    """What is predicted over W windows.
+
+    Attributes:
+        latents: s_1 .. s_T (W, T, 2P).
+        factors: C of their costs: (W, 1, r, 2P) where it is the same for all steps, or (W, T, r, 2P).
+        inverse: Mean squared error (W,) of latents that are decoded and encoded again; None without decoder.
+    """
+
+    latents: Tensor
+    factors: Tensor
+    inverse: Tensor | None = None
+
+
+Rollout = Callable[[KoopmanModel, Tensor, Tensor, Tensor, Tensor], Prediction]
+"""From (model, s_0 (W, 2P), B_0 (W, 2P, M), C_0 (W, r, 2P), a_0 .. a_T (W, T + 1, M))."""
 
 
 def frozen_rollout(
     model: KoopmanModel, start: Tensor, input_matrix: Tensor, factor: Tensor, actions: Tensor
-) -> tuple[Tensor, Tensor]:
+) -> Prediction:
     r"""Predict with B and C of the first step: $s_{k+1} = \Lambda s_k + B_0 \Delta a_k$, $C_k = C_0$.
 
     Args:
@@ -27,21 +43,26 @@ def frozen_rollout(
         actions: a_0 .. a_T (W, T + 1, M).
 
     Returns:
-        s_1 .. s_T (W, T, 2P), and C_0 (W, 1, r, 2P).
+        The prediction, with one C per window.
 
     Source: DeepKoCo, Eq. 5.12-5.15.
     """
-    return model.dynamics.rollout(start, input_matrix, actions.diff(dim=1)), factor.unsqueeze(1)
+    latents = model.dynamics.rollout(start, input_matrix, actions.diff(dim=1))
+    return Prediction(latents, factor.unsqueeze(1))
 
 
 def updated_rollout(
     model: KoopmanModel, start: Tensor, input_matrix: Tensor, factor: Tensor, actions: Tensor
-) -> tuple[Tensor, Tensor]:
+) -> Prediction:
     r"""Predict with B and C of every predicted step.
 
     $s_{k+1} = \Lambda s_k + B_k \Delta a_k$ with $B_k = \partial\varphi/\partial a$ at
-    $(\varphi^{-1}(s_k), a_k)$ and $C_k = \psi(s_k)$. Only this trains the decoder $\varphi^{-1}$: it gives
-    the points at which B serves the predictions, not reconstructions.
+    $(\varphi^{-1}(s_k), a_k)$ and $C_k = \psi(s_k)$.
+
+    With ReLU layers B is piecewise constant, so no gradient of the predictions reaches the point at which it
+    is taken, and $\varphi^{-1}$ would never be trained. Hence the error $\|\varphi(\varphi^{-1}(s_k), a_k) -
+    s_k\|^2 / 2P$, averaged over k: an inverse of the encoder, not a reconstruction of the observation, for
+    what the latent ignores the decoder may ignore too. The text does not say how it trains the decoder.
 
     Args:
         model: A latent model with a decoder.
@@ -51,20 +72,21 @@ def updated_rollout(
         actions: a_0 .. a_T (W, T + 1, M).
 
     Returns:
-        s_1 .. s_T (W, T, 2P) and C_1 .. C_T (W, T, r, 2P).
+        The prediction, with C per step.
 
     Source: DeepKoCo, Eq. 5.5, 5.7, 5.8 and 5.10.
     """
     increments = actions.diff(dim=1).unsqueeze(-1)  # (W, T, M, 1)
     transition = model.dynamics.matrix().T
-    latent, matrix, rolled = start, input_matrix, []
+    latent, matrix, rolled, again = start, input_matrix, [], []
     for k in range(increments.shape[1]):
-        if k:
-            matrix = model.input_matrix_at(latent, actions[:, k])
         latent = latent @ transition + (matrix @ increments[:, k]).squeeze(-1)
+        encoded, matrix = model.linearise_latent(latent, actions[:, k + 1])
         rolled.append(latent)
-    predicted = torch.stack(rolled, 1)
-    return predicted, model.cost_factor(predicted)
+        again.append(encoded)
+    latents = torch.stack(rolled, 1)
+    inverse = (torch.stack(again, 1) - latents).square().mean((1, 2))
+    return Prediction(latents, model.factor(latents), inverse)
 
 
 ROLLOUTS: dict[str, Rollout] = {"frozen": frozen_rollout, "updated": updated_rollout}

@@ -68,3 +68,17 @@ def test_state_survives_saving():
 def test_an_empty_buffer_says_so():
     with pytest.raises(ReplayError, match="none of 0 episodes"):
         EpisodeBuffer(2, 1).sample(1, 8, 3, torch.Generator())
+
+
+def test_windows_at_a_stride_start_at_its_multiples_and_are_equally_likely():
+    # Windows of 4 steps at stride 4: starts 0, 4, 8 of 12 steps; 0 of 6 steps (4 would need 8); none of 3 steps.
+    buffer = filled([12, 6, 3])
+    assert buffer.windows(3, 4) == 4
+    batch = buffer.sample(20000, 4, 3, torch.Generator().manual_seed(1), stride=4)
+    assert bool(batch.window_weights.all())
+    assert (batch.observations[..., 1].diff(dim=1) == 1).all()
+    starts = batch.observations[:, 0]
+    counts = torch.bincount((20 * starts[:, 0] + starts[:, 1]).long())
+    assert counts.nonzero().flatten().tolist() == [0, 4, 8, 20]
+    seen = counts[counts > 0].double()
+    assert (seen / seen.mean() - 1).abs().max() < 0.05

@@ -17,6 +17,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from deepkoco.agent import Trainer, TrainingConfig, load_policy
 from deepkoco.agent.checkpoint import CheckpointError, load_checkpoint
 from deepkoco.agent.config import TrainingConfigError
+from deepkoco.koopman import ModelConfig
 from deepkoco.planning import PlannerConfig, PlannerConfigError, UnknownSolverError
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -138,6 +139,12 @@ def test_runs_killed_again_and_again_end_bit_for_bit_like_an_uninterrupted_one(f
         ({"learning_rate": 0.0}, "learning_rate = 0.0"),
         ({"averaging": 1.0}, "averaging = 1.0"),
         ({"noise_variance": -1.0}, "noise_variance"),
+        ({"window_stride": 6}, "give chunk_length = 6"),
+        ({"rollout": "thawed"}, "frozen, updated"),
+        ({"rollout": "updated"}, "give both or neither"),
+        ({"model": ModelConfig(decoder_hidden=(4,))}, "give both or neither"),
+        ({"model": ModelConfig(stop_gradients=("A",))}, "takes B and C"),
+        ({"model": ModelConfig(cost_rank=0)}, "cost_rank = 0"),
     ],
 )
 def test_hyper_parameters_out_of_range_are_named_before_work_starts(change, message, tmp_path):

@@ -26,3 +26,14 @@ def test_sequences_are_linearised_as_single_steps_are():
     torch.testing.assert_close(latents, latent)
     torch.testing.assert_close(matrices, matrix[:, :4])
     torch.testing.assert_close(factors, factor[:, :4])
+
+
+def test_without_the_sign_initialisation_the_root_cost_starts_with_both_signs():
+    signs = []
+    for seed in range(5):
+        torch.manual_seed(seed)
+        model = KoopmanModel(3, 1, ModelConfig(sign_initialisation=False))
+        latent, _, factor = model.linearise(torch.randn(500, 3), torch.randn(500, 1))
+        y = (factor[..., 0, :] * latent).sum(-1)
+        signs += [bool(y.min() > 0.3), bool(y.abs().max() > 1.0)]
+    assert not any(signs)

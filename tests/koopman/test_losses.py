@@ -94,3 +94,59 @@ def test_windows_of_weight_zero_do_not_count():
     before = chunk_losses(model, batch, 4, 10.0).total
     batch.observations[0, -1] += 100.0  # only the third window reaches the last step
     assert chunk_losses(model, batch, 4, 10.0).total == before
+
+
+@pytest.mark.parametrize("rank", [2, 3])
+def test_the_cost_of_a_factor_with_more_rows_is_the_sum_of_their_squares(rank):
+    # Rows (1, 0), (0, 1), (1, 1): c = s_1^2 + s_2^2 (+ (s_1 + s_2)^2) + 0.5 a^2.
+    # s_0 = (1, 0): 1 (+ 1). Rolled s_1 = (1, 1): 2 (+ 4) + 0.5. Measured 3 and 4.
+    model = KoopmanModel(1, 1, ModelConfig(1, 0.05, (), (), cost_rank=rank, action_weight=0.5))
+    model.encoder.load_state_dict(identity_model().encoder.state_dict())
+    with torch.no_grad():
+        model.dynamics.omega.zero_()
+        model.cost_factor.network.linears[0].weight.zero_()
+        rows = torch.tensor([1.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+        model.cost_factor.network.linears[0].bias.copy_(rows[: 2 * rank])
+    batch = ChunkBatch(
+        torch.tensor([[[1.0], [5.0]]]),
+        torch.tensor([[[0.0], [1.0]]]),
+        torch.tensor([[3.0, 4.0]]),
+        torch.ones(1, 1),
+    )
+    losses = chunk_losses(model, batch, horizon=1, cost_weight=1.0)
+    first, second = {2: (1.0, 2.5), 3: (2.0, 6.5)}[rank]
+    assert losses.cost_reconstruction.item() == pytest.approx((3 - first) ** 2)
+    assert losses.cost_prediction.item() == pytest.approx((4 - second) ** 2)
+
+
+def gradients(stopped: tuple[str, ...]) -> dict[str, torch.Tensor]:
+    """Gradients of the losses of one window, in the model with s = W (o, a), C = V s + (1, 0) and Lambda = 1."""
+    model = KoopmanModel(1, 1, ModelConfig(1, 0.05, (), (), action_weight=0.0, stop_gradients=stopped))
+    model.load_state_dict(identity_model().state_dict())
+    with torch.no_grad():
+        model.cost_factor.network.linears[0].weight.copy_(torch.tensor([[0.5, 0.0], [0.0, 0.0]]))
+    batch = ChunkBatch(
+        torch.tensor([[[1.0], [1.0]]]),
+        torch.tensor([[[0.0], [2.0]]]),
+        torch.tensor([[4.0, 9.0]]),
+        torch.ones(1, 1),
+    )
+    losses = chunk_losses(model, batch, horizon=1, cost_weight=1.0)
+    losses.total.backward()
+    return {name: p.grad for name, p in model.named_parameters() if p.grad is not None}
+
+
+def test_stopped_gradients_by_hand():
+    # s_0 = (w11, w21) = (1, 0); B = (w12, w22) = (0, 1); s_1 = s_0 + 2 B = (1, 2); C = (1 + 0.5 w11, 0) = (1.5, 0).
+    # encoded s_1 = (w11 + 2 w12, w21 + 2 w22) equals the rolled one identically, so only the costs pull:
+    # L = (4 - (C_1 w11)^2)^2 + (9 - (C_1 (w11 + 2 w12))^2)^2 with C_1 w11 = 1.5, errors 1.75 and 6.75
+    # dL/dw12 = -2 * 6.75 * 2 * 1.5 * 1.5 * 2 = -121.5, all of it through B
+    # dL/dw11 = -2 (1.75 + 6.75) * 2 * 1.5 * (C_1 + 0.5 w11) = -51 * 2.0; without the path into C: -51 * 1.5
+    # The linear loss pulls where a path is cut: none at zero error.
+    name = "encoder.network.layers.0.weight"
+    free, no_b, no_c = gradients(())[name], gradients(("B",))[name], gradients(("C",))[name]
+    assert (free[0, 0].item(), free[0, 1].item()) == pytest.approx((-102.0, -121.5))
+    assert (no_b[0, 0].item(), no_b[0, 1].item()) == pytest.approx((-102.0, 0.0))
+    assert (no_c[0, 0].item(), no_c[0, 1].item()) == pytest.approx((-76.5, -121.5))
+    # psi itself is trained all the same: dL/dV11 = -51 * s_1 * w11 = -51
+    assert gradients(("C",))["cost_factor.network.layers.0.weight"][0, 0].item() == pytest.approx(-51.0)
