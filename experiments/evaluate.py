@@ -13,7 +13,7 @@ from deepkoco.agent.collection import box_sizes, collect_episodes, cost_spread, 
 from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
 from experiments.commands import run_command
-from experiments.environments import make_factory
+from experiments.environments import make_environments
 from experiments.settings import EvaluateConfig, ExperimentError
 from experiments.train import check_finished, load_run_config
 
@@ -34,7 +34,7 @@ def evaluate(config: EvaluateConfig) -> None:
     run = load_run_config(folder)
     check_finished(folder)
     model, planner, low, high = load_model(folder)
-    envs = make_factory(run.task, run.distractors, run.observation)(config.episodes, run.seed)
+    envs = make_environments(run, "evaluation")(config.episodes, run.seed)
     box_sizes(envs)
     agent = VectorAgent(model, planner, low, high, config.episodes)
     # Index 0 is the evaluation that training itself makes at its end.

@@ -9,10 +9,10 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from deepkoco.agent.config import TrainingConfig, flatten
-from deepkoco.envs.task_factory import TaskConfig
+from deepkoco.envs.distractors import DistractorOptions
+from deepkoco.envs.task_factory import OBSERVATIONS, TaskConfig
 
 EXISTING = ("refuse", "resume")
-OBSERVATIONS = ("states", "images")
 OF_THE_CALL = ("run", "resume", "existing", "threads")
 
 
@@ -33,7 +33,10 @@ class TrainRunConfig:
     observation: str = "states"
     """What the agent sees: "states", or "images": one uint8 RGB frame (64, 64, 3) per step."""
     distractors: str = "none"
-    """Distractors of the observation: "none" or "copies" (four further systems, shuffled order)."""
+    """Distractors: "none", or of states "copies", "noise", "projection", of images "copies", "background", "video",
+    "colour", "camera", "sensor_noise"; several are joined by "+"."""
+    distractor_options: DistractorOptions = field(default_factory=DistractorOptions)
+    """How strong they are, and how many."""
     run: str = "runs/${task.name}/${observation}/${distractors}/seed_${seed}"
     """Folder of the run; it must not exist."""
     resume: str | None = None

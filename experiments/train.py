@@ -17,7 +17,7 @@ from deepkoco.agent.metrics import Row
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER, Trainer
 from deepkoco.agent.training import Progress as TrainingProgress
 from experiments.commands import BAD_INPUT, run_command
-from experiments.environments import make_factory
+from experiments.environments import make_environments
 from experiments.settings import ExperimentError, TrainRunConfig
 
 CONFIG_FILE = "config.yaml"
@@ -94,7 +94,7 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
                 f"{folder}: exists already; choose another run= or continue it with resume={folder}"
             )
         return _same_settings(config, folder), folder, False
-    make_factory(config.task, config.distractors, config.observation)
+    make_environments(config)
     config.agent.check()
     # The folder appears with its settings inside, so a kill leaves one that can be resumed, or none.
     partial = folder.with_name(f"{folder.name}.partial")
@@ -142,8 +142,8 @@ def train(given: TrainRunConfig) -> None:
 
 
 def _train(config: TrainRunConfig, folder: Path) -> None:
-    factory = make_factory(config.task, config.distractors, config.observation)
-    trainer = Trainer(factory, config.agent, config.seed, folder)
+    evaluation = make_environments(config, "evaluation")
+    trainer = Trainer(make_environments(config), config.agent, config.seed, folder, evaluation)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -99,6 +99,8 @@ def check_run(run: Path, unit: UnitSpec) -> None:
         raise ExperimentError(
             f"{run}: trained on task.system {config.task.system}, but the unit is a {unit.system}"
         )
+    if config.observation != "states":
+        raise ExperimentError(f"{run}: trained on observation = {config.observation}; a unit gives states")
     model, _, low, high = load_model(run)
     env = _environment(config, unit, "simulated", film=False)
     entries = env.observation_space.shape or (0,)
@@ -175,7 +177,8 @@ def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool)
     )
     if config.distractors == "none":
         return env
-    return StateDistractors(env, config.task.system, shuffle_seed=config.seed)
+    options, system = config.distractor_options, config.task.system
+    return StateDistractors(env, config.distractors, options, system, config.seed, "evaluation")
 
 
 def run_trials(

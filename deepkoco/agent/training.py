@@ -75,7 +75,14 @@ class Trainer:
     Source: DeepKoCo, Alg. 8.
     """
 
-    def __init__(self, make_envs: VectorEnvFactory, config: TrainingConfig, seed: int, folder: Path) -> None:
+    def __init__(
+        self,
+        make_envs: VectorEnvFactory,
+        config: TrainingConfig,
+        seed: int,
+        folder: Path,
+        make_evaluation_envs: VectorEnvFactory | None = None,
+    ) -> None:
         """Set up, and continue where the folder's checkpoint stands if there is one.
 
         Args:
@@ -83,6 +90,8 @@ class Trainer:
             config: Hyper-parameters.
             seed: The run's seed.
             folder: The run's folder; it exists.
+            make_evaluation_envs: Makes those of the evaluations, by default the same: with other distractors
+                they tell what was learned from what was memorised.
 
         Raises:
             TrainingConfigError: A hyper-parameter is out of range.
@@ -92,8 +101,9 @@ class Trainer:
         config.check()
         self.config, self.seed, self.folder = config, seed, folder
         self._make_envs = make_envs
-        self._pool: dict[int, VectorEnv] = {}
-        observation_size, self._low, self._high = box_sizes(self._envs(config.first_episodes))
+        self._make_evaluation_envs = make_evaluation_envs or make_envs
+        self._pool: dict[tuple[int, VectorEnvFactory], VectorEnv] = {}
+        observation_size, self._low, self._high = box_sizes(self._envs(config.first_episodes, make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self.model = KoopmanModel(observation_size, self._low.size, config.model)
@@ -166,11 +176,11 @@ class Trainer:
             self._export()
         return self.metrics.rows[-1]
 
-    def _envs(self, count: int) -> VectorEnv:
-        """Environments of one batch size, made once."""
-        if count not in self._pool:
-            self._pool[count] = self._make_envs(count, self.seed)
-        return self._pool[count]
+    def _envs(self, count: int, make: VectorEnvFactory) -> VectorEnv:
+        """Environments of one kind and batch size, made once."""
+        if (count, make) not in self._pool:
+            self._pool[count, make] = make(count, self.seed)
+        return self._pool[count, make]
 
     def _collect(self) -> None:
         config, done = self.config, len(self._buffer)
@@ -182,7 +192,7 @@ class Trainer:
         agent = VectorAgent(model, config.planner, self._low, self._high, count, noise)
         variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
-        episodes = collect_episodes(self._envs(count), agent, seed, variance)
+        episodes = collect_episodes(self._envs(count, self._make_envs), agent, seed, variance)
         self._buffer.add(episodes)
         self._buffer.check_windows(config.horizon)
         costs = episode_costs(episodes)
@@ -239,7 +249,8 @@ class Trainer:
             agent = VectorAgent(
                 export_model(self.averaged_model), config.planner, self._low, self._high, count
             )
-            costs = episode_costs(collect_episodes(self._envs(count), agent, derive_seed(self.seed, purpose)))
+            envs, start = self._envs(count, self._make_evaluation_envs), derive_seed(self.seed, purpose)
+            costs = episode_costs(collect_episodes(envs, agent, start))
             failures = agent.statistics.failures
         self._note_eigenvalues()
         self.progress.iteration += 1

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
-from deepkoco.envs.tasks import SwingUp
-from deepkoco.systems import drawing
+from deepkoco.envs.tasks import Task
+from deepkoco.systems import System, drawing
 
 Painter = Callable[[np.ndarray, np.ndarray], None]
 """Draws an observation (N,) onto a canvas, uint8 (size, size, 3), in place."""
@@ -89,21 +88,12 @@ def find_painter(env: Any) -> Painter | None:
     """What draws an observation of an environment, single or vector; None where only `render` can."""
     inner = env.unwrapped
     inner = getattr(inner, "envs", [inner])[0].unwrapped
-    painter = getattr(inner, "draw_observation", None)
-    if painter is None and isinstance(getattr(inner, "task", None), SwingUp):
-        return _SWING_UP.get(inner.system.name)
-    return painter
-
-
-def _swing_up(draw: Callable[[np.ndarray, float], None]) -> Painter:
-    return lambda observation, canvas: draw(canvas, math.atan2(observation[1], observation[0]))
-
-
-_SWING_UP: dict[str, Painter] = {
-    "rod_pendulum": _swing_up(drawing.draw_rod),
-    "pendulum": _swing_up(drawing.draw_disk),
-    "torque_pendulum": _swing_up(drawing.draw_point_mass),
-}
+    if (painter := getattr(inner, "draw_observation", None)) is not None:
+        return painter
+    task, system = getattr(inner, "task", None), getattr(inner, "system", None)
+    if isinstance(task, Task) and isinstance(system, System):
+        return lambda observation, canvas: task.draw_observation(system, observation, canvas)
+    return None
 
 
 class FrameMaker:

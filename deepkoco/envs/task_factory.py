@@ -10,9 +10,10 @@ import gymnasium
 from gymnasium.vector import VectorEnv
 from omegaconf import MISSING
 
-from deepkoco.envs.distractors import VectorStateDistractors
+from deepkoco.envs.distractors import DistractorError, DistractorOptions, VectorStateDistractors
+from deepkoco.envs.distractors.registry import PIXEL, make_distractors
 from deepkoco.envs.frames import find_painter
-from deepkoco.envs.pixels import VectorPixels
+from deepkoco.envs.pixels import FRAME_SIZE, VectorPixels
 
 
 class TaskError(ValueError):
@@ -33,48 +34,58 @@ class TaskConfig:
     """Arguments of the environment; a new one is given as task.kwargs.NAME=VALUE with a leading +."""
 
 
-def plain(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
-    """No distractors."""
-    return envs
+def with_states(
+    envs: VectorEnv, config: TaskConfig, seed: int, distractors: str, options: DistractorOptions, split: str
+) -> VectorEnv:
+    """The agent sees states, with further entries where there are distractors."""
+    if distractors == "none":
+        return envs
+    return VectorStateDistractors(envs, distractors, options, config.system, seed, split)
 
 
-def copies(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
-    """Four further systems in the observation; the order is drawn once per run seed."""
-    return VectorStateDistractors(envs, system=config.system, shuffle_seed=seed)
+def with_images(
+    envs: VectorEnv, config: TaskConfig, seed: int, distractors: str, options: DistractorOptions, split: str
+) -> VectorEnv:
+    """The agent sees frames, with the distractors in them."""
+    layers = make_distractors(PIXEL, distractors, envs.num_envs, options, config.system, split, FRAME_SIZE)
+    return VectorPixels(envs, tuple(layers.values()))
 
 
-def pixels(envs: VectorEnv, config: TaskConfig, seed: int) -> VectorEnv:
-    """Frames without distractors."""
-    return VectorPixels(envs)
-
-
-DISTRACTORS: dict[str, dict[str, Callable[[VectorEnv, TaskConfig, int], VectorEnv]]] = {
-    "states": {"none": plain, "copies": copies},
-    "images": {"none": pixels},
+OBSERVATIONS: dict[str, Callable[[VectorEnv, TaskConfig, int, str, DistractorOptions, str], VectorEnv]] = {
+    "states": with_states,
+    "images": with_images,
 }
 
 
 def make_task_factory(
-    config: TaskConfig, distractors: str = "none", observation: str = "states", **kwargs: Any
+    config: TaskConfig,
+    distractors: str = "none",
+    observation: str = "states",
+    options: DistractorOptions | None = None,
+    split: str = "train",
+    **kwargs: Any,
 ) -> Callable[[int, int], VectorEnv]:
     """Check the description of a task and make the factory of its environments.
 
     Args:
         config: The task.
-        distractors: A name of `DISTRACTORS`.
+        distractors: "none", or names of `deepkoco.envs.distractors.registry` joined by "+".
         observation: What the agent sees: "states" or "images".
+        options: Of the distractors.
+        split: Which distractors, those of "train" or of "evaluation".
         **kwargs: Further arguments of the environment, such as `render_mode`.
 
     Returns:
         Makes environments from (count, seed of the run).
 
     Raises:
-        TaskError: The id or the distractors are unknown, the environment refuses its arguments, or it cannot
-            be drawn.
+        TaskError: The id, the observation or the distractors are unknown, the environment refuses its
+            arguments, or it cannot be drawn.
     """
-    known = DISTRACTORS[observation]
-    if distractors not in known:
-        raise TaskError(f'distractors = "{distractors}"; choose one of {", ".join(known)}')
+    if observation not in OBSERVATIONS:
+        raise TaskError(f'observation = "{observation}"; choose one of {", ".join(OBSERVATIONS)}')
+    observed = OBSERVATIONS[observation]
+    chosen = options or DistractorOptions()
     try:
         spec = gymnasium.spec(config.id)
     except gymnasium.error.Error as error:
@@ -89,10 +100,12 @@ def make_task_factory(
             envs.close()
             rendered = {**arguments, "render_mode": "rgb_array"}
             envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **rendered)
-        return known[distractors](envs, config, seed)
+        return observed(envs, config, seed, distractors, chosen, split)
 
     try:
         probe = make(1, 0)
+    except DistractorError as error:
+        raise TaskError(str(error)) from error
     except (gymnasium.error.Error, TypeError, ValueError) as error:
         raise TaskError(f"task.kwargs = {arguments}: {error}") from error
     if observation == "images":

@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from deepkoco.envs.distractors import StateDistractors, VectorStateDistractors
+import deepkoco.envs  # noqa: F401 - registers the ids
+from deepkoco.envs.distractors import DistractorOptions, StateDistractors, VectorStateDistractors
 
 SMOOTH_SPEED = 2 * 15.0 + 15.0  # largest acceleration the physics allows [rad/s2]: 3 g/2l + 3 u/ml^2
 
 
 def wrapped(shuffle_seed: int = 0, copies: int = 4) -> StateDistractors:
-    return StateDistractors(gymnasium.make("Pendulum-v1"), copies=copies, shuffle_seed=shuffle_seed)
+    options = DistractorOptions(copies=copies)
+    return StateDistractors(gymnasium.make("Pendulum-v1"), options=options, shuffle_seed=shuffle_seed)
 
 
 def roll(env, seed: int, steps: int = 20) -> np.ndarray:
@@ -127,15 +129,14 @@ def test_environments_without_a_seed_have_distractors_of_their_own():
 
 
 def test_the_picture_shows_the_distractors():
-    from deepkoco.envs.distractors import WanderingCopies
-
-    copies = WanderingCopies("rod_pendulum", 4, 1)
-    copies.seed(0)
-    copies.restart()
-    first = copies.draw(0, 32)
-    copies.step()
-    assert first.shape == (32, 128, 3)
-    assert not np.array_equal(first, copies.draw(0, 32))
+    env = StateDistractors(gymnasium.make("deepkoco/RodPendulum-v0", render_mode="rgb_array"), "copies+noise")
+    env.reset(seed=0)
+    first = env.render()
+    assert first.shape == (256 + 2 * 64, 256, 3)  # one row of four copies and one picture of the noise
+    env.step(np.zeros(1, np.float32))
+    changed = (env.render() != first).any((1, 2))
+    assert changed[256:320].any()
+    assert changed[320:].any()
 
 
 @pytest.mark.parametrize("copies", [1, 2])

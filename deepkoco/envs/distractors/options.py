@@ -1,0 +1,86 @@
+"""What every distractor is made from: options, intensity, split and the generators that follow from a seed."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+SPLITS = ("train", "evaluation")
+_STREAM = 7919  # keeps the distractors' draws apart from those of the environment with the same seed
+
+
+class DistractorError(ValueError):
+    """Distractors that are unknown, or options that do not fit them."""
+
+
+@dataclass
+class DistractorOptions:
+    """Options of all distractors; each reads those that it needs."""
+
+    intensity: float = 1.0
+    """How strong all of them are, 0 (none) to 1."""
+    intensities: dict[str, float] = field(default_factory=dict)
+    """Intensity of single ones by name, in the place of `intensity`."""
+    copies: int = 4
+    """copies: further systems; the thesis has four pendulums."""
+    drive: str = "ou"
+    """copies: their commands, "ou" (Ornstein-Uhlenbeck, as in the thesis) or "random" (uniform, anew at every step)."""
+    channels: int = 12
+    """noise, projection: entries of noise that are added to the observation."""
+    patterns: int = 8
+    """background: moving patterns in each split."""
+    videos: str | None = None
+    """video: folder of videos, or of folders with the pictures of one video each."""
+    evaluation_videos: str | None = None
+    """video: the same for evaluation; by default every third video of `videos`, which training then leaves out."""
+    video_frames: int = 256
+    """video: most pictures kept of one video."""
+
+    def check(self) -> None:
+        """Check the values.
+
+        Raises:
+            DistractorError: Names the first value that is out of range and its remedy.
+        """
+        named = {"intensity": self.intensity, **{f"intensities.{k}": v for k, v in self.intensities.items()}}
+        for name, value in named.items():
+            if not 0.0 <= value <= 1.0:
+                raise DistractorError(f"distractor_options.{name} = {value}; give a number from 0 to 1")
+        for name in ("copies", "channels", "patterns", "video_frames"):
+            if getattr(self, name) < 1:
+                raise DistractorError(f"distractor_options.{name} = {getattr(self, name)}; give 1 or more")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What one distractor of a batch of environments is made from.
+
+    Attributes:
+        name: Of the distractor.
+        batch: Environments B.
+        intensity: 0 to 1.
+        system: Name of a task of ours, for copies.
+        options: Options of all distractors.
+        split: "train" or "evaluation": other draws, other patterns, other videos.
+        size: Side of a frame [pixels].
+    """
+
+    name: str
+    batch: int
+    intensity: float
+    system: str = "rod_pendulum"
+    options: DistractorOptions = field(default_factory=DistractorOptions)
+    split: str = "train"
+    size: int = 64
+
+    def generator(self, seed: int | Sequence[int]) -> np.random.Generator:
+        """Generator of this distractor for a reset with a seed, or with one for each environment."""
+        return np.random.default_rng([*self.words, *np.atleast_1d(seed).tolist()])
+
+    @property
+    def words(self) -> list[int]:
+        """Seed words that tell this distractor and this split from all others."""
+        return [_STREAM, SPLITS.index(self.split), zlib.crc32(self.name.encode())]
