@@ -39,7 +39,7 @@ def evaluate(config: EvaluateConfig) -> None:
     agent = VectorAgent(model, planner, low, high, config.episodes)
     # Index 0 is the evaluation that training itself makes at its end.
     seed = derive_seed(run.seed, Purpose.FINAL_EVALUATION, 1 + config.seed)
-    episodes = collect_episodes(envs, agent, seed)
+    episodes = collect_episodes(envs, agent, seed, record=False)
     envs.close()
     costs = episode_costs(episodes)
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])

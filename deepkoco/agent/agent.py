@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
 from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.exported_frames import FeatureHistory
 from deepkoco.planning.config import PlannerConfig
-from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
+from deepkoco.planning.methods import make_planner
+from deepkoco.planning.statistics import PlannerStatistics
 
 
 class VectorAgent:
@@ -42,7 +45,10 @@ class VectorAgent:
         self._noise = noise
         self._planners = []
         if model is not None:
-            self._planners = [LinearMPC(model, planner, action_low, action_high) for _ in range(count)]
+            self._planners = [make_planner(model, planner, action_low, action_high, i) for i in range(count)]
+        self._history = None
+        if model is not None and model.frame_encoder is not None:
+            self._history = FeatureHistory(model.frame_encoder)
         self._count = count
         self.reset()
 
@@ -51,9 +57,7 @@ class VectorAgent:
         """Sums over all controllers."""
         total = PlannerStatistics()
         for planner in self._planners:
-            total.plans += planner.statistics.plans
-            total.failures += planner.statistics.failures
-            total.reasons.update(planner.statistics.reasons)
+            total.add(planner.statistics)
         return total
 
     def reset(self) -> None:
@@ -62,14 +66,16 @@ class VectorAgent:
         self._next = np.tile(start, (self._count, 1))
         for planner in self._planners:
             planner.reset()
+        if self._history is not None:
+            self._history.reset()
         if self._noise is not None:
             self._noise.reset()
 
-    def act(self, observations: Array, variance: float = 0.0) -> Array:
+    def act(self, observations: Array | NDArray[np.uint8], variance: float = 0.0) -> Array:
         """Return the actions decided one step earlier and decide the next ones.
 
         Args:
-            observations: o_k (B, N).
+            observations: o_k (B, N), or the frames of this step, uint8 (B, H, W, 3).
             variance: sigma^2 of the exploration noise.
 
         Returns:
@@ -78,7 +84,11 @@ class VectorAgent:
         actions = self._next
         following = actions
         if self._model is not None:
-            rows, factors = self._model.linearise(observations, actions)
+            history = self._history
+            seen = (
+                observations if history is None else history.push(observations.astype(np.uint8, copy=False))
+            )
+            rows, factors = self._model.linearise(seen.astype(np.float64, copy=False), actions)
             plans = zip(self._planners, rows, factors, actions, strict=True)
             following = actions + np.stack([planner.plan(r, c, a) for planner, r, c, a in plans])
         if self._noise is not None:

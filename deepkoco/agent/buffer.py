@@ -19,7 +19,7 @@ class Episode:
     """One episode, step by step.
 
     Attributes:
-        observations: o_k (L, N).
+        observations: o_k (L, N), or one uint8 frame per step (L, H, W, 3).
         actions: a_k (L, M), as applied under o_k.
         costs: c_k (L,), of (o_k, a_k).
     """
@@ -30,28 +30,35 @@ class Episode:
 
 
 class EpisodeBuffer:
-    """All episodes in the order they were collected, float32."""
+    """All episodes in the order they were collected: uint8 frames as they are, everything else float32.
 
-    def __init__(self, observation_size: int, action_size: int) -> None:
+    Episodes stay the tensors they were collected as, so one more costs no copy of those before. Frames are
+    stored once each; the d frames of an observation are put together when chunks are drawn.
+    """
+
+    def __init__(self, history: int = 1) -> None:
         """Start empty.
 
         Args:
-            observation_size: N.
-            action_size: M.
+            history: d, recordings that an observation is made of: 1 for states, more for frames.
         """
-        self._observations = torch.empty(0, observation_size)
-        self._actions = torch.empty(0, action_size)
-        self._costs = torch.empty(0)
+        self._history = history
+        self._episodes: list[Episode] = []
         self._lengths = torch.empty(0, dtype=torch.int64)
 
     def __len__(self) -> int:
         """Number of episodes."""
-        return self._lengths.numel()
+        return len(self._episodes)
 
     @property
     def steps(self) -> int:
         """Number of environment steps."""
-        return self._costs.numel()
+        return int(self._lengths.sum())
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the episodes [byte]."""
+        return sum(t.nbytes for e in self._episodes for t in (e.observations, e.actions, e.costs))
 
     def add(self, episodes: list[Episode]) -> None:
         """Append episodes.
@@ -59,9 +66,10 @@ class EpisodeBuffer:
         Args:
             episodes: In order.
         """
-        self._observations = torch.cat([self._observations, *(e.observations.float() for e in episodes)])
-        self._actions = torch.cat([self._actions, *(e.actions.float() for e in episodes)])
-        self._costs = torch.cat([self._costs, *(e.costs.float() for e in episodes)])
+        for e in episodes:
+            frames = e.observations.dtype == torch.uint8
+            observations = e.observations if frames else e.observations.float()
+            self._episodes.append(Episode(observations, e.actions.float(), e.costs.float()))
         self._lengths = torch.cat([self._lengths, torch.tensor([e.costs.numel() for e in episodes])])
 
     def windows(self, horizon: int, stride: int = 1) -> int:
@@ -101,7 +109,8 @@ class EpisodeBuffer:
         """Draw chunks such that every window of every episode is equally likely.
 
         A chunk may hang over either end of its episode, else windows near the ends would be rare; what hangs
-        over is filled with the end's step and gets weight 0.
+        over is filled with the end's step and gets weight 0. The first observations of an episode repeat its
+        first frame.
 
         Args:
             chunks: G.
@@ -128,25 +137,13 @@ class EpisodeBuffer:
         step = start[:, None] + torch.arange(chunk_length)
         window = step[:, :width]
         weights = ((window >= 0) & (window < windows[episode, None] * stride)).float()
-        step = step.clamp(min=0).minimum(self._lengths[episode, None] - 1)
-        first = self._lengths.cumsum(0)[episode] - self._lengths[episode]
-        index = first[:, None] + step
-        return ChunkBatch(self._observations[index], self._actions[index], self._costs[index], weights)
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """Everything, as tensors."""
-        return {
-            "observations": self._observations,
-            "actions": self._actions,
-            "costs": self._costs,
-            "lengths": self._lengths,
-        }
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restore what `state_dict` gave.
-
-        Args:
-            state: The tensors.
-        """
-        self._observations, self._actions = state["observations"], state["actions"]
-        self._costs, self._lengths = state["costs"], state["lengths"]
+        last = self._lengths[episode, None] - 1
+        seen = start[:, None] + torch.arange(1 - self._history, chunk_length)  # (G, L + d - 1)
+        step, seen = step.clamp(min=0).minimum(last), seen.clamp(min=0).minimum(last)
+        chosen = [self._episodes[i] for i in episode.tolist()]
+        return ChunkBatch(
+            torch.stack([e.observations[i] for e, i in zip(chosen, seen, strict=True)]),
+            torch.stack([e.actions[i] for e, i in zip(chosen, step, strict=True)]),
+            torch.stack([e.costs[i] for e, i in zip(chosen, step, strict=True)]),
+            weights,
+        )

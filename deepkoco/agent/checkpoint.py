@@ -10,7 +10,7 @@ import torch
 
 from deepkoco.agent.config import flatten
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 class CheckpointError(ValueError):

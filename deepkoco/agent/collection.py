@@ -13,6 +13,8 @@ from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import Episode
 from deepkoco.koopman.exported import Array
 
+FRAME_COLOURS = 3
+SMALLEST_FRAME = 4  # pixels a side: one patch of the first convolution
 VectorEnvFactory = Callable[[int, int], VectorEnv]
 """Makes a vector environment from (number of environments, seed of everything fixed for the run)."""
 
@@ -21,28 +23,40 @@ class SpaceError(ValueError):
     """The environment's spaces do not fit the agent."""
 
 
-def box_sizes(envs: VectorEnv) -> tuple[int, Array, Array]:
+def box_sizes(envs: VectorEnv) -> tuple[tuple[int, ...], Array, Array]:
     """Check the spaces of an environment.
 
     Args:
         envs: A vector environment.
 
     Returns:
-        Number N of observation entries and the action limits (M,), (M,).
+        Shape of an observation, (N,) for states and (H, W, 3) for frames, and the action limits (M,), (M,).
 
     Raises:
-        SpaceError: A space is not a flat Box.
+        SpaceError: A space is neither a flat Box nor, for observations, one of uint8 frames.
     """
     observation, action = envs.single_observation_space, envs.single_action_space
-    for name, space in (("observation", observation), ("action", action)):
-        if not isinstance(space, spaces.Box) or len(space.shape) != 1:
-            raise SpaceError(f"{name} space is {space}; DeepKoCo on states needs a one-dimensional Box")
-    assert isinstance(observation, spaces.Box)
-    assert isinstance(action, spaces.Box)
-    return observation.shape[0], action.low.astype(np.float64), action.high.astype(np.float64)
+    if not isinstance(action, spaces.Box) or len(action.shape) != 1:
+        raise SpaceError(f"action space is {action}; DeepKoCo needs a one-dimensional Box")
+    if not isinstance(observation, spaces.Box) or not (
+        len(observation.shape) == 1 or _has_frames(observation)
+    ):
+        raise SpaceError(
+            f"observation space is {observation}; DeepKoCo needs a one-dimensional Box, "
+            f"or uint8 frames of shape (height, width, 3) with at least {SMALLEST_FRAME} pixels a side"
+        )
+    return observation.shape, action.low.astype(np.float64), action.high.astype(np.float64)
 
 
-def collect_episodes(envs: VectorEnv, agent: VectorAgent, seed: int, variance: float = 0.0) -> list[Episode]:
+def _has_frames(space: spaces.Box) -> bool:
+    if space.dtype != np.uint8 or len(space.shape) != 3 or space.shape[-1] != FRAME_COLOURS:
+        return False
+    return min(space.shape[:2]) >= SMALLEST_FRAME
+
+
+def collect_episodes(
+    envs: VectorEnv, agent: VectorAgent, seed: int, variance: float = 0.0, record: bool = True
+) -> list[Episode]:
     """Run every environment from a reset to the end of its first episode.
 
     Environments that end early keep being stepped (or reset, where there is no autoreset) until the last
@@ -53,6 +67,7 @@ def collect_episodes(envs: VectorEnv, agent: VectorAgent, seed: int, variance: f
         agent: For B environments.
         seed: Passed to `envs.reset`.
         variance: sigma^2 of the exploration noise.
+        record: Keep the observations; off, the episodes hold none, which is enough for their costs.
 
     Returns:
         B episodes in the order of the environments.
@@ -60,13 +75,15 @@ def collect_episodes(envs: VectorEnv, agent: VectorAgent, seed: int, variance: f
     observation, _ = envs.reset(seed=seed)
     agent.reset()
     dtype = envs.single_action_space.dtype
+    frames = np.asarray(observation).dtype == np.uint8
+    kept = np.uint8 if frames else np.float32
     restarts = envs.metadata.get("autoreset_mode") != AutoresetMode.DISABLED
     observations, actions, costs = [], [], []
     length = np.zeros(envs.num_envs, dtype=np.int64)
     running = np.ones(envs.num_envs, dtype=bool)
     while running.any():
-        action = agent.act(np.asarray(observation, dtype=np.float64), variance)
-        observations.append(np.array(observation, dtype=np.float32))
+        action = agent.act(observation if frames else np.asarray(observation, dtype=np.float64), variance)
+        observations.append(np.array(observation if record else observation[:, :0], dtype=kept))
         actions.append(action.astype(np.float32))
         observation, reward, terminated, truncated, _ = envs.step(action.astype(dtype))
         costs.append(-np.asarray(reward, dtype=np.float32))
@@ -76,7 +93,15 @@ def collect_episodes(envs: VectorEnv, agent: VectorAgent, seed: int, variance: f
         if ended.any() and running.any() and not restarts:
             observation, _ = envs.reset(options={"reset_mask": ended})
     o, a, c = (torch.from_numpy(np.stack(x, axis=1)) for x in (observations, actions, costs))
-    return [Episode(o[i, :n], a[i, :n], c[i, :n]) for i, n in enumerate(length)]
+    longest = int(length.max())
+    episodes = []
+    for i, n in enumerate(length.tolist()):
+        episode = Episode(o[i, :n], a[i, :n], c[i, :n])
+        if n < longest:
+            # Memory of its own, or what was recorded after its end would stay in memory too.
+            episode = Episode(*(t.clone() for t in (episode.observations, episode.actions, episode.costs)))
+        episodes.append(episode)
+    return episodes
 
 
 def episode_costs(episodes: list[Episode]) -> Array:

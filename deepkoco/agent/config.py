@@ -132,6 +132,11 @@ class TrainingConfig:
                 f'rollout = "{self.rollout}" with model.decoder_hidden = {list(self.model.decoder_hidden)}; '
                 "updated rollouts, and only they, train a decoder: give both or neither"
             )
+        channels = self.model.frame_channels
+        if min(self.model.frames, self.model.frame_features, *channels, len(channels)) < 1:
+            raise TrainingConfigError(
+                "model.frames, model.frame_features and model.frame_channels must be above 0"
+            )
         if self.model.pairs < 1 or not self.model.time_step > 0:
             raise TrainingConfigError("model.pairs and model.time_step must be above 0")
         if not self.model.action_weight >= 0:

@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.exported_frames import FeatureHistory
 from deepkoco.koopman.model_folder import ModelFolderError, read_model_folder
 from deepkoco.planning.config import PlannerConfig
-from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
+from deepkoco.planning.methods import make_planner
+from deepkoco.planning.statistics import PlannerStatistics
 
 
 class ObservationError(ValueError):
-    """An observation has the wrong number of entries."""
+    """An observation has the wrong number of entries, or a frame the wrong shape or type."""
 
 
 class KoopmanPolicy:
@@ -40,7 +42,8 @@ class KoopmanPolicy:
         """
         self.model = model
         self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
-        self._planner = LinearMPC(model, planner, self._low, self._high)
+        self._planner = make_planner(model, planner, self._low, self._high)
+        self._history = None if model.frame_encoder is None else FeatureHistory(model.frame_encoder)
         self.reset()
 
     @property
@@ -49,32 +52,45 @@ class KoopmanPolicy:
         return self._planner.statistics
 
     def reset(self) -> None:
-        """Start a new episode with action zero."""
+        """Start a new episode with action zero and no frame seen."""
         self._next = np.clip(np.zeros_like(self._low), self._low, self._high)
         self._planner.reset()
+        if self._history is not None:
+            self._history.reset()
 
     def act(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Control one step.
 
         Args:
-            observation: o_k (N,).
+            observation: o_k (N,); for a model on images the frame of this step, uint8 (H, W, 3).
 
         Returns:
             a_k (M,).
 
         Raises:
-            ObservationError: The observation does not have N entries.
+            ObservationError: The observation does not have N entries, or it is not such a frame.
         """
-        observation = np.asarray(observation, dtype=np.float64)
-        if observation.shape != (self.model.observation_size,):
-            raise ObservationError(
-                f"observation has shape {observation.shape}; "
-                f"this model takes ({self.model.observation_size},)"
-            )
         action = self._next
-        rows, factor = self.model.linearise(observation, action)
+        rows, factor = self.model.linearise(self._observe(observation), action)
         self._next = action + self._planner.plan(rows, factor, action)
         return action.astype(np.float32)
+
+    def _observe(self, observation: ArrayLike) -> Array:
+        """What phi takes: the entries of the observation, or the features of the last frames."""
+        if self._history is None:
+            entries = np.asarray(observation, dtype=np.float64)
+            if entries.shape != (self.model.observation_size,):
+                raise ObservationError(
+                    f"observation has shape {entries.shape}; this model takes ({self.model.observation_size},)"
+                )
+            return entries
+        frame, expected = np.asarray(observation), self._history.frame_shape
+        if frame.shape != expected or frame.dtype != np.uint8:
+            raise ObservationError(
+                f"observation has shape {frame.shape} and type {frame.dtype}; this model takes one frame per "
+                f"step, {expected} uint8"
+            )
+        return self._history.push(frame)
 
 
 def load_model(folder: str | Path, **planner: Any) -> tuple[ExportedModel, PlannerConfig, Array, Array]:

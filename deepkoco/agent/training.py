@@ -27,6 +27,7 @@ from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
 from deepkoco.agent.metrics import MetricsLog, Row
+from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.losses import Losses, chunk_losses
@@ -69,8 +70,8 @@ class Trainer:
     between good and poor swing-ups from one iteration to the next although their losses hardly differ.
 
     Each iteration resets the environments with a seed derived from (run seed, iteration), and makes its
-    planners anew, so neither belongs to a checkpoint. Weights, optimiser, episodes, generators, counters
-    and metrics do.
+    planners anew, so neither belongs to a checkpoint. Weights, optimiser, generators, counters and metrics
+    do; the episodes of an iteration are written once, before the checkpoint that counts on them.
 
     Source: DeepKoCo, Alg. 8.
     """
@@ -103,10 +104,10 @@ class Trainer:
         self._make_envs = make_envs
         self._make_evaluation_envs = make_evaluation_envs or make_envs
         self._pool: dict[tuple[int, VectorEnvFactory], VectorEnv] = {}
-        observation_size, self._low, self._high = box_sizes(self._envs(config.first_episodes, make_envs))
+        observation, self._low, self._high = box_sizes(self._envs(config.first_episodes, make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
-            self.model = KoopmanModel(observation_size, self._low.size, config.model)
+            self.model = KoopmanModel(observation, self._low.size, config.model)
         decay = get_ema_multi_avg_fn(config.averaging)
         self._average = AveragedModel(self.model, multi_avg_fn=decay)
         # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
@@ -118,7 +119,7 @@ class Trainer:
             weight_decay=2.0 * config.weight_penalty,
             fused=True,
         )
-        self._buffer = EpisodeBuffer(observation_size, self._low.size)
+        self._buffer = EpisodeBuffer(1 if self.model.frame_encoder is None else config.model.frames)
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
@@ -195,6 +196,7 @@ class Trainer:
         episodes = collect_episodes(self._envs(count, self._make_envs), agent, seed, variance)
         self._buffer.add(episodes)
         self._buffer.check_windows(config.horizon)
+        write_replay(self.folder, self.progress.iteration, episodes)
         costs = episode_costs(episodes)
         self._collected = {
             "train/cost": float(costs.mean()),
@@ -249,8 +251,9 @@ class Trainer:
             agent = VectorAgent(
                 export_model(self.averaged_model), config.planner, self._low, self._high, count
             )
-            envs, start = self._envs(count, self._make_evaluation_envs), derive_seed(self.seed, purpose)
-            costs = episode_costs(collect_episodes(envs, agent, start))
+            start = derive_seed(self.seed, purpose)
+            envs = self._envs(count, self._make_evaluation_envs)
+            costs = episode_costs(collect_episodes(envs, agent, start, record=False))
             failures = agent.statistics.failures
         self._note_eigenvalues()
         self.progress.iteration += 1
@@ -282,7 +285,6 @@ class Trainer:
                 "model": self.model.state_dict(),
                 "average": self._average.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
-                "buffer": self._buffer.state_dict(),
                 "sampling": self._sampling.get_state(),
                 "noise": self._noise.get_state(),
                 "progress": asdict(self.progress),
@@ -298,10 +300,11 @@ class Trainer:
         self.model.load_state_dict(state["model"])
         self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
-        self._buffer.load_state_dict(state["buffer"])
         self._sampling.set_state(state["sampling"])
         self._noise.set_state(state["noise"])
         self.progress = Progress(**state["progress"])
+        collected = self.progress.iteration + self.progress.collected
+        self._buffer.add(read_replay(self.folder, collected))
         self._collected, self._loss_sums = state["collected"], state["loss_sums"]
         return state["metrics"], state.get("eigenvalues", [])
 

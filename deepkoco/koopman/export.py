@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from torch import Tensor
 
 from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.exported_frames import ExportedFrameEncoder
+from deepkoco.koopman.frame_encoder import FrameEncoder
 from deepkoco.koopman.mlp import ReluNetwork
 from deepkoco.koopman.model import KoopmanModel
 
@@ -26,6 +30,15 @@ def export_model(model: KoopmanModel) -> ExportedModel:
     def layers(network: ReluNetwork) -> tuple[tuple[Array, Array], ...]:
         return tuple((array(layer.weight), array(layer.bias)) for layer in network.linears)
 
+    def frames(encoder: FrameEncoder) -> ExportedFrameEncoder:
+        return ExportedFrameEncoder(
+            encoder.frame_shape,
+            model.config.frames,
+            tuple(encoder.geometry),
+            tuple((array(layer.weight), array(cast(Tensor, layer.bias))) for layer in encoder.convolutions),
+            (array(encoder.last.weight), array(encoder.last.bias)),
+        )
+
     return ExportedModel(
         layers(model.encoder.network),
         layers(model.cost_factor.network),
@@ -35,4 +48,5 @@ def export_model(model: KoopmanModel) -> ExportedModel:
         model.config.action_weight,
         model.action_size,
         () if model.decoder is None else layers(model.decoder),
+        None if model.frame_encoder is None else frames(model.frame_encoder),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deepkoco.koopman.exported_frames import ExportedFrameEncoder
 from deepkoco.koopman.latent_model import JordanBlocks
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ class ExportedModel:
         action_weight: R of the cost model.
         action_size: M.
         decoder: The layers of phi^-1; empty where B and C are frozen over a rollout.
+        frame_encoder: Gives the features of frames, of which an observation then is a stack.
     """
 
     encoder: tuple[tuple[Array, Array], ...]
@@ -41,10 +43,11 @@ class ExportedModel:
     action_weight: float
     action_size: int
     decoder: tuple[tuple[Array, Array], ...] = ()
+    frame_encoder: ExportedFrameEncoder | None = None
 
     @property
     def observation_size(self) -> int:
-        """N, entries of an observation."""
+        """N, entries of an observation as the encoder phi takes it."""
         return self.encoder[0][0].shape[1] - self.action_size
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor, nn
 from deepkoco.koopman.cost import CostFactor
 from deepkoco.koopman.encoder import Encoder
 from deepkoco.koopman.exported import NoDecoderError
+from deepkoco.koopman.frame_encoder import FrameEncoder, stack_features
 from deepkoco.koopman.jordan import JordanDynamics
 from deepkoco.koopman.mlp import ReluNetwork
 
@@ -36,6 +38,12 @@ class ModelConfig:
     """Start with output biases that give y = C s one sign everywhere; off: PyTorch's default biases."""
     stop_gradients: tuple[str, ...] = ()
     """Paths that training does not differentiate: "B" (into the input matrix), "C" (into the input of psi)."""
+    frames: int = 3
+    """d, frames of an observation, where frames are observed."""
+    frame_features: int = 16
+    """F, features of a frame."""
+    frame_channels: tuple[int, ...] = (8, 16, 32)
+    """Channels of the convolutions that each frame goes through."""
 
 
 class KoopmanModel(nn.Module):
@@ -46,19 +54,30 @@ class KoopmanModel(nn.Module):
     state. With B frozen over a rollout a decoder would enter no loss, so there is none then; where B and C are
     evaluated anew at predicted latents it gives the pseudo-observations $\varphi^{-1}(s)$ for that.
 
-    Source: DeepKoCo, Eq. 5.4-5.10.
+    Where the environment gives frames, o is the stack of the features of the last d frames. The frame encoder
+    comes before $\varphi$, so B never passes through it.
+
+    Source: DeepKoCo, Eq. 5.4-5.11.
     """
 
-    def __init__(self, observation_size: int, action_size: int, config: ModelConfig) -> None:
+    def __init__(self, observation: int | Sequence[int], action_size: int, config: ModelConfig) -> None:
         """Make the networks from the global generator of torch; seed it first.
 
         Args:
-            observation_size: N.
+            observation: N, or the shape of what the environment gives: (N,), or (H, W, 3) for frames.
             action_size: M.
             config: Sizes.
+
+        Raises:
+            FrameShapeError: Frames are too small.
         """
         super().__init__()
         self.config = config
+        shape = (observation,) if isinstance(observation, int) else tuple(observation)
+        observation_size = shape[0] if len(shape) == 1 else config.frames * config.frame_features
+        self.frame_encoder: FrameEncoder | None = None
+        if len(shape) > 1:
+            self.frame_encoder = FrameEncoder(shape, config.frame_channels, config.frame_features)
         self.observation_size = observation_size
         self.action_size = action_size
         self.encoder = Encoder(observation_size, action_size, config.pairs, config.encoder_hidden)
@@ -77,13 +96,15 @@ class KoopmanModel(nn.Module):
         """Encode sequences and linearise at their first steps only.
 
         Args:
-            observations: (G, L, N).
+            observations: (G, L, N), or frames from d - 1 steps before the first one, (G, L + d - 1, H, W, 3).
             actions: (G, L, M).
             starts: Number of leading steps at which B and C are wanted.
 
         Returns:
             Latents (G, L, 2P), input matrices (G, starts, 2P, M) and cost factors (G, starts, r, 2P).
         """
+        if self.frame_encoder is not None:
+            observations = stack_features(self.frame_encoder(observations), self.config.frames)
         latent, input_matrix, factor = self.linearise(observations[:, :starts], actions[:, :starts])
         rest = self.encoder(observations[:, starts:], actions[:, starts:])
         return torch.cat((latent, rest), 1), input_matrix, factor

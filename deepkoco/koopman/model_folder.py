@@ -13,6 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.frame_arrays import frame_arrays, frame_settings, read_frame_encoder
 
 FORMAT_VERSION = 1
 WEIGHTS_FILE = "model.safetensors"
@@ -52,6 +53,9 @@ def write_model_folder(model: ExportedModel, folder: Path, extra: dict[str, Any]
         "layers": {name: len(layers) for name, layers in networks.items()},
         **extra,
     }
+    if model.frame_encoder is not None:
+        arrays |= frame_arrays(model.frame_encoder)
+        config["frame_encoder"] = frame_settings(model.frame_encoder)
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
@@ -105,6 +109,7 @@ def read_model_folder(folder: Path) -> tuple[ExportedModel, dict[str, Any]]:
             float(config["action_weight"]),
             int(config["action_size"]),
             layers("decoder"),
+            read_frame_encoder(config["frame_encoder"], arrays) if "frame_encoder" in config else None,
         )
     except KeyError as error:
         raise ModelFolderError(f"{folder}: damaged, entry {error} is missing") from error
@@ -133,5 +138,10 @@ def _check_shapes(model: ExportedModel, folder: Path) -> None:
                 )
         elif not layers or size == 0 or (size % latents if name == "cost_factor" else size != latents):
             raise ModelFolderError(f"{folder}: damaged, {name} does not end in {latents} entries")
+    frames = model.frame_encoder
+    if frames is not None and model.observation_size != frames.frames * frames.features:
+        raise ModelFolderError(
+            f"{folder}: damaged, encoder does not take the features of {frames.frames} frames"
+        )
     if model.omega.shape != model.mu.shape or not 1 <= model.action_size < model.encoder[0][0].shape[1]:
         raise ModelFolderError(f"{folder}: damaged, omega or action_size does not fit the other entries")

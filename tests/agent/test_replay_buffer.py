@@ -17,7 +17,7 @@ def numbered(length: int, number: int) -> Episode:
 
 
 def filled(lengths: list[int]) -> EpisodeBuffer:
-    buffer = EpisodeBuffer(2, 1)
+    buffer = EpisodeBuffer()
     buffer.add([numbered(length, number) for number, length in enumerate(lengths)])
     return buffer
 
@@ -56,18 +56,9 @@ def test_counts_windows_episodes_and_steps():
     assert (buffer.windows(3), len(buffer), buffer.steps) == (12, 3, 21)
 
 
-def test_state_survives_saving():
-    buffer, other = filled([12, 6]), EpisodeBuffer(2, 1)
-    other.load_state_dict(buffer.state_dict())
-    one = buffer.sample(5, 8, 3, torch.Generator().manual_seed(0))
-    two = other.sample(5, 8, 3, torch.Generator().manual_seed(0))
-    assert torch.equal(one.observations, two.observations)
-    assert torch.equal(one.window_weights, two.window_weights)
-
-
 def test_an_empty_buffer_says_so():
     with pytest.raises(ReplayError, match="none of 0 episodes"):
-        EpisodeBuffer(2, 1).sample(1, 8, 3, torch.Generator())
+        EpisodeBuffer().sample(1, 8, 3, torch.Generator())
 
 
 def test_windows_at_a_stride_start_at_its_multiples_and_are_equally_likely():

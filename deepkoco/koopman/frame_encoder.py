@@ -1,0 +1,111 @@
+"""From video frames to features: one small convolutional network that sees each frame once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from deepkoco.koopman.exported_frames import FIRST_CONVOLUTION, LATER_CONVOLUTIONS, Convolution
+
+
+class FrameShapeError(ValueError):
+    """Frames are too small for the layers of the network."""
+
+
+def layer_geometry(frame_shape: Sequence[int], channels: Sequence[int]) -> tuple[list[Convolution], int]:
+    """Geometry of the layers.
+
+    Args:
+        frame_shape: (height, width, colours).
+        channels: Output channels of each layer.
+
+    Returns:
+        Kernel, stride and padding of each layer, and the number of values that the last one gives.
+
+    Raises:
+        FrameShapeError: Nothing would be left of a frame.
+    """
+    layers = [FIRST_CONVOLUTION, *[LATER_CONVOLUTIONS] * (len(channels) - 1)]
+    height, width = frame_shape[:2]
+    for layer in layers:
+        height, width = layer.size(height), layer.size(width)
+    if min(height, width) < 1 or len(frame_shape) != 3:
+        raise FrameShapeError(
+            f"frames of shape {tuple(frame_shape)} do not fit {len(channels)} convolutions; "
+            f"give frames of at least {FIRST_CONVOLUTION.kernel} x {FIRST_CONVOLUTION.kernel} pixels in colour"
+        )
+    return layers, height * width * channels[-1]
+
+
+class FrameEncoder(nn.Module):
+    r"""$z_k = f(\text{frame}_k) \in R^F$; the observation is $(z_{k-d+1}, \dots, z_k)$.
+
+    The first layer looks at patches of 4 x 4 pixels, which turns 12,288 numbers into a 16 x 16 map at once:
+    nearly all the time of a network on 64 x 64 frames is spent in its first layers. Features of a frame are
+    computed once and serve all d observations that the frame is part of.
+
+    Source: DeepKoCo, Eq. 5.11; the layers are a reading, the text gives none.
+    """
+
+    def __init__(self, frame_shape: Sequence[int], channels: Sequence[int], features: int) -> None:
+        """Make the layers with PyTorch's default initialisation.
+
+        Args:
+            frame_shape: (height, width, colours) of a uint8 frame.
+            channels: Output channels of each convolution.
+            features: F, features per frame.
+
+        Raises:
+            FrameShapeError: The frames are too small.
+        """
+        super().__init__()
+        self.frame_shape = tuple(frame_shape)
+        self.geometry, values = layer_geometry(frame_shape, channels)
+        pairs = zip(pairwise([frame_shape[2], *channels]), self.geometry, strict=True)
+        convolutions = [nn.Conv2d(a, b, g.kernel, g.stride, g.padding) for (a, b), g in pairs]
+        for layer in convolutions:
+            # On one core less time than with the channels first in memory.
+            layer.weight.data = layer.weight.data.contiguous(memory_format=torch.channels_last)
+        self.layers = nn.ModuleList(convolutions)
+        self.last = nn.Linear(values, features)
+
+    @property
+    def convolutions(self) -> list[nn.Conv2d]:
+        """The convolutions, first to last."""
+        return cast(list[nn.Conv2d], list(self.layers))
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Features of frames.
+
+        Args:
+            frames: uint8 (..., H, W, 3).
+
+        Returns:
+            Features (..., F).
+        """
+        x = frames.flatten(0, -4).permute(0, 3, 1, 2)  # (n, 3, H, W), channels last in memory
+        x = x.to(self.last.weight.dtype).div_(255.0).sub_(0.5)
+        for layer in self.convolutions:
+            x = torch.relu(layer(x))
+        # In the order (height, width, channel), which is that of the memory: no copy.
+        return self.last(x.permute(0, 2, 3, 1).flatten(1)).unflatten(0, frames.shape[:-3])
+
+
+def stack_features(features: Tensor, frames: int) -> Tensor:
+    """Observations from the features of consecutive frames.
+
+    Args:
+        features: (G, L + d - 1, F).
+        frames: d.
+
+    Returns:
+        The features of the last d frames at each step, oldest first (G, L, d F).
+
+    Source: DeepKoCo, Eq. 5.11.
+    """
+    steps = features.shape[1] - frames + 1
+    return torch.cat([features[:, i : i + steps] for i in range(frames)], dim=-1)
