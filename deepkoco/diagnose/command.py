@@ -133,12 +133,9 @@ def _read(
 
 
 def _system(name: str) -> JointSystem:
-    from deepkoco.systems import JointSystem, ModelFileError, UnknownSystemError, load_model, make_system
+    from deepkoco.systems import JointCountError, ModelFileError, UnknownSystemError, load_model, one_joint
 
     try:
-        system = load_model(name) if name.endswith((".yaml", ".yml")) else make_system(name)
-    except (ModelFileError, UnknownSystemError) as error:
+        return load_model(name) if name.endswith((".yaml", ".yml")) else one_joint(name)
+    except (ModelFileError, UnknownSystemError, JointCountError) as error:
         raise InputError(f"--system: {error}") from error
-    if not isinstance(system, JointSystem):
-        raise InputError(f"--system {name}: the diagnosis needs a system with one joint")
-    return system

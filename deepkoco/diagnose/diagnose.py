@@ -34,7 +34,7 @@ from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.identifiability import unidentified
 from deepkoco.identify.threads import one_thread
 from deepkoco.identify.windows import Windows, cut_windows, estimate_channels, moving, window_length
-from deepkoco.systems import ExtendedSystem, JointSystem, make_system
+from deepkoco.systems import ExtendedSystem, JointSystem, one_joint
 
 FEWEST_WINDOWS = 4
 HELD_OUT = 4  # without hold-out logs, one window in four is kept back
@@ -81,11 +81,10 @@ def diagnose(
     Raises:
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
+        JointCountError: It has more joints than one.
     """
     began = time.perf_counter()
-    base = make_system(system) if isinstance(system, str) else system
-    if not isinstance(base, JointSystem):
-        raise TypeError(f"{base.name} is no system with one joint")
+    base = one_joint(system)
     length = window_length(base) if window is None else window
     with one_thread():
         data = _cut(recordings, holdout, base, length)

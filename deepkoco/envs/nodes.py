@@ -49,11 +49,11 @@ class TaskAgent(Supervisor):
     ) -> tuple[State, dict[str, Tensor]]:
         truth = inputs["truth"].data[:, -1]
         observation = self.task.observation(self.scene, inputs["sensor"].data[:, -1])
-        reward = -self.task.cost(self.scene, state["truth"], action)
+        reward = -self.task.cost(self.scene, state["truth"], action, parameters or None)
         state = {**state, "truth": truth, "command": action}
         if self.history:
             scaled = [action[:, i : i + 1] / scale for i, scale in enumerate(self.scale)]
             state["history"] = torch.cat([*scaled, state["history"][:, : -self.width]], 1)
             observation = torch.cat([observation, state["history"]], 1)
         readings = {"observation": observation, "reward": reward}
-        return state, readings | self.task.readings(self.scene, truth)
+        return state, readings | self.task.readings(self.scene, truth, parameters or None)

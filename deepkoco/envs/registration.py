@@ -15,6 +15,9 @@ ENVIRONMENTS: dict[str, tuple[int, dict]] = {
     "deepkoco/RodPendulumDelay-v0": (200, {"system": "rod_pendulum"}),
     "deepkoco/Pendulum-v0": (250, {"system": "pendulum", "world_rate": 200.0}),
     "deepkoco/TorquePendulum-v0": (250, {"system": "torque_pendulum", "world_rate": 200.0}),
+    # The tip of a two-link arm tracks a target on a circle; the second has a target at rest.
+    "deepkoco/Manipulator-v0": (200, {"system": "two_link_arm", "task": "manipulator"}),
+    "deepkoco/ManipulatorFixedTarget-v0": (200, {"system": "two_link_arm", "task": "manipulator_fixed"}),
 }
 
 

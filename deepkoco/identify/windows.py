@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepkoco.graph.recording import LogError, Recording
 from deepkoco.identify.noise import Noise, estimate_noise
-from deepkoco.systems import System
+from deepkoco.systems import JointSystem, one_joint
 
 LONGEST_STEP = 0.01  # integration step [s]
 STEPS_PER_PERIOD = 100  # integration steps in a period of the system, at least
@@ -95,7 +95,7 @@ class Windows:
         return replace(self, value=value)
 
 
-def window_length(system: System) -> float:
+def window_length(system: JointSystem) -> float:
     """About one period of the system's small motion, between 1 and 2 s.
 
     Shorter windows do not show slow effects; in longer ones unstable motion outgrows every fit.
@@ -103,7 +103,7 @@ def window_length(system: System) -> float:
     return float(np.clip(period(system), 1.0, 2.0))
 
 
-def period(system: System) -> float:
+def period(system: JointSystem) -> float:
     """Period of the system's fastest small motion at zero command [s]; 1.5 where it has none."""
     parameters = system.default_parameters()
     eps = 1e-6
@@ -117,7 +117,7 @@ def period(system: System) -> float:
 
 def cut_windows(
     recordings: Sequence[Recording],
-    system: System,
+    system: JointSystem,
     length: float,
     noise: tuple[Noise, ...] | None = None,
     cover: bool = False,
@@ -133,7 +133,9 @@ def cut_windows(
 
     Raises:
         LogError: A log lacks the command or every measurement.
+        JointCountError: The system has more joints than one.
     """
+    system = one_joint(system)
     longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
     steps = math.ceil(length / longest - 1e-9)
     names = [channel.name for channel in system.measurements]
@@ -204,7 +206,7 @@ def halved(windows: Windows) -> Windows:
     )
 
 
-def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[Noise, ...]:
+def estimate_channels(recordings: Sequence[Recording], system: JointSystem) -> tuple[Noise, ...]:
     """Noise of each measurement channel over all logs, the longest log counting most."""
     result = []
     for channel in system.measurements:
@@ -263,7 +265,7 @@ def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray
 
 
 def _channels(
-    recording: Recording, system: System
+    recording: Recording, system: JointSystem
 ) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
     where = recording.path or "the recording"
     if system.command.name not in recording.channels:

@@ -1,8 +1,16 @@
 """Dynamical systems with named parameters, and the effects that extend them."""
 
+from deepkoco.systems.circling_target import CirclingTarget
 from deepkoco.systems.extended import ExtendedSystem, ModelFileError, load_model, save_model
 from deepkoco.systems.joint import JointSystem
-from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
+from deepkoco.systems.registry import (
+    JOINT_SYSTEMS,
+    SYSTEMS,
+    JointCountError,
+    UnknownSystemError,
+    make_system,
+    one_joint,
+)
 from deepkoco.systems.system import (
     Channel,
     Parameter,
@@ -12,11 +20,15 @@ from deepkoco.systems.system import (
     Timing,
     rk4_step,
 )
+from deepkoco.systems.two_link_arm import TwoLinkArm
 
 __all__ = [
+    "JOINT_SYSTEMS",
     "SYSTEMS",
     "Channel",
+    "CirclingTarget",
     "ExtendedSystem",
+    "JointCountError",
     "JointSystem",
     "ModelFileError",
     "Parameter",
@@ -24,9 +36,11 @@ __all__ = [
     "Parameters",
     "System",
     "Timing",
+    "TwoLinkArm",
     "UnknownSystemError",
     "load_model",
     "make_system",
+    "one_joint",
     "rk4_step",
     "save_model",
 ]

@@ -1,17 +1,23 @@
-"""How one-joint systems look: shared OpenCV primitives."""
+"""How systems look: shared OpenCV primitives that draw onto a picture."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
+
+Point = tuple[float, float]
 
 BACKGROUND = (250, 250, 248)
 INK = (52, 58, 64)
 ROD = (196, 84, 70)
 MASS = (38, 84, 124)
 COMMAND = (232, 158, 48)
+TARGET = (64, 150, 84)
+REACH = 0.44  # of an arm, as a share of the picture
 
 
 def canvas(size: int) -> np.ndarray:
@@ -51,12 +57,47 @@ def draw_point_mass(image: np.ndarray, angle_from_up: float, reach: float = 0.38
 def draw_command(image: np.ndarray, fraction: float) -> None:
     """Draw the command as an arc; ``fraction`` in [-1, 1] of the command's limit."""
     size = image.shape[0]
+    _arc(image, (size // 2, size // 2), round(0.12 * size), fraction)
+
+
+def draw_links(image: np.ndarray, points: Sequence[Point], reach: float, width: float = 0.05) -> None:
+    """Draw an arm along its joints and its tip [m]; ``reach`` [m] from the base in the centre is in the picture."""
+    size = image.shape[0]
+    at = [_place(size, point, reach) for point in points]
+    for start, end in itertools.pairwise(at):
+        _line(image, start, end, ROD, max(2, round(width * size)))
+    for joint in at[:-1]:
+        _disk(image, joint, 0.5 * width * size, INK)
+    _disk(image, at[-1], 0.6 * width * size, MASS)
+
+
+def draw_target(image: np.ndarray, point: Point, reach: float) -> None:
+    """Draw a target at a place [m] in the picture of an arm."""
+    size = image.shape[0]
+    _disk(image, _place(size, point, reach), 0.055 * size, TARGET)
+
+
+def draw_joint_commands(
+    image: np.ndarray, points: Sequence[Point], fractions: Sequence[float], reach: float
+) -> None:
+    """Draw the command of every joint as an arc about it; fractions in [-1, 1] of the commands' limits."""
+    size = image.shape[0]
+    for point, fraction in zip(points, fractions, strict=True):
+        x, y = _place(size, point, reach)
+        _arc(image, (round(x), round(y)), round(0.08 * size), fraction)
+
+
+def _place(size: int, point: Point, reach: float) -> Point:
+    scale = REACH * size / reach
+    return size / 2 + scale * point[0], size / 2 - scale * point[1]
+
+
+def _arc(image: np.ndarray, centre: tuple[int, int], radius: int, fraction: float) -> None:
     sweep = -170.0 * float(np.clip(fraction, -1.0, 1.0))
     if abs(sweep) < 1.0:
         return
-    axes = (round(0.12 * size), round(0.12 * size))
-    centre = (size // 2, size // 2)
-    cv2.ellipse(image, centre, axes, -90.0, 0.0, sweep, COMMAND, max(1, round(0.015 * size)), cv2.LINE_AA)
+    thickness = max(1, round(0.015 * image.shape[0]))
+    cv2.ellipse(image, centre, (radius, radius), -90.0, 0.0, sweep, COMMAND, thickness, cv2.LINE_AA)
 
 
 def _line(image: np.ndarray, start: tuple, end: tuple, colour: tuple, thickness: int) -> None:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from deepkoco.systems.effects import EFFECTS, Effect
 from deepkoco.systems.joint import JointSystem
-from deepkoco.systems.registry import make_system
+from deepkoco.systems.registry import one_joint
 from deepkoco.systems.system import ParameterError, Parameters, Timing
 
 MODEL_VERSION = 1
@@ -161,10 +161,7 @@ def load_model(path: str | Path) -> ExtendedSystem:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
-        base = make_system(document["system"])
-        if not isinstance(base, JointSystem):
-            raise ModelFileError(f"{path}: {base.name} cannot be extended")
-        return ExtendedSystem(base, tuple(document["effects"]), values)
+        return ExtendedSystem(one_joint(document["system"]), tuple(document["effects"]), values)
     except (KeyError, TypeError, AttributeError) as error:
         raise ModelFileError(f"{path}: misses or garbles the entry {error}") from error
     except ValueError as error:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from deepkoco.systems.joint import JointSystem
 from deepkoco.systems.pendulum import Pendulum
 from deepkoco.systems.rod_pendulum import RodPendulum
 from deepkoco.systems.system import System
 from deepkoco.systems.torque_pendulum import TorquePendulum
+from deepkoco.systems.two_link_arm import TwoLinkArm
 
-SYSTEMS: dict[str, type[System]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
+JOINT_SYSTEMS: dict[str, type[JointSystem]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
+SYSTEMS: dict[str, type[System]] = {**JOINT_SYSTEMS, TwoLinkArm.name: TwoLinkArm}
 
 
 class UnknownSystemError(ValueError):
     """A name does not belong to any system."""
+
+
+class JointCountError(ValueError):
+    """A system has more joints than what it is asked for can deal with."""
 
 
 def make_system(name: str) -> System:
@@ -23,3 +30,22 @@ def make_system(name: str) -> System:
     if name not in SYSTEMS:
         raise UnknownSystemError(f'unknown system "{name}"; known systems: {", ".join(sorted(SYSTEMS))}')
     return SYSTEMS[name]()
+
+
+def one_joint(system: str | System) -> JointSystem:
+    """The system, for what takes one joint and one command only: units, identification and diagnosis.
+
+    Args:
+        system: A system or its name.
+
+    Raises:
+        UnknownSystemError: There is no system of that name.
+        JointCountError: It has more joints.
+    """
+    found = make_system(system) if isinstance(system, str) else system
+    if not isinstance(found, JointSystem):
+        raise JointCountError(
+            f"{found.name} has {found.joints} joints; units, identification and diagnosis take one: choose one of "
+            f"{', '.join(sorted(JOINT_SYSTEMS))}"
+        )
+    return found

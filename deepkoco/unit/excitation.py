@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.random import Generator
 
-from deepkoco.systems import JointSystem, System, make_system
+from deepkoco.systems import JointSystem, System, one_joint
 
 # (time since the start [s], last measurement in the order of the system's measurements) -> command
 Excitation = Callable[[float, Sequence[float]], float]
@@ -38,7 +38,7 @@ def make_excitation(
     """
     if kind not in EXCITATIONS:
         raise ExcitationError(f'unknown excitation "{kind}"; known: {", ".join(EXCITATIONS)}')
-    physics = make_system(system)
+    physics = one_joint(system)
     limit, unit = physics.command.high, physics.command.unit
     size = limit if amplitude is None else amplitude
     if not 0.0 < size <= limit:
@@ -164,8 +164,7 @@ def load_policy_excitation(folder: str | Path, system: str) -> tuple[Excitation,
     from deepkoco.agent.policy import KoopmanPolicy, load_model
     from deepkoco.envs.tasks import SWING_UPS
 
-    physics, task = make_system(system), SWING_UPS[system]
-    assert isinstance(physics, JointSystem)
+    physics, task = one_joint(system), SWING_UPS[system]
     try:
         model, planner, low, high = load_model(folder)
     except (OSError, ValueError) as error:

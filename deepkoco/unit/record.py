@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deepkoco.graph.recording import Recording, Series
-from deepkoco.systems import make_system
+from deepkoco.systems import one_joint
 from deepkoco.unit.excitation import Excitation, make_excitation
 from deepkoco.unit.messages import SensorMessage, UnitError
 from deepkoco.unit.process import Unit
@@ -142,7 +142,7 @@ def _no_collection() -> Iterator[None]:
 def _recording(
     spec: UnitSpec, messages: list[SensorMessage], sent: list[tuple[float, float]], meta: dict[str, Any]
 ) -> Recording:
-    system = make_system(spec.system)
+    system = one_joint(spec.system)
     received = np.array([m.t_received for m in messages])
     values = np.array([m.values for m in messages])
     commands = np.array(sent)

@@ -81,7 +81,7 @@ def _describe(system: System) -> dict[str, Any]:
                 for key in ("name", "kind", "unit", "low", "high", "description")
                 if key not in limited or channel.kind == "command"
             }
-            for channel in (system.command, *system.measurements)
+            for channel in (*system.commands, *system.measurements)
         ],
         "parameters": [
             {key: getattr(p, key) for key in ("name", "value", "unit", "low", "high", "description")}

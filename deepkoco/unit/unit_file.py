@@ -10,7 +10,15 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from deepkoco.systems import SYSTEMS, Channel, Parameter, System, make_system
+from deepkoco.systems import (
+    JOINT_SYSTEMS,
+    SYSTEMS,
+    Channel,
+    JointCountError,
+    JointSystem,
+    Parameter,
+    one_joint,
+)
 from deepkoco.systems.effects import EFFECTS
 from deepkoco.unit.spec import SensorSpec, UnitSpec
 
@@ -66,7 +74,7 @@ def load_unit(path: str | Path, system: str | None = None) -> UnitSpec:
         raise UnitSpecError(f'{path}: system: the file describes a "{named}", asked for "{system}"')
     chosen = system or named
     if chosen is None:
-        raise UnitSpecError(f"{path}: system: missing; known: {', '.join(sorted(SYSTEMS))}")
+        raise UnitSpecError(f"{path}: system: missing; known: {', '.join(sorted(JOINT_SYSTEMS))}")
     return make_unit(chosen, name=path.stem, source=str(path), **content)
 
 
@@ -104,9 +112,12 @@ def make_unit(
     """
     if not isinstance(system, str) or system not in SYSTEMS:
         raise UnitSpecError(
-            f'{source}: system: unknown system "{system}"; known: {", ".join(sorted(SYSTEMS))}'
+            f'{source}: system: unknown system "{system}"; known: {", ".join(sorted(JOINT_SYSTEMS))}'
         )
-    base = make_system(system)
+    try:
+        base = one_joint(system)
+    except JointCountError as error:
+        raise UnitSpecError(f"{source}: system: {error}") from error
     spec = UnitSpec(
         name=name,
         system=system,
@@ -130,7 +141,7 @@ def _known_effects() -> tuple[str, ...]:
     return (*EFFECTS, "event", "cogging")
 
 
-def _effect_bounds(system: System, effect: str) -> dict[str, _Bound]:
+def _effect_bounds(system: JointSystem, effect: str) -> dict[str, _Bound]:
     scale = system.load_scale
     if effect == "event":
         return {
@@ -149,7 +160,7 @@ def _effect_bounds(system: System, effect: str) -> dict[str, _Bound]:
     return {p.name: _Bound(None if alone else p.value, p.low, p.high, p.unit) for p in declared}
 
 
-def _effect(system: System, effect: str, given: Any, source: str) -> dict[str, float]:
+def _effect(system: JointSystem, effect: str, given: Any, source: str) -> dict[str, float]:
     where = f"{source}: effects.{effect}"
     bounds = _effect_bounds(system, effect)
     given = _keys(given, tuple(bounds), where)
@@ -173,7 +184,7 @@ def _effect(system: System, effect: str, given: Any, source: str) -> dict[str, f
     return values
 
 
-def _parameters(system: System, given: Any, source: str) -> dict[str, float]:
+def _parameters(system: JointSystem, given: Any, source: str) -> dict[str, float]:
     declared = {p.name: p for p in system.parameters}
     given = _keys(given or {}, tuple(declared), f"{source}: parameters")
     return {
@@ -201,7 +212,7 @@ def _sensor(channels: Sequence[Channel], given: Any, source: str) -> SensorSpec:
     )
 
 
-def _initial_state(system: System, given: Any, source: str) -> tuple[float, float]:
+def _initial_state(system: JointSystem, given: Any, source: str) -> tuple[float, float]:
     if given is None:
         upright: float = getattr(system, "upright", 0.0)
         return (math.pi - upright, 0.0)  # hanging at rest

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.systems import (
-    SYSTEMS,
+    JOINT_SYSTEMS,
     ExtendedSystem,
     ModelFileError,
     ParameterError,
@@ -26,7 +26,7 @@ def extended(name: str, effect: str, **values: float) -> ExtendedSystem:
 
 @settings(max_examples=40, deadline=None)
 @given(
-    name=st.sampled_from(sorted(SYSTEMS)),
+    name=st.sampled_from(sorted(JOINT_SYSTEMS)),
     theta=st.floats(-7, 7),
     omega=st.floats(-9, 9),
     share=st.floats(-1, 1),

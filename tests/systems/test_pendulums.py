@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from deepkoco.systems import SYSTEMS, ParameterError, UnknownSystemError, make_system, rk4_step
+from deepkoco.systems import JOINT_SYSTEMS, ParameterError, UnknownSystemError, make_system, rk4_step
 
 
 def state_of(*values: float) -> torch.Tensor:
@@ -46,7 +46,7 @@ def test_torque_pendulum_hangs_at_zero():
     assert rest.abs().max() == 0.0
 
 
-@pytest.mark.parametrize("name", sorted(SYSTEMS))
+@pytest.mark.parametrize("name", sorted(JOINT_SYSTEMS))
 def test_rk4_agrees_with_scipy(name: str):
     system = make_system(name)
     parameters = system.default_parameters()
@@ -67,7 +67,7 @@ def test_rk4_agrees_with_scipy(name: str):
     theta=st.floats(-10, 10),
     omega=st.floats(-8, 8),
     effort=st.floats(-2, 2),
-    name=st.sampled_from(sorted(SYSTEMS)),
+    name=st.sampled_from(sorted(JOINT_SYSTEMS)),
 )
 def test_a_batch_of_parameters_equals_one_by_one(theta, omega, effort, name):
     system = make_system(name)
@@ -82,7 +82,7 @@ def test_a_batch_of_parameters_equals_one_by_one(theta, omega, effort, name):
         assert torch.equal(together[i], alone)
 
 
-@pytest.mark.parametrize("name", sorted(SYSTEMS))
+@pytest.mark.parametrize("name", sorted(JOINT_SYSTEMS))
 def test_payload_adds_weight_and_inertia(name: str):
     """At the horizontal the weight of m_p at distance l adds m_p g l to the torque."""
     system = make_system(name)
@@ -100,7 +100,7 @@ def test_payload_adds_weight_and_inertia(name: str):
     )
 
 
-@pytest.mark.parametrize("name", sorted(SYSTEMS))
+@pytest.mark.parametrize("name", sorted(JOINT_SYSTEMS))
 def test_picture_turns_with_the_angle(name: str):
     system = make_system(name)
     up = system.draw(np.array([system.upright, 0.0]), 0.0, 64)

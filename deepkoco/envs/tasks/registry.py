@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from deepkoco.envs.tasks.swing_up import SwingUp
 from deepkoco.envs.tasks.task import Task
+from deepkoco.envs.tasks.tracking import Tracking
 
 SWING_UPS: dict[str, SwingUp] = {
     task.system: task
@@ -14,7 +15,11 @@ SWING_UPS: dict[str, SwingUp] = {
     )
 }  # fmt: skip
 
-TASKS: dict[str, Task] = {**SWING_UPS}
+TASKS: dict[str, Task] = {
+    **SWING_UPS,
+    "manipulator": Tracking("two_link_arm", (2.0, 1.0), speed_limit=15.0, control_rate=20.0),
+    "manipulator_fixed": Tracking("two_link_arm", (2.0, 1.0), speed_limit=15.0, control_rate=20.0, rate=0.0),
+}
 
 
 class UnknownTaskError(ValueError):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.envs.tasks.task import Task
-from deepkoco.systems import JointSystem, System
+from deepkoco.systems import JointSystem, Parameters, System
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,15 @@ class SwingUp(Task):
         cosine, sine, speed = (float(entry) for entry in observation[:3])
         return np.array([math.atan2(sine, cosine) + _upright(scene), speed])
 
-    def cost(self, scene: System, state: Tensor, commands: Tensor) -> Tensor:
+    def cost(
+        self, scene: System, state: Tensor, commands: Tensor, parameters: Parameters | None = None
+    ) -> Tensor:
         angle, command = self.angle_from_upright(scene, state), commands[..., 0]
         return angle**2 + self.speed_weight * state[..., 1] ** 2 + self.command_weight * command**2
 
-    def readings(self, scene: System, state: Tensor) -> dict[str, Tensor]:
+    def readings(
+        self, scene: System, state: Tensor, parameters: Parameters | None = None
+    ) -> dict[str, Tensor]:
         return {"angle_from_upright": self.angle_from_upright(scene, state)}
 
     def angle_from_upright(self, scene: System, state: Tensor) -> Tensor:

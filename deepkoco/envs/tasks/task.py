@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems import System
+from deepkoco.systems import Parameters, System
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,14 @@ class Task(ABC):
         """A measurement (L,) that is seen as ``observation`` (N,)."""
 
     @abstractmethod
-    def cost(self, scene: System, state: Tensor, commands: Tensor) -> Tensor:
-        """Cost (...) of a state (..., S) and the commands (..., M) given there."""
+    def cost(
+        self, scene: System, state: Tensor, commands: Tensor, parameters: Parameters | None = None
+    ) -> Tensor:
+        """Cost (...) of a state (..., S) and the commands (..., M) given there; None: nominal parameters."""
 
-    def readings(self, scene: System, state: Tensor) -> dict[str, Tensor]:
+    def readings(
+        self, scene: System, state: Tensor, parameters: Parameters | None = None
+    ) -> dict[str, Tensor]:
         """What else is told of a state (..., S), by name, each (...)."""
         return {}
 

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.effects.effect import Effect
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.joint import JointSystem
+from deepkoco.systems.system import Parameter, Parameters
 
 
-def _gain(system: System) -> tuple[Parameter, ...]:
+def _gain(system: JointSystem) -> tuple[Parameter, ...]:
     return (Parameter("factor", 1.0, "1", -3.0, 10.0, 0.3, "k, effort per command"),)
 
 
@@ -17,7 +18,7 @@ def _apply_gain(command: Tensor, p: Parameters) -> Tensor:
     return p["factor"] * command
 
 
-def _bias(system: System) -> tuple[Parameter, ...]:
+def _bias(system: JointSystem) -> tuple[Parameter, ...]:
     limit = system.command.high
     unit = system.command.unit
     return (Parameter("effort", 0.0, unit, -limit, limit, 0.2 * limit, "u0, effort at zero command"),)
@@ -27,7 +28,7 @@ def _apply_bias(command: Tensor, p: Parameters) -> Tensor:
     return command + p["effort"]
 
 
-def _dead_zone(system: System) -> tuple[Parameter, ...]:
+def _dead_zone(system: JointSystem) -> tuple[Parameter, ...]:
     limit = system.command.high
     return (Parameter("width", 0.0, system.command.unit, 0.0, limit, 0.2 * limit, "w, half width"),)
 
@@ -36,7 +37,7 @@ def _apply_dead_zone(command: Tensor, p: Parameters) -> Tensor:
     return torch.sign(command) * torch.clamp(command.abs() - p["width"], min=0.0)
 
 
-def _saturation(system: System) -> tuple[Parameter, ...]:
+def _saturation(system: JointSystem) -> tuple[Parameter, ...]:
     limit = system.command.high
     unit = system.command.unit
     return (Parameter("limit", limit, unit, 0.02 * limit, limit, limit, "u_max, largest effort"),)

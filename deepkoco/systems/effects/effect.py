@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from deepkoco.systems.system import Parameter, System
+from deepkoco.systems.joint import JointSystem
+from deepkoco.systems.system import Parameter
 
 Place = Literal["command", "timing", "load", "body", "sensor"]
 
@@ -38,6 +39,6 @@ class Effect:
     name: str
     family: str
     place: Place
-    parameters: Callable[[System], tuple[Parameter, ...]]
+    parameters: Callable[[JointSystem], tuple[Parameter, ...]]
     summary: str
     apply: Callable[..., Any] = _carried_out_by_the_runtime
