@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from deepkoco.envs.distractors.background import background
+from deepkoco.envs.distractors.camera import CameraPose
+from deepkoco.envs.distractors.colour import ColourShift
 from deepkoco.envs.distractors.options import DistractorError, DistractorOptions, Setup
+from deepkoco.envs.distractors.pixel_copies import PixelCopies
+from deepkoco.envs.distractors.sensor_noise import SensorNoise
 from deepkoco.envs.distractors.state_copies import StateCopies
 from deepkoco.envs.distractors.state_noise import NoiseChannels
 from deepkoco.envs.distractors.state_source import StateSource
+from deepkoco.envs.distractors.video import video
 from deepkoco.envs.frames import Layer
 
 STATE: dict[str, Callable[[Setup], StateSource]] = {
@@ -17,7 +23,14 @@ STATE: dict[str, Callable[[Setup], StateSource]] = {
     "projection": NoiseChannels,  # the rotation of all entries together is the wrapper's
 }
 # In the order in which they act: what lies below the task, then the picture as a whole, then its camera.
-PIXEL: dict[str, Callable[[Setup], Layer]] = {}
+PIXEL: dict[str, Callable[[Setup], Layer]] = {
+    "background": background,
+    "video": video,
+    "copies": PixelCopies,
+    "colour": ColourShift,
+    "camera": CameraPose,
+    "sensor_noise": SensorNoise,
+}
 
 Made = TypeVar("Made")
 
