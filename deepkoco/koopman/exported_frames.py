@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -32,6 +33,8 @@ class Convolution:
         return (side + 2 * self.padding - self.kernel) // self.stride + 1
 
 
+DIFFERENCE_GAIN = 3.0
+"""Weight of the differences between features of successive frames, which are small in one step of control."""
 FIRST_CONVOLUTION = Convolution(4, 4, 0)
 LATER_CONVOLUTIONS = Convolution(3, 2, 1)
 
@@ -47,6 +50,7 @@ class ExportedFrameEncoder:
         convolutions: Weight (out, in, kernel, kernel) and bias (out,) of each convolution.
         last: Weight (F, values) and bias (F,) of the linear layer; its inputs are in the order (height,
             width, channel).
+        difference_gain: g, weight of the differences of features in an observation.
     """
 
     frame_shape: tuple[int, ...]
@@ -54,6 +58,7 @@ class ExportedFrameEncoder:
     geometry: tuple[Convolution, ...]
     convolutions: tuple[tuple[Array, Array], ...]
     last: tuple[Array, Array]
+    difference_gain: float = DIFFERENCE_GAIN
 
     @property
     def features(self) -> int:
@@ -122,7 +127,7 @@ class FeatureHistory:
             encoder: Encodes the frames.
         """
         self._encoder = encoder
-        self._stacked: Array | None = None
+        self._features: list[Array] | None = None  # newest first
 
     @property
     def frame_shape(self) -> tuple[int, ...]:
@@ -131,7 +136,7 @@ class FeatureHistory:
 
     def reset(self) -> None:
         """Forget all frames at the start of an episode."""
-        self._stacked = None
+        self._features = None
 
     def push(self, frames: NDArray[np.uint8]) -> Array:
         """Take in the frame of this step.
@@ -140,13 +145,15 @@ class FeatureHistory:
             frames: uint8 (..., H, W, 3).
 
         Returns:
-            Features of the last d frames, oldest first (..., d F).
+            The observation (..., d F): z_k, then g (z_k - z_{k-1}), g (z_{k-1} - z_{k-2}) and so on.
 
-        Source: DeepKoCo, Eq. 5.11.
+        Source: DeepKoCo, Eq. 5.11; see `deepkoco.koopman.frame_encoder.stack_features`.
         """
         newest = self._encoder.encode(frames)
-        if self._stacked is None:
-            self._stacked = np.concatenate([newest] * self._encoder.frames, axis=-1)
+        if self._features is None:
+            self._features = [newest] * self._encoder.frames
         else:
-            self._stacked = np.concatenate([self._stacked[..., newest.shape[-1] :], newest], axis=-1)
-        return self._stacked
+            self._features = [newest, *self._features[:-1]]
+        gain = self._encoder.difference_gain
+        differences = [gain * (after - before) for after, before in pairwise(self._features)]
+        return np.concatenate([newest, *differences], axis=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -35,11 +36,12 @@ def frame_settings(encoder: ExportedFrameEncoder) -> dict[str, Any]:
         encoder: The frame encoder.
 
     Returns:
-        Shape of a frame, number d of frames, geometry of the convolutions.
+        Shape of a frame, number d of frames, gain of the differences, geometry of the convolutions.
     """
     return {
         "frame_shape": list(encoder.frame_shape),
         "frames": encoder.frames,
+        "difference_gain": encoder.difference_gain,
         "convolutions": [asdict(geometry) for geometry in encoder.geometry],
     }
 
@@ -79,7 +81,10 @@ def read_frame_encoder(settings: Any, arrays: Mapping[str, Array]) -> ExportedFr
     weight, bias = layers[-1]
     if bias.ndim != 1 or bias.size < 1 or weight.shape != (bias.size, height * width * channels):
         raise ValueError(f"{NAME}.{len(geometry)}.weight has shape {weight.shape}")
-    return ExportedFrameEncoder(shape, frames, geometry, tuple(layers[:-1]), layers[-1])
+    gain = float(settings["difference_gain"])
+    if not math.isfinite(gain):
+        raise ValueError(f"{NAME} has the difference_gain {gain}")
+    return ExportedFrameEncoder(shape, frames, geometry, tuple(layers[:-1]), layers[-1], gain)
 
 
 def _whole(number: Any, least: int) -> int:

@@ -9,7 +9,12 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from deepkoco.koopman.exported_frames import FIRST_CONVOLUTION, LATER_CONVOLUTIONS, Convolution
+from deepkoco.koopman.exported_frames import (
+    DIFFERENCE_GAIN,
+    FIRST_CONVOLUTION,
+    LATER_CONVOLUTIONS,
+    Convolution,
+)
 
 
 class FrameShapeError(ValueError):
@@ -42,17 +47,17 @@ def layer_geometry(frame_shape: Sequence[int], channels: Sequence[int]) -> tuple
 
 
 class FrameEncoder(nn.Module):
-    r"""$z_k = f(\text{frame}_k) \in R^F$; the observation is $(z_{k-d+1}, \dots, z_k)$.
+    r"""$z_k = f(\text{frame}_k) \in R^F$, computed once and used in all d observations the frame is part of.
 
     The first layer looks at patches of 4 x 4 pixels, which turns 12,288 numbers into a 16 x 16 map at once:
-    nearly all the time of a network on 64 x 64 frames is spent in its first layers. Features of a frame are
-    computed once and serve all d observations that the frame is part of.
+    nearly all the time of a network on 64 x 64 frames is spent in its first layers. Weights start as He et
+    al. (2015) have them: with PyTorch's own, features of different frames differ by 0.001 at the start.
 
     Source: DeepKoCo, Eq. 5.11; the layers are a reading, the text gives none.
     """
 
     def __init__(self, frame_shape: Sequence[int], channels: Sequence[int], features: int) -> None:
-        """Make the layers with PyTorch's default initialisation.
+        """Make the layers.
 
         Args:
             frame_shape: (height, width, colours) of a uint8 frame.
@@ -72,6 +77,9 @@ class FrameEncoder(nn.Module):
             layer.weight.data = layer.weight.data.contiguous(memory_format=torch.channels_last)
         self.layers = nn.ModuleList(convolutions)
         self.last = nn.Linear(values, features)
+        for layer in (*convolutions, self.last):
+            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+            nn.init.zeros_(cast(Tensor, layer.bias))
 
     @property
     def convolutions(self) -> list[nn.Conv2d]:
@@ -96,16 +104,21 @@ class FrameEncoder(nn.Module):
 
 
 def stack_features(features: Tensor, frames: int) -> Tensor:
-    """Observations from the features of consecutive frames.
+    r"""Observations $(z_k,\ g(z_k - z_{k-1}),\ g(z_{k-1} - z_{k-2}), \dots)$ of the features of d frames.
+
+    That is the published stack $(z_{k-d+1}, \dots, z_k)$ times an invertible matrix. Velocities are in the
+    differences, which the encoder would have to find as small differences of large weights otherwise.
 
     Args:
         features: (G, L + d - 1, F).
         frames: d.
 
     Returns:
-        The features of the last d frames at each step, oldest first (G, L, d F).
+        (G, L, d F).
 
-    Source: DeepKoCo, Eq. 5.11.
+    Source: DeepKoCo, Eq. 5.11, but for the differences and their gain g.
     """
+    differences = DIFFERENCE_GAIN * features.diff(dim=1)
     steps = features.shape[1] - frames + 1
-    return torch.cat([features[:, i : i + steps] for i in range(frames)], dim=-1)
+    newest = [features[:, frames - 1 :]]
+    return torch.cat(newest + [differences[:, i : i + steps] for i in reversed(range(frames - 1))], dim=-1)
