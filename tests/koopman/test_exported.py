@@ -1,6 +1,5 @@
 """The NumPy model is the torch model, on disk and without torch."""
 
-import json
 import subprocess
 import sys
 
@@ -47,57 +46,6 @@ def test_saved_model_is_read_back_bit_for_bit(model, tmp_path):
     o, a = np.ones(3), np.ones(2)
     for one, other in zip(exported.linearise(o, a), loaded.linearise(o, a), strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_an_existing_folder_is_not_overwritten(model, tmp_path):
-    with pytest.raises(ModelFolderError, match="exists"):
-        write_model_folder(export_model(model), tmp_path, {})
-
-
-def test_a_missing_file_and_another_version_are_named(model, tmp_path):
-    with pytest.raises(ModelFolderError, match=r"config\.json"):
-        read_model_folder(tmp_path)
-    write_model_folder(export_model(model), tmp_path / "m", {})
-    path = tmp_path / "m" / "config.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "version": 99}))
-    with pytest.raises(ModelFolderError, match="99"):
-        read_model_folder(tmp_path / "m")
-
-
-def config_without(*names):
-    return lambda config: json.dumps({k: v for k, v in config.items() if k not in names})
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda _: "{", "not JSON"),
-        (lambda _: "[1]", "named entries"),
-        (config_without("layers"), "'layers' is missing"),
-        (config_without("time_step"), "'time_step' is missing"),
-        (lambda c: json.dumps({**c, "time_step": None}), "damaged"),
-        (lambda c: json.dumps({**c, "layers": {"encoder": 9, "cost_factor": 2}}), r"encoder\.3\.weight"),
-        (
-            lambda c: json.dumps({**c, "layers": {"encoder": 1, "cost_factor": 2}}),
-            "encoder does not end in 6",
-        ),
-        (lambda c: json.dumps({**c, "action_size": 5}), "action_size"),
-    ],
-)
-def test_damaged_settings_of_a_model_are_named(damage, message, model, tmp_path):
-    write_model_folder(export_model(model), tmp_path / "m", {})
-    path = tmp_path / "m" / "config.json"
-    path.write_text(damage(json.loads(path.read_text())))
-    with pytest.raises(ModelFolderError, match=message):
-        read_model_folder(tmp_path / "m")
-
-
-def test_damaged_weights_are_named(model, tmp_path):
-    write_model_folder(export_model(model), tmp_path / "m", {})
-    path = tmp_path / "m" / "model.safetensors"
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(ModelFolderError, match="damaged"):
-        read_model_folder(tmp_path / "m")
 
 
 @pytest.mark.parametrize(
