@@ -10,7 +10,7 @@ import numpy as np
 from deepkoco.envs.distractors.options import Setup
 from deepkoco.envs.distractors.pixel_layer import PixelLayer
 
-SPREAD = 64.0  # standard deviation at intensity 1, of 255 levels
+SPREAD = 40.0  # standard deviation at intensity 1, of 255 levels
 BANK = 2**20
 
 

@@ -35,26 +35,36 @@ def uniform(drive: Tensor, generator: torch.Generator) -> Tensor:
 DRIVES: dict[str, Drive] = {"ou": ornstein_uhlenbeck, "random": uniform}
 
 
+def find_copied(name: str) -> Task:
+    """The task of a name, or the first one of the system of that name.
+
+    Raises:
+        DistractorError: There is none.
+    """
+    found = [task for key, task in TASKS.items() if name in (key, task.system)]
+    if not found:
+        raise DistractorError(f'copies of "{name}": no such task or system; use one of {", ".join(TASKS)}')
+    return TASKS.get(name, found[0])
+
+
 class WanderingSystems:
     """K systems per environment that neither act on the task nor feel the action.
 
     Args:
-        setup: Its ``system`` names the task whose system, start states and observation the copies have.
+        setup: Its ``system`` names the task, or the system of the task, that start states and observations are of.
 
     Raises:
-        DistractorError: There is no such task or drive.
+        DistractorError: There is no such task, system or drive.
 
     Source: thesis ch. 5 (distractor pendulums).
     """
 
     def __init__(self, setup: Setup) -> None:
-        if setup.system not in TASKS:
-            raise DistractorError(f'copies of "{setup.system}": no task of that name; use {", ".join(TASKS)}')
         if setup.options.drive not in DRIVES:
             raise DistractorError(
                 f'distractor_options.drive = "{setup.options.drive}"; choose one of {", ".join(DRIVES)}'
             )
-        self.task: Task = TASKS[setup.system]
+        self.task = find_copied(setup.system)
         self.scene: System = self.task.scene(make_system(self.task.system))
         self.batch, self.copies = setup.batch, setup.options.copies
         self._setup, self._drive_by = setup, DRIVES[setup.options.drive]
