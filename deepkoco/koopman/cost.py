@@ -52,14 +52,16 @@ def quadratic_cost(factor: Tensor, latent: Tensor, action: Tensor, action_weight
     """Predict the cost of one step, |C s|^2 + R a'a.
 
     Args:
-        factor: C (..., r, 2P), broadcast against the latent.
-        latent: s (..., 2P).
-        action: a (..., M).
+        factor: C (W, r, 2P), or (W, T, r, 2P) where it differs from step to step.
+        latent: s (W, T, 2P).
+        action: a (W, T, M).
         action_weight: R, the weight on each squared action.
 
     Returns:
-        Cost (...).
+        Cost (W, T).
 
     Source: DeepKoCo, Eq. 5.8.
     """
-    return (factor * latent.unsqueeze(-2)).sum(-1).square().sum(-1) + action_weight * action.square().sum(-1)
+    frozen = factor.ndim == latent.ndim
+    root = latent @ factor.mT if frozen else (factor * latent.unsqueeze(-2)).sum(-1)  # (W, T, r)
+    return root.square().sum(-1) + action_weight * action.square().sum(-1)

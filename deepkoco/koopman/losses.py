@@ -17,7 +17,7 @@ class ChunkBatch:
     """G chunks of L consecutive steps; every window of T + 1 steps inside a chunk is one training sequence.
 
     Attributes:
-        observations: (G, L, N).
+        observations: (G, L, N), or frames from d - 1 steps before the first one, uint8 (G, L + d - 1, H, W, 3).
         actions: (G, L, M), the actions that were really applied.
         costs: (G, L), cost of step k under observation k and action k.
         window_weights: (G, L - T), 1 for windows that lie wholly inside the episode, else 0.
@@ -87,16 +87,17 @@ def chunk_losses(
     factors = factors.flatten(0, 1)  # (W, r, 2P)
     actions = batch.actions.unfold(1, horizon + 1, 1).flatten(0, 1).transpose(1, 2)  # (W, T + 1, M)
     predicted = rollout(model, start, input_matrices.flatten(0, 1), factors, actions)
-    encoded = latents[:, 1:].unfold(1, horizon, 1).flatten(0, 1).transpose(1, 2)  # (W, T, 2P)
-    linear = ((encoded - predicted.latents).square().mean((1, 2)) * weights).sum()
+    encoded = latents[:, 1:].unfold(1, horizon, 1).transpose(2, 3)  # (G, W / G, T, 2P), a view
+    error = encoded - predicted.latents.unflatten(0, encoded.shape[:2])
+    linear = (error.square().mean((2, 3)).flatten() * weights).sum()
 
     costs = batch.costs[:, 1:].unfold(1, horizon, 1).flatten(0, 1)  # (W, T)
     weight = model.config.action_weight
     predicted_costs = quadratic_cost(predicted.factors, predicted.latents, actions[:, 1:], weight)
     prediction = ((costs - predicted_costs).square().mean(1) * weights).sum()
 
-    first = quadratic_cost(factors, start, actions[:, 0], weight)
-    reconstruction = ((batch.costs[:, :windows].flatten() - first).square() * weights).sum()
+    first = quadratic_cost(factors, start.unsqueeze(1), actions[:, :1], weight)
+    reconstruction = ((batch.costs[:, :windows].flatten() - first.squeeze(1)).square() * weights).sum()
     total = linear + cost_weight * (reconstruction + prediction)
     inverse = torch.zeros_like(linear)
     if predicted.inverse is not None:

@@ -66,4 +66,4 @@ class ReluNetwork(nn.Module):
             active = (before > 0).to(before.dtype).unsqueeze(-2)
             x = torch.relu(before)
             tangent = (active * tangent) @ following.weight.T
-        return layers[-1](x), tangent
+        return layers[-1](x), tangent.expand(*x.shape[:-1], columns, -1)

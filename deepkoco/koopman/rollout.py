@@ -17,7 +17,7 @@ class Prediction:
 
     Attributes:
         latents: s_1 .. s_T (W, T, 2P).
-        factors: C of their costs: (W, 1, r, 2P) where it is the same for all steps, or (W, T, r, 2P).
+        factors: C of their costs: (W, r, 2P) where it is the same for all steps, or (W, T, r, 2P).
         inverse: Mean squared error (W,) of latents that are decoded and encoded again; None without decoder.
     """
 
@@ -48,7 +48,7 @@ def frozen_rollout(
     Source: DeepKoCo, Eq. 5.12-5.15.
     """
     latents = model.dynamics.rollout(start, input_matrix, actions.diff(dim=1))
-    return Prediction(latents, factor.unsqueeze(1))
+    return Prediction(latents, factor)
 
 
 def updated_rollout(
