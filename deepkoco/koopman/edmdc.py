@@ -53,7 +53,7 @@ def fit_edmdc(
         ridge: rho, 0 or more.
 
     Returns:
-        A latent model for `deepkoco.planning.LinearMPC`.
+        A latent model for `deepkoco.planning.make_planner`.
 
     Raises:
         LiftedModelError: Episodes do not fit each other, or are too short for one pair of steps.

@@ -1,20 +1,19 @@
-"""Linear model-predictive control on the latent model."""
+"""Model-predictive control on the latent model."""
 
-from deepkoco.planning.config import (
-    PlannerConfig,
-    PlannerConfigError,
-    PlanningProblem,
-    SolverError,
-    UnknownSolverError,
-)
-from deepkoco.planning.lmpc import LinearMPC, PlannerStatistics
+from deepkoco.planning.config import PlannerConfig, PlanningProblem
+from deepkoco.planning.errors import PlannerConfigError, SolverError, UnknownSolverError
+from deepkoco.planning.methods import METHODS, make_planner
+from deepkoco.planning.planner import Planner
+from deepkoco.planning.statistics import PlannerStatistics
 
 __all__ = [
-    "LinearMPC",
+    "METHODS",
+    "Planner",
     "PlannerConfig",
     "PlannerConfigError",
     "PlannerStatistics",
     "PlanningProblem",
     "SolverError",
     "UnknownSolverError",
+    "make_planner",
 ]

@@ -1,90 +1,147 @@
-"""The LMPC problem with the latents eliminated: a small dense QP in the actions."""
+"""The condensed form: the latents eliminated, a small dense QP in the actions."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from deepkoco.planning.backends import make_box_solver
+from deepkoco.planning.box_program import BoxProgram
 from deepkoco.planning.config import Array, PlanningProblem
 
 
 class CondensedProgram:
-    r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $\sum |y|^2 + R a^2 + \tilde R \sum \Delta a^2$.
+    r"""$y = y_0 + D a$ with B and C frozen over the plan.
 
-    With B and C frozen, $y_k = C s_k = C A^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ and $g_i = C A^i B$.
-    Written in the actions instead of the increments the limits are plain bounds and $y = y_0 + D a$ with the
-    Toeplitz matrix $D_{ki} = g_{k-i} - g_{k-i-1}$; the two programs are one linear change of variables apart.
+    $y_k = C s_k = C A^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ with $g_i = C A^i B$, so in the actions $D$ is
+    the Toeplitz matrix $D_{ki} = g_{k-i} - g_{k-i-1}$. `BoxProgram` states the rest.
 
     Source: DeepKoCo, Eq. 5.16.
     """
 
-    def __init__(self, problem: PlanningProblem, solver: str, tolerance: float) -> None:
+    def __init__(
+        self, problem: PlanningProblem, solver: str, tolerance: float, warm_start: str = "kept"
+    ) -> None:
         """Make everything that does not change from step to step.
 
         Args:
             problem: Dynamics, weights and limits.
-            solver: Name of the backend.
-            tolerance: For backends that iterate.
+            solver: Name of the solver.
+            tolerance: For solvers that iterate.
+            warm_start: "kept", "shifted" or "none", see `PlannerConfig`.
 
         Raises:
             UnknownSolverError: No such solver is installed.
         """
-        steps, actions = problem.horizon, problem.action_low.size
-        self._increment_weight = problem.increment_weight
-        self._shape = (problem.cost_rank, steps, actions)
+        steps, actions, rank = problem.horizon, problem.action_low.size, problem.cost_rank
+        self._box = BoxProgram(problem, solver, tolerance, warm_start)
+        self._shape = (rank * steps, steps * actions)
+        self._steps = steps
         self._respond = problem.dynamics.responses(steps)
-        difference = np.eye(steps) - np.eye(steps, k=-1)
-        fixed = problem.action_weight * np.eye(steps) + problem.increment_weight * difference.T @ difference
-        self._fixed = 2.0 * np.kron(fixed, np.eye(actions))
-        self._coefficients = np.zeros((problem.cost_rank, 2 * steps - 1, actions))
-        rank, row, column = self._coefficients.strides
+        self._coefficients = np.zeros((rank, 2 * steps - 1, actions))
+        stride = self._coefficients.strides
         self._toeplitz = as_strided(
             self._coefficients[:, steps - 1 :],
-            (problem.cost_rank, steps, steps, actions),
-            (rank, row, -row, column),
+            (rank, steps, steps, actions),
+            (stride[0], stride[1], -stride[1], stride[2]),
             writeable=False,
         )
-        low, high = np.tile(problem.action_low, steps), np.tile(problem.action_high, steps)
-        self._solver = make_box_solver(solver, low, high, tolerance)
+
+    @property
+    def iterations(self) -> int:
+        """Of the last solve."""
+        return self._box.iterations
+
+    def reset(self) -> None:
+        """See `Program.reset`."""
+        self._box.reset()
+
+    def response(self, rows: Array, factor: Array, action: Array) -> tuple[Array, Array]:
+        """How y = (C s_1 .. C s_H) depends on the actions; rows, factor and action as in `Program.solve`.
+
+        Returns:
+            D (r H, H M) and y_0 (r H,).
+        """
+        steps, coefficients = self._steps, self._coefficients
+        response = self._respond(rows, factor)  # (r, 1 + M, H + 1)
+        impulse = response[:, 1:, :steps].swapaxes(1, 2)  # (r, H, M)
+        free = response[:, 0, 1:] - impulse @ action  # (r, H)
+        coefficients[:, steps - 1 :] = impulse
+        coefficients[:, steps:] -= impulse[:, :-1]
+        return self._toeplitz.reshape(self._shape), free.ravel()
 
     def matrices(self, rows: Array, factor: Array, action: Array) -> tuple[Array, Array]:
-        """The quadratic program at one state.
-
-        Args:
-            rows: Latent and input columns (1 + M, n) as given by `LatentModel.linearise`.
-            factor: Cost factor C (r, n).
-            action: Present action a_0 (M,).
+        """The quadratic program at one state; rows, factor and action as in `Program.solve`.
 
         Returns:
             Hessian (HM, HM) and gradient (HM,) for the stacked actions a_1 .. a_H.
         """
-        rank, steps, actions = self._shape
-        response = self._respond(rows, factor)  # (r, 1 + M, H + 1)
-        impulse = response[:, 1:, :steps].swapaxes(1, 2)  # (r, H, M)
-        free = response[:, 0, 1:] - impulse @ action  # (r, H)
-        coefficients = self._coefficients
-        coefficients[:, steps - 1 :] = impulse
-        coefficients[:, steps:] -= impulse[:, :-1]
-        matrix = self._toeplitz.reshape(rank * steps, steps * actions)
-        hessian = 2.0 * (matrix.T @ matrix)
-        hessian += self._fixed
-        gradient = 2.0 * (free.ravel() @ matrix)
-        gradient[:actions] -= 2.0 * self._increment_weight * action
-        return hessian, gradient
+        return self._box.matrices(*self.response(rows, factor, action), action)
 
     def solve(self, rows: Array, factor: Array, action: Array) -> Array:
-        """Plan.
+        """See `Program.solve`."""
+        return self._box.solve(*self.response(rows, factor, action), action)
 
-        Args:
-            rows: See `matrices`.
-            factor: See `matrices`.
-            action: See `matrices`.
+    def planned_cost(self, planned: Array) -> float:
+        """See `Program.planned_cost`."""
+        return self._box.planned_cost(planned)
+
+    def conditioning(self) -> float:
+        """See `Program.conditioning`."""
+        return self._box.conditioning()
+
+
+class VaryingCondensedProgram:
+    r"""$y = y_0 + D a$ with B_k and C_k of their own at every step.
+
+    $y_k = C_k A^k s_0 + \sum_{j<k} G_{kj} \Delta a_j$ with $G_{kj} = C_k A^{k-1-j} B_j$, so $D_{ki} = G_{k,i-1} -
+    G_{ki}$. The columns of every B_j are moved on step by step, together with the latent.
+    """
+
+    def __init__(
+        self, problem: PlanningProblem, solver: str, tolerance: float, warm_start: str = "kept"
+    ) -> None:
+        """Make everything that does not change from step to step; see `CondensedProgram`."""
+        self._box = BoxProgram(problem, solver, tolerance, warm_start)
+        self._problem = problem
+
+    @property
+    def iterations(self) -> int:
+        """Of the last solve."""
+        return self._box.iterations
+
+    def reset(self) -> None:
+        """See `Program.reset`."""
+        self._box.reset()
+
+    def response(self, latent: Array, inputs: Array, factors: Array, action: Array) -> tuple[Array, Array]:
+        """How y = (C_1 s_1 .. C_H s_H) depends on the actions; arguments as in `VaryingProgram.solve_varying`.
 
         Returns:
-            Planned actions a_1 .. a_H (H, M).
-
-        Raises:
-            SolverError: The program was not solved.
+            D (H r, H M) and y_0 (H r,).
         """
-        return self._solver.solve(*self.matrices(rows, factor, action)).reshape(self._shape[1:])
+        steps, actions, size = inputs.shape
+        moved = np.empty((1 + steps * actions, size))
+        moved[0] = latent
+        response = np.zeros((steps, factors.shape[1], 1 + steps * actions))
+        for k in range(steps):
+            known = 1 + k * actions
+            moved[:known] = self._problem.dynamics.advance(moved[:known])
+            moved[known : known + actions] = inputs[k]
+            response[k, :, : known + actions] = factors[k] @ moved[: known + actions].T
+        response = response.reshape(-1, 1 + steps * actions)
+        free, matrix = response[:, 0], response[:, 1:]
+        free = free - matrix[:, :actions] @ action
+        matrix[:, :-actions] -= matrix[:, actions:]
+        return matrix, free
+
+    def solve_varying(self, latent: Array, inputs: Array, factors: Array, action: Array) -> Array:
+        """See `VaryingProgram.solve_varying`."""
+        return self._box.solve(*self.response(latent, inputs, factors, action), action)
+
+    def planned_cost(self, planned: Array) -> float:
+        """See `Program.planned_cost`."""
+        return self._box.planned_cost(planned)
+
+    def conditioning(self) -> float:
+        """See `Program.conditioning`."""
+        return self._box.conditioning()

@@ -1,46 +1,55 @@
-"""Settings and limits of the linear model-predictive controller."""
+"""Settings and limits of the planner."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import qpsolvers
 from numpy.typing import NDArray
 
 from deepkoco.koopman.latent_model import LatentDynamics
+from deepkoco.planning.errors import PlannerConfigError
+from deepkoco.planning.solvers import check_solver
 
 Array = NDArray[np.float64]
-FORMS = ("condensed", "sparse")
-UPDATED_SOLVERS = ("daqp", "osqp")  # set up once, updated at every step
-
-
-class PlannerConfigError(ValueError):
-    """A setting of the planner is out of range."""
-
-
-class UnknownSolverError(ValueError):
-    """The named QP solver is not installed."""
-
-
-class SolverError(RuntimeError):
-    """A quadratic program was not solved."""
+CHOICES = {
+    "method": ("lmpc", "cem"),
+    "form": ("condensed", "sparse"),
+    "linearisation": ("frozen", "along_plan"),
+    "warm_start": ("kept", "shifted", "none"),
+}
 
 
 @dataclass
 class PlannerConfig:
-    """Settings of the LMPC."""
+    """Settings of the planner."""
 
     horizon: int = 13
     """H, planned steps; a little less than the training horizon T, see docs/training.md."""
     increment_weight: float = 0.01
     """R~, weight of a squared action increment."""
     form: str = "condensed"
-    """How the problem is written: "condensed" (actions only) or "sparse" (latents too)."""
-    solver: str = "daqp"
-    """Backend of the condensed form: "daqp", "osqp" or any other installed solver of qpsolvers."""
+    """How the quadratic program is written: "condensed" (actions only) or "sparse" (latents too)."""
+    solver: str = "auto"
+    """Solver of the quadratic program: "auto" (daqp condensed, osqp sparse), "daqp" (condensed only), "osqp",
+    "piqp" (needs the extra solvers) or any other installed solver of qpsolvers."""
     tolerance: float = 1e-6
-    """Absolute and relative tolerance of the OSQP backends."""
+    """Absolute and relative tolerance of osqp and piqp."""
+    method: str = "lmpc"
+    """How a plan is found: "lmpc", one quadratic program per step, or "cem", the cross-entropy method on
+    the same latent model."""
+    linearisation: str = "frozen"
+    """B and C over a plan: "frozen" at the present state, or "along_plan": taken anew at the predicted
+    latents of the last plan, which needs a model with a decoder (agent.rollout=updated)."""
+    warm_start: str = "kept"
+    """Where a solver begins: "kept": its own last solution; "shifted": the last plan moved on by one step;
+    "none": from scratch."""
+    samples: int = 500
+    """Action sequences per iteration of cem."""
+    sample_iterations: int = 5
+    """Iterations of cem per decision."""
+    elites: int = 50
+    """Best sequences that cem fits its next distribution to."""
 
     def check(self, trained_horizon: int | None = None) -> None:
         """Check the settings.
@@ -51,36 +60,31 @@ class PlannerConfig:
 
         Raises:
             PlannerConfigError: Names the first setting that is out of range and its remedy.
-            UnknownSolverError: The solver is not installed.
+            UnknownSolverError: The solver is not installed, or cannot solve the form.
         """
-        if self.horizon < 1:
-            raise PlannerConfigError(f"planner.horizon = {self.horizon}; give at least 1 step")
+        for name in ("horizon", "samples", "sample_iterations"):
+            if getattr(self, name) < 1:
+                raise PlannerConfigError(f"planner.{name} = {getattr(self, name)}; give at least 1")
         if trained_horizon is not None and self.horizon > trained_horizon:
             raise PlannerConfigError(
                 f"planner.horizon = {self.horizon} exceeds the training horizon {trained_horizon}; "
                 f"give at most {trained_horizon} steps or train with a larger horizon"
             )
+        if not 2 <= self.elites <= self.samples:
+            raise PlannerConfigError(
+                f"planner.elites = {self.elites}; give 2 to planner.samples = {self.samples}"
+            )
         if not 0 <= self.increment_weight < np.inf:
             raise PlannerConfigError(f"planner.increment_weight = {self.increment_weight}; give 0 or more")
         if not 0 < self.tolerance < np.inf:
             raise PlannerConfigError(f"planner.tolerance = {self.tolerance}; give a value above 0")
-        if self.form not in FORMS:
-            raise PlannerConfigError(f'planner.form = "{self.form}"; choose one of {", ".join(FORMS)}')
-        check_solver(self.solver)
-
-
-def check_solver(name: str) -> None:
-    """Check that a solver is installed.
-
-    Args:
-        name: "daqp", "osqp" or a name of `qpsolvers.available_solvers`.
-
-    Raises:
-        UnknownSolverError: It is not.
-    """
-    known = sorted({*UPDATED_SOLVERS, *qpsolvers.available_solvers})
-    if name not in known:
-        raise UnknownSolverError(f'solver "{name}" is not installed; choose one of {", ".join(known)}')
+        for name, choices in CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise PlannerConfigError(
+                    f'planner.{name} = "{getattr(self, name)}"; choose one of {", ".join(choices)}'
+                )
+        if self.method == "lmpc":
+            check_solver(self.solver, self.form)
 
 
 @dataclass(frozen=True)

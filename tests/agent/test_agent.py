@@ -10,7 +10,7 @@ from deepkoco.agent.exploration import OrnsteinUhlenbeck
 from deepkoco.agent.policy import ObservationError
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.koopman.model_folder import write_model_folder
-from deepkoco.planning import LinearMPC, PlannerConfig
+from deepkoco.planning import PlannerConfig, make_planner
 
 LOW, HIGH = np.array([-2.0]), np.array([2.0])
 CONFIG = PlannerConfig(6)
@@ -22,7 +22,7 @@ def observations(steps: int, size: int = 3) -> np.ndarray:
 
 def test_an_action_is_decided_one_step_before_it_is_applied(model):
     policy = KoopmanPolicy(model, CONFIG, LOW, HIGH)
-    planner = LinearMPC(model, CONFIG, LOW, HIGH)
+    planner = make_planner(model, CONFIG, LOW, HIGH)
     expected = np.zeros(1)
     for o in observations(5):
         np.testing.assert_allclose(policy.act(o), expected, rtol=1e-6)

@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 from deepkoco.koopman.edmdc import TargetCost, fit_edmdc, fit_lifted_cost
 from deepkoco.koopman.lifted_linear import LiftedLinearModel, LiftedModelError, target_cost
 from deepkoco.koopman.lifting import FunctionLifting, Identity, Polynomial, TimeDelays
-from deepkoco.planning import LinearMPC, PlannerConfig
+from deepkoco.planning import PlannerConfig, make_planner
 
 MATRIX = np.array([[1.0, 0.1], [0.3, 1.02]])  # unstable
 INPUTS = np.array([[0.005], [0.1]])
@@ -104,7 +104,7 @@ def finite_horizon_gain(horizon, a, b, q, r):
 @pytest.mark.parametrize("horizon", [3, 10, 40])
 def test_plans_without_active_limits_are_those_of_the_regulator(horizon):
     model = fit_edmdc(*random_episodes(linear_step, 2), Identity(2), TargetCost([1, 1], [0, 0], 0.1), 0.1)
-    planner = LinearMPC(model, PlannerConfig(horizon, 0.05), np.array([-1e6]), np.array([1e6]))
+    planner = make_planner(model, PlannerConfig(horizon, 0.05), np.array([-1e6]), np.array([1e6]))
     infinite, system = riccati_gain(0.05, 0.1)
     gain = finite_horizon_gain(horizon, *system)
     if horizon == 40:
@@ -121,7 +121,7 @@ def test_an_unstable_system_is_driven_to_a_target_within_the_limits():
     target = np.array([0.5, 0.0])
     cost = TargetCost([1, 0.1], target, 0.0)
     model = fit_edmdc(*random_episodes(linear_step, 2), Identity(2), cost, 0.1)
-    planner = LinearMPC(model, PlannerConfig(25, 0.001), np.array([-3.0]), np.array([3.0]))
+    planner = make_planner(model, PlannerConfig(25, 0.001), np.array([-3.0]), np.array([3.0]))
     x, a = np.array([-0.5, 0.0]), np.zeros(1)
     for _ in range(80):
         rows, factor = model.linearise(x, a)

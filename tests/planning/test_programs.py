@@ -10,9 +10,10 @@ from scipy.optimize import lsq_linear
 
 from deepkoco.koopman import ExportedModel
 from deepkoco.koopman.latent_model import DenseTransition, JordanBlocks
-from deepkoco.planning.backends import QpsolversSolver
+from deepkoco.planning import SolverError
 from deepkoco.planning.condensed import CondensedProgram
-from deepkoco.planning.config import PlanningProblem, SolverError
+from deepkoco.planning.config import PlanningProblem
+from deepkoco.planning.solvers.qpsolvers_solver import QpsolversBox
 from deepkoco.planning.sparse import SparseProgram
 
 LIMIT = 1.5
@@ -65,7 +66,7 @@ def test_condensed_form_equals_bounded_least_squares(random_model, random_state,
 def test_sparse_form_gives_the_condensed_answer_step_after_step(random_model, random_state, seed, actions):
     model = random_model(seed, actions=actions)
     problem = make_problem(model, 6)
-    condensed, sparse = CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, 1e-8)
+    condensed, sparse = CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-8)
     for step in range(3):  # the second and third run through the updates
         state = random_state(model, seed + step)
         np.testing.assert_allclose(sparse.solve(*state), condensed.solve(*state), atol=2e-4)
@@ -86,7 +87,7 @@ def test_backends_give_the_brute_force_answer_after_updates(random_state, solver
 def test_a_solver_that_is_made_anew_gives_the_brute_force_answer(random_state, model):
     problem = make_problem(model, 5)
     program = CondensedProgram(problem, "daqp", 1e-8)
-    solver = QpsolversSolver("osqp", np.full(5, -LIMIT), np.full(5, LIMIT))
+    solver = QpsolversBox("osqp", np.full(5, -LIMIT), np.full(5, LIMIT))
     for seed in range(4):
         state = random_state(model, seed)
         expected = brute_force(model, problem, *state)
@@ -95,7 +96,7 @@ def test_a_solver_that_is_made_anew_gives_the_brute_force_answer(random_state, m
 
 @pytest.mark.filterwarnings("ignore:Converted matrix:UserWarning", "ignore:The default value of raise_error")
 def test_what_another_solver_raises_is_a_solver_error():
-    solver = QpsolversSolver("osqp", -np.ones(2), np.ones(2))
+    solver = QpsolversBox("osqp", -np.ones(2), np.ones(2))
     with pytest.raises(SolverError, match="osqp"):
         solver.solve(np.diag([-1.0, 1.0]), np.ones(2))
     with pytest.raises(SolverError, match="not finite"):
@@ -109,7 +110,7 @@ def test_one_step_by_hand():
         JordanBlocks(np.ones(1, complex)), np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1
     )
     rows = np.array([[3.0, 0.0], [2.0, 0.0]])
-    for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, 1e-9)):
+    for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-9)):
         planned = program.solve(rows, np.array([[1.0, 0.0]]), np.array([0.5]))
         assert planned[0, 0] == pytest.approx(0.5 - 6 / 4.01, abs=1e-6)
 
@@ -125,7 +126,7 @@ def test_jordan_blocks_written_as_a_dense_matrix_give_the_same_plan(
     state = random_state(model, seed)
     expected = CondensedProgram(jordan, "daqp", 1e-6).solve(*state)
     np.testing.assert_allclose(CondensedProgram(dense, "daqp", 1e-6).solve(*state), expected, atol=1e-8)
-    np.testing.assert_allclose(SparseProgram(dense, 1e-8).solve(*state), expected, atol=2e-4)
+    np.testing.assert_allclose(SparseProgram(dense, "osqp", 1e-8).solve(*state), expected, atol=2e-4)
 
 
 def test_a_model_that_takes_the_action_itself_is_a_dense_transition():
@@ -134,5 +135,5 @@ def test_a_model_that_takes_the_action_itself_is_a_dense_transition():
     dynamics = DenseTransition(np.array([[1.0, 1.0], [0.0, 1.0]]))
     problem = PlanningProblem(dynamics, np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1)
     state = np.array([[3.0, 0.0], [1.0, 1.0]]), np.array([[1.0, 0.0]]), np.zeros(1)
-    for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, 1e-9)):
+    for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-9)):
         assert program.solve(*state)[0, 0] == pytest.approx(-1.5, abs=1e-6)

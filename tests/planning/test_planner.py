@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deepkoco.planning import LinearMPC, PlannerConfig, PlannerConfigError, SolverError, UnknownSolverError
-from deepkoco.planning.backends import DaqpSolver
+from deepkoco.planning import PlannerConfig, PlannerConfigError, SolverError, UnknownSolverError, make_planner
+from deepkoco.planning.solvers.daqp_solver import DaqpBox
 
 FORMS = [PlannerConfig(5), PlannerConfig(5, solver="osqp"), PlannerConfig(5, form="sparse", tolerance=1e-9)]
 
 
 def make(model, config, limit=1.5):
     bounds = np.full(model.action_size, limit)
-    return LinearMPC(model, config, -bounds, bounds)
+    return make_planner(model, config, -bounds, bounds)
 
 
 @pytest.mark.parametrize("config", FORMS, ids=lambda c: f"{c.form}-{c.solver}")
@@ -76,7 +76,7 @@ def test_huge_numbers_are_a_failure_and_leave_nothing_behind(size, config, model
 
 
 def test_a_program_that_daqp_refuses_to_update_is_not_solved():
-    solver = DaqpSolver(-np.ones(2), np.ones(2), 1e-6)
+    solver = DaqpBox(-np.ones(2), np.ones(2), 1e-6)
     np.testing.assert_allclose(solver.solve(2.0 * np.eye(2), np.ones(2)), [-0.5, -0.5])
     with pytest.raises(SolverError, match="at update"):
         solver.solve(-np.eye(2), np.ones(2))
@@ -93,7 +93,7 @@ def test_a_plan_that_is_not_finite_is_a_failure(random_state, model, monkeypatch
 
 
 def test_an_infeasible_problem_is_a_failure_not_an_exception(random_state, model):
-    planner = LinearMPC(model, PlannerConfig(5), np.array([1.0]), np.array([-1.0]))
+    planner = make_planner(model, PlannerConfig(5), np.array([1.0]), np.array([-1.0]))
     assert np.isfinite(planner.plan(*random_state(model, 0))).all()
     assert planner.statistics.failures == 1
 
