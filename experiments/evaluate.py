@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 
 from deepkoco.agent.agent import VectorAgent
-from deepkoco.agent.collection import box_sizes, collect_episodes, cost_spread, episode_costs
+from deepkoco.agent.collection import collect_episodes, cost_spread, episode_costs
 from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
 from experiments.commands import run_command
 from experiments.environments import make_environments
-from experiments.settings import EvaluateConfig, ExperimentError
+from experiments.settings import EvaluateConfig, ExperimentError, TrainRunConfig
 from experiments.train import check_finished, load_run_config
 
 
-def evaluate(config: EvaluateConfig) -> None:
-    """Run noise-free episodes and print their cost.
+def measure(config: EvaluateConfig) -> dict[str, Any]:
+    """Run noise-free episodes, among the distractors of the evaluation split.
 
     Args:
         config: Settings of the command.
+
+    Returns:
+        Number of episodes, mean, spread and median of their cost, share of those that end upright.
+
+    Raises:
+        ExperimentError: A setting is out of range, or the run is not finished or does not take what it would see.
     """
     if config.episodes < 1:
         raise ExperimentError(f"episodes = {config.episodes}; give at least 1")
@@ -34,8 +43,7 @@ def evaluate(config: EvaluateConfig) -> None:
     run = load_run_config(folder)
     check_finished(folder)
     model, planner, low, high = load_model(folder)
-    envs = make_environments(run, "evaluation")(config.episodes, run.seed)
-    box_sizes(envs)
+    envs = _environments(run, config)
     agent = VectorAgent(model, planner, low, high, config.episodes)
     # Index 0 is the evaluation that training itself makes at its end.
     seed = derive_seed(run.seed, Purpose.FINAL_EVALUATION, 1 + config.seed)
@@ -44,7 +52,7 @@ def evaluate(config: EvaluateConfig) -> None:
     costs = episode_costs(episodes)
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
     spread = cost_spread(costs)
-    result = {
+    return {
         "run": str(folder),
         "n": config.episodes,
         "mean": float(costs.mean()),
@@ -54,12 +62,39 @@ def evaluate(config: EvaluateConfig) -> None:
         "upright": float((ends <= config.upright_cost).mean()),
         "planner_failures": agent.statistics.failures,
     }
+
+
+def _environments(run: TrainRunConfig, config: EvaluateConfig) -> VectorEnv:
+    """Those of the run, with the distractors of the evaluation in the place of its own."""
+    trained = make_environments(run, "evaluation")(1, run.seed)
+    shape = trained.single_observation_space.shape
+    trained.close()
+    if config.distractors is not None:
+        run.distractors = config.distractors
+    if config.intensity is not None:
+        run.distractor_options = replace(run.distractor_options, intensity=config.intensity, intensities={})
+    envs = make_environments(run, "evaluation")(config.episodes, run.seed)
+    seen = envs.single_observation_space.shape
+    if seen != shape:
+        raise ExperimentError(
+            f"distractors = {run.distractors}: observations have shape {seen}; this run was trained on {shape}"
+        )
+    return envs
+
+
+def evaluate(config: EvaluateConfig) -> None:
+    """Run noise-free episodes and print their cost.
+
+    Args:
+        config: Settings of the command.
+    """
+    result = measure(config)
     if config.json:
         known = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in result.items()}
         print(json.dumps(known, allow_nan=False))
     else:
         print(
-            f"{folder}: cost {result['mean']:.1f} +- {result['standard_error']:.1f} "
+            f"{config.run}: cost {result['mean']:.1f} +- {result['standard_error']:.1f} "
             f"(sd {result['sd']:.1f}, median {result['median']:.1f}), "
             f"upright {100 * result['upright']:.0f} % of {config.episodes} noise-free episodes"
         )

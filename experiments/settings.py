@@ -79,6 +79,10 @@ class EvaluateConfig:
     """Noise-free episodes; the standard error of 50 pendulum episodes is 12, of 200 it is 6."""
     seed: int = 0
     """Which set of start states; never one of training."""
+    distractors: str | None = None
+    """Distractors in the place of those of training; the observation must keep its shape."""
+    intensity: float | None = None
+    """Intensity of all of them in the place of that of training, 0 to 1."""
     json: bool = False
     """Print one JSON object instead of a line of text."""
     upright_steps: int = 50
