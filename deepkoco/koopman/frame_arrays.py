@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 from deepkoco.koopman.exported_frames import Array, Convolution, ExportedFrameEncoder
+from deepkoco.koopman.stored_values import number_above, whole_number
 
 NAME = "frame_encoder"
 MOST_FRAMES = 1000
@@ -61,14 +61,13 @@ def read_frame_encoder(settings: Any, arrays: Mapping[str, Array]) -> ExportedFr
         TypeError: An entry is of the wrong kind.
         ValueError: The entries do not fit each other; the message names the first that does not.
     """
-    shape = tuple(_whole(number, 1) for number in settings["frame_shape"])
-    frames = _whole(settings["frames"], 1)
-    geometry = tuple(
-        Convolution(_whole(c["kernel"], 1), _whole(c["stride"], 1), _whole(c["padding"], 0))
-        for c in settings["convolutions"]
-    )
-    if len(shape) != 3 or shape[2] != _COLOURS or not geometry or geometry[0].padding or frames > MOST_FRAMES:
+    shape = tuple(whole_number(number, f"{NAME}.frame_shape", 1) for number in settings["frame_shape"])
+    frames = whole_number(settings["frames"], f"{NAME}.frames", 1)
+    geometry = tuple(_read_convolution(entry) for entry in settings["convolutions"])
+    if len(shape) != 3 or shape[2] != _COLOURS or not geometry or frames > MOST_FRAMES:
         raise ValueError(f"{NAME} takes no frames of shape {list(shape)} in stacks of {frames}")
+    if geometry[0].padding:
+        raise ValueError(f"{NAME}.convolutions.0.padding = {geometry[0].padding}; it should be 0")
     layers = [(arrays[f"{NAME}.{i}.weight"], arrays[f"{NAME}.{i}.bias"]) for i in range(len(geometry) + 1)]
     height, width, channels = shape
     for i, (convolution, (weight, bias)) in enumerate(zip(geometry, layers, strict=False)):
@@ -81,13 +80,14 @@ def read_frame_encoder(settings: Any, arrays: Mapping[str, Array]) -> ExportedFr
     weight, bias = layers[-1]
     if bias.ndim != 1 or bias.size < 1 or weight.shape != (bias.size, height * width * channels):
         raise ValueError(f"{NAME}.{len(geometry)}.weight has shape {weight.shape}")
-    gain = float(settings["difference_gain"])
-    if not math.isfinite(gain):
-        raise ValueError(f"{NAME} has the difference_gain {gain}")
+    gain = number_above(settings["difference_gain"], f"{NAME}.difference_gain", 0.0)
     return ExportedFrameEncoder(shape, frames, geometry, tuple(layers[:-1]), layers[-1], gain)
 
 
-def _whole(number: Any, least: int) -> int:
-    if type(number) is not int or number < least:
-        raise ValueError(f"{NAME} holds {number!r} in the place of a whole number of at least {least}")
-    return number
+def _read_convolution(entry: Any) -> Convolution:
+    """Geometry of a layer; padding as wide as the kernel would only cost memory."""
+    least = {"kernel": 1, "stride": 1, "padding": 0}
+    values = {name: whole_number(entry[name], f"{NAME}.{name}", bound) for name, bound in least.items()}
+    if values["padding"] >= values["kernel"]:
+        raise ValueError(f"{NAME}.padding = {values['padding']}; it should be below the kernel's side")
+    return Convolution(**values)
