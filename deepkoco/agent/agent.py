@@ -29,6 +29,8 @@ class VectorAgent:
         action_high: Array,
         count: int,
         noise: OrnsteinUhlenbeck | None = None,
+        seed: int = 0,
+        diagnostics: bool = False,
     ) -> None:
         """Set up one controller per environment.
 
@@ -39,13 +41,18 @@ class VectorAgent:
             action_high: a_max (M,).
             count: B.
             noise: Exploration; None for noise-free control.
+            seed: Of planners that draw samples.
+            diagnostics: Let the planners collect all of `PlannerStatistics`.
         """
         self._model = model
         self._low, self._high = action_low, action_high
         self._noise = noise
         self._planners = []
         if model is not None:
-            self._planners = [make_planner(model, planner, action_low, action_high, i) for i in range(count)]
+            self._planners = [
+                make_planner(model, planner, action_low, action_high, (seed, i), diagnostics)
+                for i in range(count)
+            ]
         self._history = None
         if model is not None and model.frame_encoder is not None:
             self._history = FeatureHistory(model.frame_encoder)
@@ -59,6 +66,11 @@ class VectorAgent:
         for planner in self._planners:
             total.add(planner.statistics)
         return total
+
+    @property
+    def planned_costs(self) -> list[Array]:
+        """Predicted cost of every plan since the reset, one array per controller; see `PlannerStatistics`."""
+        return [np.array(planner.statistics.planned_costs) for planner in self._planners]
 
     def reset(self) -> None:
         """Start new episodes in all environments."""

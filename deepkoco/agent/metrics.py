@@ -53,14 +53,15 @@ class MetricsLog:
         if self.rows:
             write_rows(self._path, self.rows)
 
-    def add(self, row: Row) -> None:
+    def add(self, row: Row, clock: Row | None = None) -> None:
         """Append a row; every row has the same keys, `episodes` is the x-axis.
 
         Args:
             row: Name to value.
+            clock: Measurements of the wall clock: events only, for no other run would repeat them.
         """
         self.rows.append(row)
-        self._write_events(row)
+        self._write_events({**row, **(clock or {})})
         write_rows(self._path, self.rows)
 
     def close(self) -> None:

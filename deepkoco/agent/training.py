@@ -27,6 +27,7 @@ from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
 from deepkoco.agent.metrics import MetricsLog, Row
+from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.koopman.export import export_model
@@ -190,9 +191,9 @@ class Trainer:
         count = min(count, config.total_episodes - done)
         noise = OrnsteinUhlenbeck(count, self._low.size, config.noise_correlation, self._noise)
         model = None if first else export_model(self.averaged_model)
-        agent = VectorAgent(model, config.planner, self._low, self._high, count, noise)
-        variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
+        agent = VectorAgent(model, config.planner, self._low, self._high, count, noise, seed)
+        variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
         episodes = collect_episodes(self._envs(count, self._make_envs), agent, seed, variance)
         self._buffer.add(episodes)
         self._buffer.check_windows(config.horizon)
@@ -246,15 +247,19 @@ class Trainer:
         final = len(self._buffer) >= config.total_episodes
         count = config.final_evaluation_episodes if final else config.evaluation_episodes
         purpose = Purpose.FINAL_EVALUATION if final else Purpose.EVALUATION
+        agent, episodes = None, []
         costs, failures = np.full(1, np.nan), 0
         if count:
-            agent = VectorAgent(
-                export_model(self.averaged_model), config.planner, self._low, self._high, count
-            )
             start = derive_seed(self.seed, purpose)
+            model = export_model(self.averaged_model)
+            agent = VectorAgent(
+                model, config.planner, self._low, self._high, count, seed=start, diagnostics=True
+            )
             envs = self._envs(count, self._make_evaluation_envs)
-            costs = episode_costs(collect_episodes(envs, agent, start, record=False))
+            episodes = collect_episodes(envs, agent, start, record=False)
+            costs = episode_costs(episodes)
             failures = agent.statistics.failures
+        planner, clock = planner_metrics(agent, episodes, config.planner.horizon)
         self._note_eigenvalues()
         self.progress.iteration += 1
         self.progress.collected, self.progress.iteration_updates = False, 0
@@ -271,8 +276,10 @@ class Trainer:
                 "evaluation/cost_median": float(np.median(costs)),
                 "evaluation/episodes": count,
                 "evaluation/planner_failures": failures,
+                **planner,
                 "seconds": time.perf_counter() - started,
-            }
+            },
+            clock,
         )
 
     def _save(self, started: float) -> None:

@@ -40,7 +40,7 @@ def make_planner(
     config: PlannerConfig,
     action_low: Array,
     action_high: Array,
-    seed: int = 0,
+    seed: int | tuple[int, ...] = 0,
     diagnostics: bool = False,
 ) -> Planner:
     """Make the planner of one control loop.

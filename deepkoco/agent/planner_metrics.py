@@ -1,0 +1,39 @@
+"""What the planners of an evaluation did, as metrics of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepkoco.agent.agent import VectorAgent
+from deepkoco.agent.buffer import Episode
+from deepkoco.agent.metrics import Row
+from deepkoco.planning.statistics import PlannerStatistics, planned_and_realised
+
+
+def planner_metrics(agent: VectorAgent | None, episodes: list[Episode], horizon: int) -> tuple[Row, Row]:
+    """Summarise the planners.
+
+    Args:
+        agent: An agent with diagnostics after the episodes; None where there was no evaluation.
+        episodes: One per environment.
+        horizon: H.
+
+    Returns:
+        Metrics that a resumed run repeats exactly, and those of the wall clock.
+    """
+    means = (PlannerStatistics() if agent is None else agent.statistics).means()
+    clock = {"planner/microseconds": means.pop("microseconds")}
+    pairs = np.full((2, 0), np.nan)
+    if agent is not None:
+        paired = zip(agent.planned_costs, episodes, strict=True)
+        pairs = np.concatenate(
+            [planned_and_realised(p, e.costs.double().numpy(), horizon) for p, e in paired], axis=1
+        )
+    known = pairs.shape[1] > 0
+    spread = known and (pairs.std(1) > 0).all()
+    return {
+        **{f"planner/{name}": value for name, value in means.items()},
+        "planner/planned_cost": float(pairs[0].mean()) if known else float("nan"),
+        "planner/realised_cost": float(pairs[1].mean()) if known else float("nan"),
+        "planner/cost_correlation": float(np.corrcoef(pairs)[0, 1]) if spread else float("nan"),
+    }, clock
