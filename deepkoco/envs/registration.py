@@ -20,6 +20,10 @@ ENVIRONMENTS: dict[str, tuple[int, dict]] = {
     "deepkoco/ManipulatorFixedTarget-v0": (200, {"system": "two_link_arm", "task": "manipulator_fixed"}),
 }
 
+# Ten seconds of a task of the DeepMind Control Suite, decided every 0.04 s; it needs the extra dm_control.
+DM_CONTROL = "deepkoco/DmControl-v0"
+DM_CONTROL_STEPS = 250
+
 
 def register_envs() -> None:
     """Register every id with Gymnasium; does nothing for one that is there already."""
@@ -32,3 +36,9 @@ def register_envs() -> None:
                 max_episode_steps=steps,
                 kwargs=arguments,
             )
+    if DM_CONTROL not in gymnasium.registry:
+        gymnasium.register(
+            DM_CONTROL,
+            entry_point="deepkoco.envs.dm_control:make_dm_control",
+            max_episode_steps=DM_CONTROL_STEPS,
+        )

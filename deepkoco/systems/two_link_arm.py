@@ -35,10 +35,10 @@ class TwoLinkArm(System):
         self.parameters = (
             Parameter("length_1", 0.5, "m", 0.05, 2.0, 0.002, "l_1, first link"),
             Parameter("length_2", 0.5, "m", 0.05, 2.0, 0.002, "l_2, second link"),
-            Parameter("mass_1", 1.0, "kg", 0.05, 20.0, 0.01, "m_1, first link"),
-            Parameter("mass_2", 1.0, "kg", 0.05, 20.0, 0.01, "m_2, second link"),
-            Parameter("viscous_1", 0.5, "N m s/rad", 0.0, 10.0, 0.05, "b_1, friction of the first joint"),
-            Parameter("viscous_2", 0.25, "N m s/rad", 0.0, 10.0, 0.025, "b_2, friction of the second joint"),
+            Parameter("mass_1", 3.0, "kg", 0.05, 50.0, 0.03, "m_1, first link"),
+            Parameter("mass_2", 3.0, "kg", 0.05, 50.0, 0.03, "m_2, second link"),
+            Parameter("viscous_1", 1.5, "N m s/rad", 0.0, 20.0, 0.15, "b_1, friction of the first joint"),
+            Parameter("viscous_2", 0.75, "N m s/rad", 0.0, 20.0, 0.075, "b_2, friction of the second joint"),
         )
         self.measurements = (
             Channel("angle_1", "rad", "measurement", noise_sd=0.002, description="first joint", angle=True),
@@ -50,8 +50,8 @@ class TwoLinkArm(System):
     @property
     def commands(self) -> tuple[Channel, ...]:
         return (
-            Channel("torque_1", "N m", "command", -2.0, 2.0, description="torque of the first joint"),
-            Channel("torque_2", "N m", "command", -1.0, 1.0, description="torque of the second joint"),
+            Channel("torque_1", "N m", "command", -6.0, 6.0, description="torque of the first joint"),
+            Channel("torque_2", "N m", "command", -3.0, 3.0, description="torque of the second joint"),
         )
 
     @property

@@ -44,7 +44,7 @@ def mujoco_path(arm: TwoLinkArm, start: list[float], torques: np.ndarray, steps:
 
 def test_it_moves_as_mujocos_model_of_two_rods():
     arm = TwoLinkArm()
-    torques = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, (6, 2)) * [2.0, 1.0], 100, 0)
+    torques = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, (6, 2)) * [6.0, 3.0], 100, 0)
     start = [0.4, -2.0, 1.0, -3.0]
     expected = mujoco_path(arm, start, torques, len(torques))
     state, parameters = vector(*start), arm.default_parameters()
@@ -66,7 +66,7 @@ def test_energy_changes_by_what_torques_and_friction_do(bend, speeds, torques, p
     (gradient,) = torch.autograd.grad(arm.kinetic_energy(state, parameters), state)
     rate = float(gradient @ arm.derivative(state.detach(), vector(*torques), parameters))
     power = sum(u * w for u, w in zip(torques, speeds, strict=True))
-    losses = 0.5 * speeds[0] ** 2 + 0.25 * speeds[1] ** 2
+    losses = 1.5 * speeds[0] ** 2 + 0.75 * speeds[1] ** 2
     assert rate == pytest.approx(power - losses, abs=1e-9)
 
 
@@ -83,8 +83,8 @@ def test_kinetic_energy_is_that_of_the_rods():
 
     h = 1e-6
     velocity = (middles(0.7 + 1.5 * h, -1.2 - 2.5 * h) - middles(0.7 - 1.5 * h, -1.2 + 2.5 * h)) / (2 * h)
-    turning = 0.5 / 12 * 0.25 * (1.5**2 + (1.5 - 2.5) ** 2)
-    energy = 0.5 * (velocity**2).sum() + turning
+    turning = 0.5 * 3.0 / 12 * 0.25 * (1.5**2 + (1.5 - 2.5) ** 2)
+    energy = 0.5 * 3.0 * (velocity**2).sum() + turning
     assert float(arm.kinetic_energy(state, arm.default_parameters())) == pytest.approx(energy, rel=1e-6)
 
 

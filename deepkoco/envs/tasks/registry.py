@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from deepkoco.envs.tasks.swing_up import SwingUp
 from deepkoco.envs.tasks.task import Task
 from deepkoco.envs.tasks.tracking import Tracking
@@ -15,10 +17,12 @@ SWING_UPS: dict[str, SwingUp] = {
     )
 }  # fmt: skip
 
+MANIPULATOR = Tracking("two_link_arm", (6.0, 3.0), speed_limit=15.0, control_rate=20.0, command_weight=0.001)
+
 TASKS: dict[str, Task] = {
     **SWING_UPS,
-    "manipulator": Tracking("two_link_arm", (2.0, 1.0), speed_limit=15.0, control_rate=20.0),
-    "manipulator_fixed": Tracking("two_link_arm", (2.0, 1.0), speed_limit=15.0, control_rate=20.0, rate=0.0),
+    "manipulator": MANIPULATOR,
+    "manipulator_fixed": replace(MANIPULATOR, rate=0.0),
 }
 
 
