@@ -6,10 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import torch
+
 from deepkoco.koopman.model import ModelConfig
 from deepkoco.koopman.rollout import ROLLOUTS
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.errors import PlannerConfigError
+
+DEVICES = ("cpu", "cuda")
 
 
 class TrainingConfigError(ValueError):
@@ -86,6 +90,8 @@ class TrainingConfig:
     """Noise-free episodes after every iteration; 0 for none."""
     final_evaluation_episodes: int = 200
     """Noise-free episodes at the end of the run."""
+    device: str = "cpu"
+    """Where the model is fitted, "cpu" or "cuda". Acting and episodes stay on the CPU."""
     checkpoint_updates: int = 1000
     """Updates between two checkpoints inside an iteration."""
 
@@ -121,6 +127,10 @@ class TrainingConfig:
                 f"window_stride = {self.window_stride} with chunk_length = {self.chunk_length}: windows of a chunk "
                 f"overlap at stride 1; give chunk_length = {self.horizon + 1}, one window per chunk"
             )
+        if self.device not in DEVICES:
+            raise TrainingConfigError(f'device = "{self.device}"; choose one of {", ".join(DEVICES)}')
+        if self.device == "cuda" and not torch.cuda.is_available():
+            raise TrainingConfigError("device = cuda: torch sees no GPU here; give device = cpu")
         unknown = set(self.model.stop_gradients) - {"B", "C"}
         if unknown:
             raise TrainingConfigError(f"model.stop_gradients holds {sorted(unknown)}; it takes B and C")

@@ -6,12 +6,11 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import EpisodeBuffer
@@ -26,15 +25,14 @@ from deepkoco.agent.collection import (
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
+from deepkoco.agent.learner import Learner
 from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.koopman.export import export_model
-from deepkoco.koopman.losses import Losses, chunk_losses
 from deepkoco.koopman.model import KoopmanModel
 from deepkoco.koopman.model_folder import write_model_folder
-from deepkoco.koopman.rollout import ROLLOUTS
 
 CHECKPOINT_FILE = "checkpoint.pt"
 MODEL_FOLDER = "model"
@@ -66,9 +64,6 @@ Report = Callable[[Progress, int, Row], None]
 
 class Trainer:
     """One training run in one folder.
-
-    What acts, is evaluated and is exported is a moving average of the weights: single iterates of Adam swing
-    between good and poor swing-ups from one iteration to the next although their losses hardly differ.
 
     Each iteration resets the environments with a seed derived from (run seed, iteration), and makes its
     planners anew, so neither belongs to a checkpoint. Weights, optimiser, generators, counters and metrics
@@ -108,23 +103,12 @@ class Trainer:
         observation, self._low, self._high = box_sizes(self._envs(config.first_episodes, make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
-            self.model = KoopmanModel(observation, self._low.size, config.model)
-        decay = get_ema_multi_avg_fn(config.averaging)
-        self._average = AveragedModel(self.model, multi_avg_fn=decay)
-        # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
-        networks = [p for name, p in self.model.named_parameters() if not name.startswith("dynamics.")]
-        eigenvalues = {"params": self.model.dynamics.parameters(), "lr": config.eigenvalue_learning_rate}
-        self._optimiser = torch.optim.Adam(
-            [{"params": networks}, eigenvalues],
-            config.learning_rate,
-            weight_decay=2.0 * config.weight_penalty,
-            fused=True,
-        )
-        self._buffer = EpisodeBuffer(1 if self.model.frame_encoder is None else config.model.frames)
+            self._learner = Learner(observation, self._low.size, config)
+        self._buffer = EpisodeBuffer(1 if self._learner.model.frame_encoder is None else config.model.frames)
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
-        self._loss_sums = torch.zeros(len(LOSS_NAMES), dtype=torch.float64)
+        self._loss_sums = torch.zeros(len(LOSS_NAMES), dtype=torch.float64, device=config.device)
         self.progress = Progress()
         rows, history = [], []
         if (folder / CHECKPOINT_FILE).exists():
@@ -142,7 +126,7 @@ class Trainer:
     @property
     def averaged_model(self) -> KoopmanModel:
         """The model that acts: moving average of the weights."""
-        return cast(KoopmanModel, self._average.module)
+        return self._learner.averaged
 
     def run(self, report: Report | None = None) -> Row:
         """Train to the end, evaluate and export the model into the folder `model`.
@@ -163,7 +147,7 @@ class Trainer:
                 self._save(started)
             planned = self._planned_updates()
             while self.progress.iteration_updates < planned:
-                self._update()
+                self._update(planned)
                 if self.progress.iteration_updates % self.config.checkpoint_updates == 0:
                     self._save(started)
                 if report is not None and self.progress.iteration_updates % 50 == 0:
@@ -220,24 +204,16 @@ class Trainer:
             return config.first_epochs * epoch
         return min(config.iteration_epochs * epoch, config.iteration_updates)
 
-    def _update(self) -> None:
+    def _update(self, planned: int) -> None:
         config = self.config
         batch = self._buffer.sample(
             config.chunks, config.chunk_length, config.horizon, self._sampling, config.window_stride
         )
-        rollout = ROLLOUTS[config.rollout]
-        losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight, rollout)
-        self._optimiser.zero_grad()
-        losses.total.backward()
-        self._optimiser.step()
-        self._average.update_parameters(self.model)
+        losses = self._learner.update(batch)
         self.progress.iteration_updates += 1
         self.progress.updates += 1
-        self._add_losses(losses)
-
-    def _add_losses(self, losses: Losses) -> None:
-        """Sum the losses of an iteration's last updates, at most as many as a later iteration makes."""
-        if self._planned_updates() - self.progress.iteration_updates < self.config.iteration_updates:
+        # The means are over the last updates of the iteration, at most as many as a later iteration makes.
+        if planned - self.progress.iteration_updates < config.iteration_updates:
             self._loss_sums += torch.stack([getattr(losses, name) for name in LOSS_NAMES])
 
     def _finish_iteration(self, planned: int, started: float) -> None:
@@ -289,14 +265,12 @@ class Trainer:
             {
                 "config": asdict(self.config),
                 "seed": self.seed,
-                "model": self.model.state_dict(),
-                "average": self._average.state_dict(),
-                "optimiser": self._optimiser.state_dict(),
+                **self._learner.state_dict(),
                 "sampling": self._sampling.get_state(),
                 "noise": self._noise.get_state(),
                 "progress": asdict(self.progress),
                 "collected": self._collected,
-                "loss_sums": self._loss_sums,
+                "loss_sums": self._loss_sums.cpu(),
                 "metrics": self.metrics.rows,
                 "eigenvalues": self.eigenvalues.rows,
             },
@@ -304,15 +278,14 @@ class Trainer:
 
     def _restore(self, state: dict[str, Any]) -> tuple[list[Row], list[Row]]:
         check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed)
-        self.model.load_state_dict(state["model"])
-        self._average.load_state_dict(state["average"])
-        self._optimiser.load_state_dict(state["optimiser"])
+        self._learner.load_state_dict(state)
         self._sampling.set_state(state["sampling"])
         self._noise.set_state(state["noise"])
         self.progress = Progress(**state["progress"])
         collected = self.progress.iteration + self.progress.collected
         self._buffer.add(read_replay(self.folder, collected))
-        self._collected, self._loss_sums = state["collected"], state["loss_sums"]
+        self._collected = state["collected"]
+        self._loss_sums = state["loss_sums"].to(self.config.device)
         return state["metrics"], state.get("eigenvalues", [])
 
     def _export(self) -> None:

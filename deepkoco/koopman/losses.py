@@ -28,6 +28,18 @@ class ChunkBatch:
     costs: Tensor
     window_weights: Tensor
 
+    def to(self, device: str) -> ChunkBatch:
+        """The batch on a device.
+
+        Args:
+            device: As torch names it.
+
+        Returns:
+            This batch where it is there already.
+        """
+        parts = (self.observations, self.actions, self.costs, self.window_weights)
+        return ChunkBatch(*(part.to(device) for part in parts))
+
 
 @dataclass
 class Losses:

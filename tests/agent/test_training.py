@@ -67,7 +67,7 @@ def test_the_exported_weights_are_the_moving_average(finished):
     exported = load_file(finished / "model" / "model.safetensors")
     torch.testing.assert_close(
         exported["encoder.0.weight"],
-        average["module.encoder.network.layers.0.weight"].double(),
+        average["encoder.network.layers.0.weight"].double(),
         rtol=0,
         atol=0,
     )

@@ -1,0 +1,84 @@
+"""Fits the latent model: one gradient step per batch, and the moving average of the weights that acts."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch.optim.swa_utils import get_ema_multi_avg_fn
+
+from deepkoco.agent.config import TrainingConfig
+from deepkoco.koopman.losses import ChunkBatch, Losses, chunk_losses
+from deepkoco.koopman.model import KoopmanModel
+from deepkoco.koopman.rollout import ROLLOUTS
+
+
+class Learner:
+    """Model, optimiser and averaged model on one device.
+
+    What acts, is evaluated and is exported is a moving average of the weights: single iterates of Adam swing
+    between good and poor swing-ups from one iteration to the next although their losses hardly differ.
+
+    Attributes:
+        model: The model that the gradient steps change.
+        averaged: The moving average.
+    """
+
+    def __init__(self, observation: int | Sequence[int], action_size: int, config: TrainingConfig) -> None:
+        """Make the model from the global generator of torch; seed it first.
+
+        Args:
+            observation: N, or the shape of what the environment gives.
+            action_size: M.
+            config: Hyper-parameters.
+        """
+        self._config = config
+        # Made on the CPU, so that a seed gives the same weights on every device.
+        self.model = KoopmanModel(observation, action_size, config.model).to(config.device)
+        self.averaged = copy.deepcopy(self.model).requires_grad_(False)
+        self._followed, self._own = (tuple(m.parameters()) for m in (self.model, self.averaged))
+        self._average = get_ema_multi_avg_fn(config.averaging)
+        # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
+        networks = [p for name, p in self.model.named_parameters() if not name.startswith("dynamics.")]
+        eigenvalues = {"params": self.model.dynamics.parameters(), "lr": config.eigenvalue_learning_rate}
+        self._optimiser = torch.optim.Adam(
+            [{"params": networks}, eigenvalues],
+            config.learning_rate,
+            weight_decay=2.0 * config.weight_penalty,
+            fused=True,
+        )
+
+    def update(self, batch: ChunkBatch) -> Losses:
+        """Make one gradient step.
+
+        Args:
+            batch: The chunks, on any device.
+
+        Returns:
+            The losses before the step.
+        """
+        config = self._config
+        batch = batch.to(config.device)
+        losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight, ROLLOUTS[config.rollout])
+        self._optimiser.zero_grad()
+        losses.total.backward()
+        self._optimiser.step()
+        self._average(self._own, self._followed, 0)  # the count is for averages with equal weights
+        return losses
+
+    def state_dict(self) -> dict[str, Any]:
+        """Weights, averaged weights and optimiser."""
+        parts = {"model": self.model, "average": self.averaged, "optimiser": self._optimiser}
+        return {name: part.state_dict() for name, part in parts.items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` gave.
+
+        Args:
+            state: The three parts; further entries are left alone.
+        """
+        self.model.load_state_dict(state["model"])
+        self.averaged.load_state_dict(state["average"])
+        self._optimiser.load_state_dict(state["optimiser"])
