@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deepkoco.agent.stored_controller import read_controller
 from deepkoco.koopman.exported import Array, ExportedModel
-from deepkoco.koopman.exported_frames import FeatureHistory
-from deepkoco.koopman.model_folder import ModelFolderError, read_model_folder
+from deepkoco.koopman.latent_model import LatentModel
+from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.methods import make_planner
 from deepkoco.planning.statistics import PlannerStatistics
@@ -30,7 +30,7 @@ class KoopmanPolicy:
     """
 
     def __init__(
-        self, model: ExportedModel, planner: PlannerConfig, action_low: Array, action_high: Array
+        self, model: LatentModel, planner: PlannerConfig, action_low: Array, action_high: Array
     ) -> None:
         """Set up the controller.
 
@@ -43,7 +43,7 @@ class KoopmanPolicy:
         self.model = model
         self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
         self._planner = make_planner(model, planner, self._low, self._high)
-        self._history = None if model.frame_encoder is None else FeatureHistory(model.frame_encoder)
+        self._history = model.make_history()
         self.reset()
 
     @property
@@ -52,7 +52,7 @@ class KoopmanPolicy:
         return self._planner.statistics
 
     def reset(self) -> None:
-        """Start a new episode with action zero and no frame seen."""
+        """Start a new episode with action zero and nothing seen."""
         self._next = np.clip(np.zeros_like(self._low), self._low, self._high)
         self._planner.reset()
         if self._history is not None:
@@ -76,7 +76,7 @@ class KoopmanPolicy:
         return action.astype(np.float32)
 
     def _observe(self, observation: ArrayLike) -> Array:
-        """What phi takes: the entries of the observation, or the features of the last frames."""
+        """What the model takes: the entries of the observation, or the history that it makes of them."""
         if self._history is None:
             entries = np.asarray(observation, dtype=np.float64)
             if entries.shape != (self.model.observation_size,):
@@ -84,17 +84,18 @@ class KoopmanPolicy:
                     f"observation has shape {entries.shape}; this model takes ({self.model.observation_size},)"
                 )
             return entries
-        frame, expected = np.asarray(observation), self._history.frame_shape
-        if frame.shape != expected or frame.dtype != np.uint8:
+        shape, kind = self._history.observation_shape, self._history.observation_type
+        given = np.asarray(observation)
+        if given.shape != shape or not np.can_cast(given.dtype, kind):
             raise ObservationError(
-                f"observation has shape {frame.shape} and type {frame.dtype}; this model takes one frame per "
-                f"step, {expected} uint8"
+                f"observation has shape {given.shape} and type {given.dtype}; this model takes {shape} "
+                f"{np.dtype(kind)}, one per step"
             )
-        return self._history.push(frame)
+        return self._history.push(given.astype(kind, copy=False))
 
 
 def load_model(folder: str | Path, **planner: Any) -> tuple[ExportedModel, PlannerConfig, Array, Array]:
-    """Load what a controller is made of.
+    """Load what the controller of a trained model is made of; `deepkoco.load` also takes imported models.
 
     Args:
         folder: Folder of an exported model, or of a finished training run.
@@ -104,27 +105,19 @@ def load_model(folder: str | Path, **planner: Any) -> tuple[ExportedModel, Plann
         Latent model, planner settings and action limits (M,), (M,).
 
     Raises:
-        ModelFolderError: The folder holds no model this release can read.
+        ModelFolderError: The folder holds no trained model this release can read.
         TypeError: An unknown planner setting.
     """
-    folder = Path(folder)
-    if (folder / "model").is_dir():
-        folder = folder / "model"
-    model, config = read_model_folder(folder)
-    try:
-        settings = PlannerConfig(**config["planner"])
-        low, high = (np.array(config[name], dtype=np.float64) for name in ("action_low", "action_high"))
-    except KeyError as error:
-        raise ModelFolderError(f"{folder}: entry {error} of config.json is missing") from error
-    except (TypeError, ValueError) as error:
-        raise ModelFolderError(f"{folder}: config.json holds no planner of this release: {error}") from error
-    if low.shape != (model.action_size,) or high.shape != (model.action_size,):
-        raise ModelFolderError(f"{folder}: config.json needs {model.action_size} limits of either kind")
-    return model, replace(settings, **planner), low, high
+    stored = read_controller(folder, planner)
+    if not isinstance(stored.model, ExportedModel):
+        raise ModelFolderError(
+            f"{folder}: holds an imported model, not a trained one; load it with deepkoco.load"
+        )
+    return stored.model, stored.planner, stored.action_low, stored.action_high
 
 
 def load_policy(folder: str | Path, **planner: Any) -> KoopmanPolicy:
-    """Load a trained controller.
+    """Load a controller.
 
     Args:
         folder: Folder of an exported model, or of a finished training run.
@@ -137,4 +130,5 @@ def load_policy(folder: str | Path, **planner: Any) -> KoopmanPolicy:
         ModelFolderError: The folder holds no model this release can read.
         TypeError: An unknown planner setting.
     """
-    return KoopmanPolicy(*load_model(folder, **planner))
+    stored = read_controller(folder, planner)
+    return KoopmanPolicy(stored.model, stored.planner, stored.action_low, stored.action_high)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deepkoco.koopman.exported_frames import ExportedFrameEncoder
+from deepkoco.koopman.exported_frames import ExportedFrameEncoder, FeatureHistory
 from deepkoco.koopman.latent_model import JordanBlocks
 
 Array = NDArray[np.float64]
@@ -49,6 +49,10 @@ class ExportedModel:
     def observation_size(self) -> int:
         """N, entries of an observation as the encoder phi takes it."""
         return self.encoder[0][0].shape[1] - self.action_size
+
+    def make_history(self) -> FeatureHistory | None:
+        """The history of frames of one environment; None for a model on states."""
+        return None if self.frame_encoder is None else FeatureHistory(self.frame_encoder)
 
     @property
     def cost_rank(self) -> int:

@@ -130,9 +130,14 @@ class FeatureHistory:
         self._features: list[Array] | None = None  # newest first
 
     @property
-    def frame_shape(self) -> tuple[int, ...]:
+    def observation_shape(self) -> tuple[int, ...]:
         """(height, width, colours) of a frame."""
         return self._encoder.frame_shape
+
+    @property
+    def observation_type(self) -> type[np.uint8]:
+        """Type of a pixel."""
+        return np.uint8
 
     def reset(self) -> None:
         """Forget all frames at the start of an episode."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +110,28 @@ class DenseTransition:
         return respond
 
 
+class ObservationHistory(Protocol):
+    """The last observations of one environment, for a model that takes more than the present one."""
+
+    @property
+    def observation_shape(self) -> tuple[int, ...]:
+        """Shape of one observation."""
+        ...
+
+    @property
+    def observation_type(self) -> type[np.generic]:
+        """Type of its entries."""
+        ...
+
+    def reset(self) -> None:
+        """Forget all at the start of an episode; before the first observation there is only that one."""
+        ...
+
+    def push(self, observation: Any, /) -> Array:
+        """Take in this step's observation and give what `LatentModel.linearise` takes (..., N)."""
+        ...
+
+
 class LatentModel(Protocol):
     """A latent model as the planner sees it: s' = A s + B da, a' = a + da, cost |C s|^2 + R a'a.
 
@@ -120,6 +142,10 @@ class LatentModel(Protocol):
     @property
     def observation_size(self) -> int:
         """N, entries of an observation."""
+        ...
+
+    def make_history(self) -> ObservationHistory | None:
+        """What keeps the last observations; None where the model takes the present one as it is."""
         ...
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deepkoco.koopman.latent_model import DenseTransition
-from deepkoco.koopman.lifting import Array, Lifting
+from deepkoco.koopman.lifting import Array, Lifting, StackedHistory
 
 
 class LiftedModelError(ValueError):
@@ -135,6 +135,12 @@ class LiftedLinearModel:
     def observation_size(self) -> int:
         """window * N, entries of the stacked observations."""
         return self.lifting.window * self.lifting.observation_size
+
+    def make_history(self) -> StackedHistory | None:
+        """The history of observations of one environment; None for a lifting of the present one."""
+        if self.lifting.window == 1:
+            return None
+        return StackedHistory(self.lifting.observation_size, self.lifting.window)
 
     @property
     def action_size(self) -> int:

@@ -66,6 +66,39 @@ def stack_history(observations: Array, window: int) -> Array:
     return np.hstack([observations[window - 1 - i : window - 1 - i + count] for i in range(window)])
 
 
+class StackedHistory:
+    """The last observations of one environment side by side, newest first."""
+
+    def __init__(self, observation_size: int, window: int) -> None:
+        """Start without an observation.
+
+        Args:
+            observation_size: N.
+            window: Observations side by side.
+        """
+        self.observation_shape = (observation_size,)
+        self.observation_type = np.float64
+        self._window = window
+        self._stacked: list[Array] | None = None
+
+    def reset(self) -> None:
+        """Forget all observations at the start of an episode."""
+        self._stacked = None
+
+    def push(self, observation: Array) -> Array:
+        """Take in the observation of this step.
+
+        Args:
+            observation: (..., N).
+
+        Returns:
+            The last observations, newest first (..., window * N).
+        """
+        before = [observation] * (self._window - 1) if self._stacked is None else self._stacked[:-1]
+        self._stacked = [observation, *before]
+        return np.concatenate(self._stacked, axis=-1)
+
+
 @dataclass(frozen=True)
 class Identity:
     """z = o.
