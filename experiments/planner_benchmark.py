@@ -1,7 +1,8 @@
-"""Time per decision on one core: `python -m experiments.planner_benchmark [--json] [--model FOLDER]`.
+"""Time per decision on one core: `python -m experiments.planner_benchmark [--json] [--model FOLDER] [--episodes N]`.
 
-Compares the public `act()` of each planner with building and solving the same program anew by
-`qpsolvers.solve_problem` at every step, in the same process and on the same states.
+Compares the public `act()` of every planner and solver with building and solving the same program anew by
+`qpsolvers.solve_problem` at every step, in the same process and on the same observations. With `--episodes`
+it also compares what each planner costs in closed loop from the same start states.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import qpsolvers
@@ -24,32 +27,54 @@ from deepkoco.koopman.model import KoopmanModel, ModelConfig
 from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning.condensed import CondensedProgram
 from deepkoco.planning.config import PlannerConfig, PlanningProblem
+from deepkoco.planning.solvers import solver_names
+from experiments.planner_costs import closed_loop_costs, observed_sequence
+from experiments.settings import ExperimentError
 
 HORIZON = 15  # as published
-PLANNERS = {
-    "condensed, daqp": PlannerConfig(HORIZON),
-    "condensed, osqp": PlannerConfig(HORIZON, solver="osqp", tolerance=1e-5),
-    "sparse, osqp": PlannerConfig(HORIZON, form="sparse", tolerance=1e-5),
-}
 FRESH = "qpsolvers.solve_problem, osqp, anew each step"
+NETWORK = "network alone: s, B and C"
+CEM = "cem, 500 samples x 5"
+FASTEST = "condensed, daqp"
+ROUNDS = 10
+SHARE = {FRESH: 0.2, "sparse": 0.2, CEM: 0.02}
+"""Share of the calls that slow planners make."""
 
 
-def median_microseconds(decide: Callable[[Array], object], observations: Array) -> float:
-    """Median time of one call.
+@dataclass
+class Timing:
+    """Time of one decision [us].
+
+    Attributes:
+        median: Over all calls.
+        p95: 95th percentile.
+        calls: How many.
+    """
+
+    median: float
+    p95: float
+    calls: int
+
+
+def planners(model: ExportedModel, horizon: int) -> dict[str, PlannerConfig]:
+    """Every planner that this model and installation can run.
 
     Args:
-        decide: Called with one observation (N,).
-        observations: One per call (calls, N).
+        model: The latent model.
+        horizon: H.
 
     Returns:
-        Median over the calls after a warm-up of a tenth of them [us].
+        Name to settings.
     """
-    times = []
-    for observation in observations:
-        start = time.perf_counter_ns()
-        decide(observation)
-        times.append(time.perf_counter_ns() - start)
-    return float(np.median(times[len(times) // 10 :])) / 1e3
+    configs = {
+        f"{form}, {solver}": PlannerConfig(horizon, form=form, solver=solver)
+        for form in ("condensed", "sparse")
+        for solver in solver_names(form)
+    }
+    if model.decoder:
+        configs["along the plan, daqp"] = PlannerConfig(horizon, linearisation="along_plan")
+    configs[CEM] = PlannerConfig(horizon, method="cem")
+    return configs
 
 
 def fresh_controller(
@@ -67,7 +92,13 @@ def fresh_controller(
         Function from observation to action.
     """
     problem = PlanningProblem(
-        model.dynamics, low, high, model.action_weight, config.increment_weight, config.horizon
+        model.dynamics,
+        low,
+        high,
+        model.action_weight,
+        config.increment_weight,
+        config.horizon,
+        model.cost_rank,
     )
     state = {"action": np.zeros_like(low)}
 
@@ -76,7 +107,7 @@ def fresh_controller(
         hessian, gradient = CondensedProgram(problem, "daqp", 1e-6).matrices(rows, factor, state["action"])
         bounds = np.tile(low, config.horizon), np.tile(high, config.horizon)
         program = qpsolvers.Problem(sparse.csc_matrix(hessian), gradient, lb=bounds[0], ub=bounds[1])
-        solution = qpsolvers.solve_problem(program, solver="osqp", eps_abs=1e-5, eps_rel=1e-5)
+        solution = qpsolvers.solve_problem(program, solver="osqp", eps_abs=1e-6, eps_rel=1e-6)
         if solution.x is not None:
             state["action"] = solution.x[: low.size]
         return state["action"]
@@ -99,27 +130,111 @@ def random_model(pairs: int, actions: int, seed: int) -> ExportedModel:
     return export_model(KoopmanModel(3 * actions, actions, ModelConfig(pairs)))
 
 
-def benchmark(model: ExportedModel, low: Array, high: Array, calls: int) -> dict[str, float]:
-    """Time every planner on the same observations.
+def wandering_observations(model: ExportedModel, calls: int) -> Array:
+    """Observations that change from step to step as those of a robot do, so that warm starts mean something.
+
+    Args:
+        model: Gives N.
+        calls: How many.
+
+    Returns:
+        A stationary autoregressive sequence (calls, N) with unit variance.
+    """
+    rng = np.random.default_rng(0)
+    steps = rng.normal(size=(calls, model.observation_size))
+    for k in range(1, calls):
+        steps[k] = 0.95 * steps[k - 1] + (1 - 0.95**2) ** 0.5 * steps[k]
+    return steps
+
+
+def benchmark(
+    model: ExportedModel, low: Array, high: Array, observations: Array, horizon: int = HORIZON
+) -> dict[str, Timing]:
+    """Time every planner on the same observations, in turns, so that a busy moment hits all of them.
 
     Args:
         model: The latent model.
         low: a_min (M,).
         high: a_max (M,).
-        calls: Decisions per planner.
+        observations: One per decision, in order (calls, N).
+        horizon: H.
 
     Returns:
-        Planner to median time per decision [us].
+        Planner to time per decision.
     """
-    observations = np.random.default_rng(0).normal(size=(calls, model.observation_size))
-    result = {
-        name: median_microseconds(KoopmanPolicy(model, config, low, high).act, observations)
-        for name, config in PLANNERS.items()
+    action = np.zeros_like(low)
+    deciders: dict[str, Callable[[Array], object]] = {
+        NETWORK: lambda observation: model.linearise(observation, action),
+        FRESH: fresh_controller(model, PlannerConfig(horizon), low, high),
     }
-    result[FRESH] = median_microseconds(
-        fresh_controller(model, PlannerConfig(HORIZON), low, high), observations[: max(50, calls // 10)]
-    )
+    for name, config in planners(model, horizon).items():
+        deciders[name] = KoopmanPolicy(model, config, low, high).act
+    times: dict[str, list[int]] = {name: [] for name in deciders}
+    for block in np.array_split(observations, ROUNDS):
+        for name, decide in deciders.items():
+            share = SHARE.get(name, SHARE.get(name.split(",")[0], 1.0))
+            for i, observation in enumerate(block[: max(2, round(share * len(block)))]):
+                start = time.perf_counter_ns()
+                decide(observation)
+                if i:  # the first call of a turn finds the caches full of the planner before
+                    times[name].append(time.perf_counter_ns() - start)
+    return {
+        name: Timing(float(np.median(t)) / 1e3, float(np.percentile(t, 95)) / 1e3, len(t))
+        for name, t in times.items()
+    }
+
+
+def case(
+    model: ExportedModel, low: Array, high: Array, observations: Array, run: Path | None, episodes: int
+) -> dict[str, Any]:
+    """All figures of one model.
+
+    Args:
+        model: The latent model.
+        low: a_min (M,).
+        high: a_max (M,).
+        observations: (calls, N).
+        run: Folder of the run, for closed-loop costs.
+        episodes: How many for those; 0 for none.
+
+    Returns:
+        Times by planner, ratios, and costs by planner.
+    """
+    times = benchmark(model, low, high, observations)
+    result: dict[str, Any] = {
+        "planners": {
+            name: {"median_us": t.median, "p95_us": t.p95, "calls": t.calls} for name, t in times.items()
+        },
+        "osqp_against_fastest": times["condensed, osqp"].median / times[FASTEST].median,
+        "cem_against_fastest": times[CEM].median / times[FASTEST].median,
+        "fresh_against_fastest": times[FRESH].median / times[FASTEST].median,
+    }
+    if run is not None and episodes:
+        result["costs"] = closed_loop_costs(run, planners(model, HORIZON), FASTEST, episodes)
     return result
+
+
+def show(name: str, result: dict[str, Any]) -> None:
+    """Print one table.
+
+    Args:
+        name: Of the case.
+        result: See `case`.
+    """
+    fresh = result["planners"][FRESH]["median_us"]
+    print(f"{name}: time per decision, H = {HORIZON}\n  {'':<46}   median      95 %    x faster than anew")
+    for planner, t in result["planners"].items():
+        print(f"  {planner:<46} {t['median_us']:9.1f} {t['p95_us']:9.1f} us {fresh / t['median_us']:9.2f}")
+    print(
+        f"  osqp takes {result['osqp_against_fastest']:.2f} x, cem {result['cem_against_fastest']:.0f} x "
+        f"the time of {FASTEST}"
+    )
+    for planner, cost in result.get("costs", {}).items():
+        print(
+            f"  {planner:<46} cost {cost['mean']:7.1f} +- {cost['standard_error']:.1f}, "
+            f"against {FASTEST} {cost['difference']:+.2f} +- {cost['difference_standard_error']:.2f} "
+            f"({cost['episodes']} episodes, {cost['failures']} failures)"
+        )
 
 
 def main() -> None:
@@ -129,30 +244,42 @@ def main() -> None:
         "--model", type=Path, help="folder of an exported model or a run; default: random weights"
     )
     parser.add_argument("--calls", type=int, default=3000, help="decisions per planner")
+    parser.add_argument(
+        "--episodes", type=int, default=0, help="closed-loop episodes per planner; --model must be a run"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     arguments = parser.parse_args()
     if arguments.calls < 20:
         parser.error(f"--calls {arguments.calls}: give at least 20")
-    if arguments.model is not None:
-        try:
+    if arguments.episodes < 0 or (arguments.episodes and arguments.model is None):
+        parser.error(f"--episodes {arguments.episodes}: give 0 or more, and the run as --model")
+    torch.set_num_threads(1)
+    results: dict[str, Any] = {}
+    try:
+        if arguments.model is None:
+            for pairs, actions in ((10, 1), (30, 2)):
+                model, limit = random_model(pairs, actions, 0), np.full(actions, 2.0)
+                observations = wandering_observations(model, arguments.calls)
+                results[f"P={pairs}, M={actions}"] = case(model, -limit, limit, observations, None, 0)
+        else:
             model, _, low, high = load_model(arguments.model)
-        except ModelFolderError as error:
-            parser.error(f"--model {error}")
-        cases = {str(arguments.model): (model, low, high)}
-    else:
-        sizes = ((10, 1), (30, 2))
-        cases = {
-            f"P={p}, M={m}": (random_model(p, m, 0), np.full(m, -2.0), np.full(m, 2.0)) for p, m in sizes
-        }
-    results = {name: benchmark(*case, arguments.calls) for name, case in cases.items()}
+            if not isinstance(model, ExportedModel) or model.frame_encoder is not None:
+                parser.error(f"--model {arguments.model}: give a trained model on states")
+            run = arguments.model if (arguments.model / "config.yaml").is_file() else None
+            if run is None and arguments.episodes:
+                parser.error(f"--model {arguments.model}: --episodes needs the folder of a run")
+            if run is None:
+                observations = wandering_observations(model, arguments.calls)
+            else:
+                observations = observed_sequence(run, PlannerConfig(HORIZON), arguments.calls)
+            results[str(arguments.model)] = case(model, low, high, observations, run, arguments.episodes)
+    except (ModelFolderError, ExperimentError) as error:
+        parser.error(f"--model {error}")
     if arguments.json:
         print(json.dumps(results))
         return
-    for name, times in results.items():
-        print(f"{name}: median time per decision")
-        for planner, microseconds in times.items():
-            ratio = times[FRESH] / microseconds
-            print(f"  {planner:<46} {microseconds:8.1f} us   {ratio:6.1f} x faster than anew")
+    for name, result in results.items():
+        show(name, result)
 
 
 if __name__ == "__main__":

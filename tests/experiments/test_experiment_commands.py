@@ -13,7 +13,7 @@ import yaml
 from deepkoco.agent.collection import SpaceError
 from experiments.aggregate import aggregate, learning_curves, mean_with_band, read_runs
 from experiments.environments import make_factory
-from experiments.planner_benchmark import FRESH, benchmark, random_model
+from experiments.planner_benchmark import CEM, FRESH, benchmark, random_model, wandering_observations
 from experiments.settings import AggregateConfig, ExperimentError, TaskConfig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -116,5 +116,9 @@ def test_aggregation_averages_seeds_and_draws(run, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:The default value of raise_error")  # inside qpsolvers
 def test_a_kept_solver_beats_one_made_anew_at_every_step():
-    times = benchmark(random_model(4, 1, 0), np.array([-1.0]), np.array([1.0]), 60)
-    assert times["condensed, daqp"] < times[FRESH]
+    model = random_model(4, 1, 0)
+    observations = wandering_observations(model, 60)
+    times = benchmark(model, np.array([-1.0]), np.array([1.0]), observations, horizon=4)
+    assert times["condensed, daqp"].median < times[FRESH].median
+    assert times["condensed, daqp"].median < times[CEM].median
+    assert {"condensed, osqp", "sparse, osqp"} < set(times)
