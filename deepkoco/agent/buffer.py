@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from deepkoco.agent.discounting import discounted_mean
 from deepkoco.koopman.losses import ChunkBatch
 
 
@@ -36,13 +37,14 @@ class EpisodeBuffer:
     stored once each; the d frames of an observation are put together when chunks are drawn.
     """
 
-    def __init__(self, history: int = 1) -> None:
+    def __init__(self, history: int = 1, discount: float = 0.0) -> None:
         """Start empty.
 
         Args:
             history: d, recordings that an observation is made of: 1 for states, more for frames.
+            discount: gamma; the learned costs are those to come, see `discounted_mean`.
         """
-        self._history = history
+        self._history, self._discount = history, discount
         self._episodes: list[Episode] = []
         self._lengths = torch.empty(0, dtype=torch.int64)
 
@@ -69,7 +71,8 @@ class EpisodeBuffer:
         for e in episodes:
             frames = e.observations.dtype == torch.uint8
             observations = e.observations if frames else e.observations.float()
-            self._episodes.append(Episode(observations, e.actions.float(), e.costs.float()))
+            costs = discounted_mean(e.costs, self._discount)
+            self._episodes.append(Episode(observations, e.actions.float(), costs))
         self._lengths = torch.cat([self._lengths, torch.tensor([e.costs.numel() for e in episodes])])
 
     def windows(self, horizon: int, stride: int = 1) -> int:

@@ -76,6 +76,9 @@ class TrainingConfig:
     """Step size of Adam for mu [1/s] and omega [rad/s]."""
     cost_weight: float = 10.0
     """alpha_1, weight of cost reconstruction and prediction against the linear loss."""
+    cost_discount: float = 0.0
+    """gamma of the discounted mean of the costs to come that is learned in the place of a step's cost; for goals
+    beyond the horizon; 0: the cost itself."""
     weight_penalty: float = 1e-14
     """alpha_2, weight of the squared weights (L2)."""
     averaging: float = 0.998
@@ -114,7 +117,7 @@ class TrainingConfig:
         for name in ("evaluation_episodes", "noise_variance", "cost_weight", "weight_penalty"):
             if not getattr(self, name) >= 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give 0 or more")
-        for name in ("averaging", "noise_correlation"):
+        for name in ("averaging", "noise_correlation", "cost_discount"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value in [0, 1)")
         if self.chunk_length <= self.horizon:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 
+from deepkoco import __version__
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import EpisodeBuffer
 from deepkoco.agent.checkpoint import check_settings, load_checkpoint, save_checkpoint
@@ -30,12 +31,11 @@ from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.model import KoopmanModel
-from deepkoco.koopman.model_folder import write_model_folder
 
 CHECKPOINT_FILE = "checkpoint.pt"
-MODEL_FOLDER = "model"
 LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale", "inverse")
 
 
@@ -79,6 +79,7 @@ class Trainer:
         seed: int,
         folder: Path,
         make_evaluation_envs: VectorEnvFactory | None = None,
+        task: Mapping[str, Any] | None = None,
     ) -> None:
         """Set up, and continue where the folder's checkpoint stands if there is one.
 
@@ -89,6 +90,7 @@ class Trainer:
             folder: The run's folder; it exists.
             make_evaluation_envs: Makes those of the evaluations, by default the same: with other distractors
                 they tell what was learned from what was memorised.
+            task: What the exported model says of its task: name, id, kwargs, distractors, observation.
 
         Raises:
             TrainingConfigError: A hyper-parameter is out of range.
@@ -97,14 +99,15 @@ class Trainer:
         """
         config.check()
         self.config, self.seed, self.folder = config, seed, folder
-        self._make_envs = make_envs
+        self._make_envs, self._task = make_envs, dict(task or {})
         self._make_evaluation_envs = make_evaluation_envs or make_envs
         self._pool: dict[tuple[int, VectorEnvFactory], VectorEnv] = {}
         observation, self._low, self._high = box_sizes(self._envs(config.first_episodes, make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self._learner = Learner(observation, self._low.size, config)
-        self._buffer = EpisodeBuffer(1 if self._learner.model.frame_encoder is None else config.model.frames)
+        history = 1 if self._learner.model.frame_encoder is None else config.model.frames
+        self._buffer = EpisodeBuffer(history, config.cost_discount)
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
@@ -289,11 +292,13 @@ class Trainer:
         return state["metrics"], state.get("eigenvalues", [])
 
     def _export(self) -> None:
-        extra = {
-            "planner": asdict(self.config.planner),
-            "action_low": self._low.tolist(),
-            "action_high": self._high.tolist(),
+        training = {
             "seed": self.seed,
             "episodes": len(self._buffer),
+            "updates": self.progress.updates,
+            "package": f"deepkoco {__version__}",
         }
-        write_model_folder(export_model(self.averaged_model), self.folder / MODEL_FOLDER, extra)
+        controller = StoredController(
+            export_model(self.averaged_model), self.config.planner, self._low, self._high, self._task, training
+        )
+        write_controller(controller, self.folder / MODEL_FOLDER)

@@ -14,6 +14,7 @@ from deepkoco.envs.distractors import DistractorError, DistractorOptions, Vector
 from deepkoco.envs.distractors.registry import PIXEL, make_distractors
 from deepkoco.envs.frames import find_painter
 from deepkoco.envs.pixels import FRAME_SIZE, VectorPixels
+from deepkoco.envs.sparse_cost import VectorSparseCost
 
 
 class TaskError(ValueError):
@@ -32,6 +33,8 @@ class TaskConfig:
     """System of the distractor copies."""
     kwargs: dict[str, Any] = field(default_factory=dict)
     """Arguments of the environment; a new one is given as task.kwargs.NAME=VALUE with a leading +."""
+    sparse_cost: float | None = None
+    """Make a step cost 0 where its cost is at most this, and 1 elsewhere; none: the cost of the task."""
 
 
 def with_states(
@@ -100,7 +103,8 @@ def make_task_factory(
             envs.close()
             rendered = {**arguments, "render_mode": "rgb_array"}
             envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **rendered)
-        return observed(envs, config, seed, distractors, chosen, split)
+        envs = observed(envs, config, seed, distractors, chosen, split)
+        return envs if config.sparse_cost is None else VectorSparseCost(envs, config.sparse_cost)
 
     try:
         probe = make(1, 0)

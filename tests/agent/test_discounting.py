@@ -1,0 +1,43 @@
+"""Costs to come: by hand, and what holds for any costs."""
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepkoco.agent.buffer import Episode, EpisodeBuffer
+from deepkoco.agent.discounting import discounted_mean
+
+
+def test_three_costs_by_hand():
+    # gamma = 0.5. Last: 4. Before: (2 + 0.5 * 4) / 1.5 = 8 / 3. First: (1 + 0.5 * 2 + 0.25 * 4) / 1.75 = 12 / 7.
+    ours = discounted_mean(torch.tensor([1.0, 2.0, 4.0]), 0.5)
+    assert ours.tolist() == pytest.approx([12 / 7, 8 / 3, 4.0])
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    costs=st.lists(st.floats(0, 100), min_size=1, max_size=40),
+    discount=st.floats(0, 0.99),
+    scale=st.floats(0, 5),
+)
+def test_it_is_a_mean(costs, discount, scale):
+    tensor = torch.tensor(costs)
+    mean = discounted_mean(tensor, discount)
+    for k in range(len(costs)):
+        assert min(costs[k:]) - 1e-4 <= mean[k].item() <= max(costs[k:]) + 1e-4
+    torch.testing.assert_close(discounted_mean(scale * tensor, discount), scale * mean, rtol=1e-4, atol=1e-4)
+
+
+def test_the_buffer_learns_from_discounted_costs_and_keeps_actions_and_observations():
+    episode = Episode(torch.rand(9, 2), torch.rand(9, 1), torch.rand(9))
+    buffers = [EpisodeBuffer(), EpisodeBuffer(discount=0.9)]
+    batches = []
+    for buffer in buffers:
+        buffer.add([episode])
+        batches.append(buffer.sample(1, 9, 8, torch.Generator().manual_seed(0)))
+    plain, discounted = batches
+    assert torch.equal(plain.observations, discounted.observations)
+    assert torch.equal(plain.actions, discounted.actions)
+    assert torch.equal(plain.costs[0], episode.costs)
+    torch.testing.assert_close(discounted.costs[0], discounted_mean(episode.costs, 0.9))
