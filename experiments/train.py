@@ -143,7 +143,14 @@ def train(given: TrainRunConfig) -> None:
 
 def _train(config: TrainRunConfig, folder: Path) -> None:
     evaluation = make_environments(config, "evaluation")
-    trainer = Trainer(make_environments(config), config.agent, config.seed, folder, evaluation)
+    description = {
+        "name": config.task.name,
+        "id": config.task.id,
+        "kwargs": config.task.kwargs,
+        "observation": config.observation,
+        "distractors": config.distractors,
+    }
+    trainer = Trainer(make_environments(config), config.agent, config.seed, folder, evaluation, description)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
