@@ -106,7 +106,8 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self._learner = Learner(observation, self._low.size, config)
-        self._buffer = EpisodeBuffer(1 if self._learner.model.frame_encoder is None else config.model.frames)
+        history = 1 if self._learner.model.frame_encoder is None else config.model.frames
+        self._buffer = EpisodeBuffer(history, config.cost_discount)
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
