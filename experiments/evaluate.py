@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,29 @@ from experiments.settings import EvaluateConfig, ExperimentError, TrainRunConfig
 from experiments.train import check_finished, load_run_config
 
 
-def measure(config: EvaluateConfig) -> dict[str, Any]:
+@dataclass
+class Measured:
+    """What noise-free episodes cost.
+
+    Attributes:
+        costs: Of each episode (n,).
+        ends: Mean step cost at the end of each episode (n,).
+        failures: Plans that could not be made.
+    """
+
+    costs: np.ndarray
+    ends: np.ndarray
+    failures: int
+
+
+def run_episodes(config: EvaluateConfig) -> Measured:
     """Run noise-free episodes, among the distractors of the evaluation split.
 
     Args:
         config: Settings of the command.
 
     Returns:
-        Number of episodes, mean, spread and median of their cost, share of those that end upright.
+        The costs; runs of one seed start from the same states.
 
     Raises:
         ExperimentError: A setting is out of range, or the run is not finished or does not take what it would see.
@@ -49,18 +64,30 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
     seed = derive_seed(run.seed, Purpose.FINAL_EVALUATION, 1 + config.seed)
     episodes = collect_episodes(envs, agent, seed, record=False)
     envs.close()
-    costs = episode_costs(episodes)
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
-    spread = cost_spread(costs)
+    return Measured(episode_costs(episodes), ends, agent.statistics.failures)
+
+
+def measure(config: EvaluateConfig) -> dict[str, Any]:
+    """Sum up the noise-free episodes of `run_episodes`.
+
+    Args:
+        config: Settings of the command.
+
+    Returns:
+        Number of episodes, mean, spread and median of their cost, share of those that end upright.
+    """
+    measured = run_episodes(config)
+    costs, spread = measured.costs, cost_spread(measured.costs)
     return {
-        "run": str(folder),
+        "run": str(Path(config.run)),
         "n": config.episodes,
         "mean": float(costs.mean()),
         "sd": spread,
         "standard_error": spread / config.episodes**0.5,
         "median": float(np.median(costs)),
-        "upright": float((ends <= config.upright_cost).mean()),
-        "planner_failures": agent.statistics.failures,
+        "upright": float((measured.ends <= config.upright_cost).mean()),
+        "planner_failures": measured.failures,
     }
 
 
