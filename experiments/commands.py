@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,7 @@ from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
 from experiments.settings import ExperimentError, register
+from experiments.sweep import Failure, SweepFailed, check_launcher
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 BAD_INPUT = (
@@ -42,15 +45,13 @@ class _Outcome:
 
     Attributes:
         started: Whether its settings could be read.
-        refused: Runs of a sweep that were refused.
     """
 
     started: bool = False
-    refused: int = 0
 
 
 def run_command(name: str, task: Callable[[Any], None]) -> None:
-    """Read a command's settings and run it; a sweep goes on behind a run that is refused.
+    """Read a command's settings and run it; a sweep goes on behind a run that fails.
 
     Args:
         name: File in configs/, without its ending.
@@ -58,24 +59,38 @@ def run_command(name: str, task: Callable[[Any], None]) -> None:
     """
     register()
     outcome = _Outcome()
+    try:
+        check_launcher(sys.argv)
+    except ExperimentError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    # For the processes a launcher starts; in this one the libraries have read theirs already.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-    def entry(config: DictConfig) -> None:
+    def entry(config: DictConfig) -> Failure | None:
         outcome.started = True
+        sweep = HydraConfig.get().mode == RunMode.MULTIRUN
         try:
             task(OmegaConf.to_object(config))
         except BAD_INPUT as error:
-            print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-            if HydraConfig.get().mode != RunMode.MULTIRUN:
+            reason = " ".join(str(error).split())
+            print(f"error: {reason}", file=sys.stderr, flush=True)
+            if not sweep:
                 sys.exit(2)
-            outcome.refused += 1
+            return Failure(reason, refused=True)
+        except Exception as error:
+            if not sweep:
+                raise
+            traceback.print_exc()
+            return Failure(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        return None
 
     try:
         hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=name)(entry)()
+    except SweepFailed:
+        raise
     except SystemExit as stop:
         # Hydra ends with 1 when a setting is unknown or ill-typed.
         if stop.code == 1 and not outcome.started:
             sys.exit(2)
         raise
-    if outcome.refused:
-        print(f"error: {outcome.refused} runs of the sweep were refused", file=sys.stderr)
-        sys.exit(2)

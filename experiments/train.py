@@ -18,6 +18,7 @@ from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER, Trainer
 from deepkoco.agent.training import Progress as TrainingProgress
 from experiments.commands import BAD_INPUT, run_command
 from experiments.environments import make_environments
+from experiments.run_lock import locked
 from experiments.settings import ExperimentError, TrainRunConfig
 
 CONFIG_FILE = "config.yaml"
@@ -128,17 +129,25 @@ def train(given: TrainRunConfig) -> None:
     if given.resume is not None and others:
         raise ExperimentError(f"resume= continues with the stored settings; leave out {' '.join(others)}")
     config, folder, new = prepare_folder(given)
-    if given.existing == "resume" and not new and is_finished(folder):
-        print(f"{folder}: finished already")
-        return
-    torch.set_num_threads(given.threads)
-    try:
-        _train(config, folder)
-    except BAD_INPUT:
-        # Without a checkpoint there is nothing to lose, and the folder would block the corrected command.
-        if new and not (folder / CHECKPOINT_FILE).exists():
-            shutil.rmtree(folder)
-        raise
+    # A launcher that was killed may have left a process that still trains: an aborted sweep waits for it.
+    with locked(folder / CONFIG_FILE, wait=given.existing == "resume"):
+        if given.existing == "resume" and not new and is_finished(folder):
+            print(f"{folder}: finished already", flush=True)
+            return
+        torch.set_num_threads(given.threads)
+        try:
+            _train(config, folder)
+        except BAD_INPUT:
+            # Without a checkpoint there is nothing to lose, and the folder would block the corrected command.
+            if new and not (folder / CHECKPOINT_FILE).exists():
+                shutil.rmtree(folder)
+            raise
+
+
+def _draws_progress() -> bool:
+    """Whether there is a terminal and no other run beside this one that would draw on it too."""
+    one_by_one = HydraConfig.get().launcher["_target_"].endswith(".BasicLauncher")
+    return sys.stdout.isatty() and one_by_one
 
 
 def _train(config: TrainRunConfig, folder: Path) -> None:
@@ -157,7 +166,7 @@ def _train(config: TrainRunConfig, folder: Path) -> None:
         TextColumn("{task.fields[cost]}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, disable=not sys.stdout.isatty()) as bar:
+    with Progress(*columns, disable=not _draws_progress()) as bar:
         task = bar.add_task(str(folder), cost="")
 
         def show(progress: TrainingProgress, planned: int, row: Row) -> None:
@@ -169,7 +178,8 @@ def _train(config: TrainRunConfig, folder: Path) -> None:
         f"{folder}: noise-free cost {last['evaluation/cost']:.1f} "
         f"over {last['evaluation/episodes']:.0f} episodes "
         f"after {last['episodes']:.0f} training episodes, "
-        f"{last['updates']:.0f} updates, {last['seconds']:.0f} s"
+        f"{last['updates']:.0f} updates, {last['seconds']:.0f} s",
+        flush=True,
     )
 
 

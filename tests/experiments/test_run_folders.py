@@ -88,7 +88,7 @@ def test_a_sweep_goes_on_behind_a_refused_run_and_is_started_again_as_it_was(cal
     assert call_train(*sweep) == 2
     captured = capsys.readouterr()
     assert "seed = -1" in captured.err
-    assert "1 runs of the sweep were refused" in captured.err
+    assert "1 of 3 runs failed:\n  seed=-1: seed = -1; give 0 or more" in captured.err
     model = tmp_path / "seed_1" / "model" / "model.safetensors"
     assert model.exists()
     assert pd.read_csv(tmp_path / "seed_2" / "metrics.csv")["episodes"].iloc[-1] == 7
