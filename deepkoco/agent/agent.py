@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
-from deepkoco.koopman.exported import Array, ExportedModel
-from deepkoco.koopman.exported_frames import FeatureHistory
+from deepkoco.koopman.latent_model import Array, LatentModel
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.methods import make_planner
 from deepkoco.planning.statistics import PlannerStatistics
@@ -23,7 +22,7 @@ class VectorAgent:
 
     def __init__(
         self,
-        model: ExportedModel | None,
+        model: LatentModel | None,
         planner: PlannerConfig,
         action_low: Array,
         action_high: Array,
@@ -53,9 +52,7 @@ class VectorAgent:
                 make_planner(model, planner, action_low, action_high, (seed, i), diagnostics)
                 for i in range(count)
             ]
-        self._history = None
-        if model is not None and model.frame_encoder is not None:
-            self._history = FeatureHistory(model.frame_encoder)
+        self._history = None if model is None else model.make_history()
         self._count = count
         self.reset()
 
@@ -96,10 +93,10 @@ class VectorAgent:
         actions = self._next
         following = actions
         if self._model is not None:
-            history = self._history
-            seen = (
-                observations if history is None else history.push(observations.astype(np.uint8, copy=False))
-            )
+            seen = observations
+            if self._history is not None:
+                kind = self._history.observation_type
+                seen = self._history.push(observations.astype(kind, copy=False))
             rows, factors = self._model.linearise(seen.astype(np.float64, copy=False), actions)
             plans = zip(self._planners, rows, factors, actions, strict=True)
             following = actions + np.stack([planner.plan(r, c, a) for planner, r, c, a in plans])
