@@ -4,11 +4,26 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from deepkoco.planning import PlannerConfig, PlannerConfigError, SolverError, UnknownSolverError, make_planner
-from deepkoco.planning.solvers.daqp_solver import DaqpBox
+from deepkoco.planning import METHODS, PlannerConfig, PlannerConfigError, UnknownSolverError, make_planner
+from deepkoco.planning.config import CHOICES
+from deepkoco.planning.methods import FROZEN_FORMS, VARYING_FORMS
 
-FORMS = [PlannerConfig(5), PlannerConfig(5, solver="osqp"), PlannerConfig(5, form="sparse", tolerance=1e-9)]
+FORMS = [
+    PlannerConfig(5),
+    PlannerConfig(5, solver="osqp"),
+    PlannerConfig(5, solver="piqp"),
+    PlannerConfig(5, form="sparse", tolerance=1e-9),
+]
+EVERY = [
+    *FORMS,
+    PlannerConfig(5, linearisation="along_plan"),
+    PlannerConfig(5, method="cem", samples=20, sample_iterations=2, elites=4),
+]
+NUMBERS = st.floats(width=64) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e300, -1e-300, 1e20])
 
 
 def make(model, config, limit=1.5):
@@ -75,12 +90,31 @@ def test_huge_numbers_are_a_failure_and_leave_nothing_behind(size, config, model
     np.testing.assert_allclose(planner.plan(rows, factor, action), expected, atol=1e-5)
 
 
-def test_a_program_that_daqp_refuses_to_update_is_not_solved():
-    solver = DaqpBox(-np.ones(2), np.ones(2), 1e-6)
-    np.testing.assert_allclose(solver.solve(2.0 * np.eye(2), np.ones(2)), [-0.5, -0.5])
-    with pytest.raises(SolverError, match="at update"):
-        solver.solve(-np.eye(2), np.ones(2))
-    np.testing.assert_allclose(solver.solve(4.0 * np.eye(2), np.ones(2)), [-0.25, -0.25])
+@pytest.mark.filterwarnings("ignore:overflow|invalid value|divide by zero")
+@pytest.mark.parametrize("config", EVERY, ids=lambda c: f"{c.method}-{c.linearisation}-{c.form}-{c.solver}")
+def test_no_number_in_the_model_takes_an_action_beyond_the_limits(random_model, config):
+    model = random_model(0, decoder=(6,))
+    planner = make(model, config, 0.3)
+    good = *model.linearise(np.array([0.1, 0.2, 0.3]), np.zeros(1)), np.zeros(1)
+
+    @settings(max_examples=25, deadline=None)
+    @given(
+        arrays(float, (2, 6), elements=NUMBERS), arrays(float, (1, 6), elements=NUMBERS), st.floats(-0.3, 0.3)
+    )
+    @example(np.full((2, 6), 1e19), np.full((1, 6), 1e19), 0.3)
+    def check(rows, factor, action):
+        applied = np.array([action]) + planner.plan(rows, factor, np.array([action]))
+        assert np.abs(applied).max() <= 0.3 + 1e-12
+
+    check()
+    failures = planner.statistics.failures
+    planner.plan(*good)
+    assert planner.statistics.failures == failures > 0
+
+
+def test_the_settings_offer_what_the_registries_hold():
+    assert set(CHOICES["method"]) == set(METHODS)
+    assert set(CHOICES["form"]) == set(FROZEN_FORMS) == set(VARYING_FORMS)
 
 
 def test_a_plan_that_is_not_finite_is_a_failure(random_state, model, monkeypatch):
@@ -123,6 +157,8 @@ def test_bad_settings_are_named(model):
         make(model, PlannerConfig(5, tolerance=float("nan")))
     with pytest.raises(UnknownSolverError, match="daqp"):
         make(model, PlannerConfig(5, solver="nope"))
+    with pytest.raises(PlannerConfigError, match='method = "mppi"; choose one of lmpc, cem'):
+        make(model, PlannerConfig(5, method="mppi"))
 
 
 def test_a_longer_horizon_does_not_change_the_meaning_of_the_weights(random_model, random_state):

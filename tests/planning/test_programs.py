@@ -1,4 +1,4 @@
-"""Both forms of the planning problem against a brute-force solution and each other."""
+"""Every form of the planning problem against a general solver and each other."""
 
 from dataclasses import replace
 
@@ -10,113 +10,150 @@ from scipy.optimize import lsq_linear
 
 from deepkoco.koopman import ExportedModel
 from deepkoco.koopman.latent_model import DenseTransition, JordanBlocks
-from deepkoco.planning import SolverError
-from deepkoco.planning.condensed import CondensedProgram
+from deepkoco.planning.condensed import CondensedProgram, VaryingCondensedProgram
 from deepkoco.planning.config import PlanningProblem
-from deepkoco.planning.solvers.qpsolvers_solver import QpsolversBox
+from deepkoco.planning.solvers import solver_names
 from deepkoco.planning.sparse import SparseProgram
 
 LIMIT = 1.5
+SEEDS = st.integers(0, 2**20)
+KINDS = st.sampled_from(["jordan", "dense"])
 
 
-def make_problem(model: ExportedModel, horizon: int, action_weight: float = 0.001) -> PlanningProblem:
+def make_problem(model: ExportedModel, horizon: int, dynamics=None, action_weight=0.001) -> PlanningProblem:
     limit = np.full(model.action_size, LIMIT)
-    return PlanningProblem(model.dynamics, -limit, limit, action_weight, 0.01, horizon)
+    dynamics = model.dynamics if dynamics is None else dynamics
+    return PlanningProblem(dynamics, -limit, limit, action_weight, 0.01, horizon, model.cost_rank)
 
 
-def residuals(model, problem, rows, factor, action, planned):
+def residuals(problem, latent, inputs, factors, action, planned):
     """Square roots of all terms of the objective, by running the latent model forward."""
-    angle, growth = np.angle(model.eigenvalues), np.abs(model.eigenvalues)
-    s, before, terms = rows[0], action, []
-    for a in planned.reshape(problem.horizon, -1):
-        pairs = s.reshape(-1, 2)
-        turned = np.stack(
-            (
-                growth * (np.cos(angle) * pairs[:, 0] - np.sin(angle) * pairs[:, 1]),
-                growth * (np.sin(angle) * pairs[:, 0] + np.cos(angle) * pairs[:, 1]),
-            ),
-            axis=1,
-        )
-        s = turned.ravel() + (a - before) @ rows[1:]
-        terms += [factor @ s, problem.action_weight**0.5 * a, problem.increment_weight**0.5 * (a - before)]
+    s, before, terms = latent, action, []
+    for k, a in enumerate(planned.reshape(problem.horizon, -1)):
+        s = problem.dynamics.matrix @ s + (a - before) @ inputs[k]
+        terms += [
+            factors[k] @ s,
+            problem.action_weight**0.5 * a,
+            problem.increment_weight**0.5 * (a - before),
+        ]
         before = a
     return np.concatenate(terms)
 
 
-def brute_force(model, problem, rows, factor, action):
+def brute_force_varying(problem, latent, inputs, factors, action):
     """The affine residuals, probed column by column, in a general bounded least-squares solver."""
     size = problem.horizon * action.size
-    offset = residuals(model, problem, rows, factor, action, np.zeros(size))
-    columns = [residuals(model, problem, rows, factor, action, unit) - offset for unit in np.eye(size)]
+    arguments = problem, latent, inputs, factors, action
+    offset = residuals(*arguments, np.zeros(size))
+    columns = [residuals(*arguments, unit) - offset for unit in np.eye(size)]
     return lsq_linear(np.stack(columns, 1), -offset, (-LIMIT, LIMIT), method="bvls", tol=1e-14).x
 
 
-@settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**20), actions=st.integers(1, 2), horizon=st.integers(1, 6))
-def test_condensed_form_equals_bounded_least_squares(random_model, random_state, seed, actions, horizon):
-    model = random_model(seed, actions=actions)
-    problem = make_problem(model, horizon)
+def brute_force(problem, rows, factor, action):
+    steps = problem.horizon
+    inputs, factors = np.stack([rows[1:]] * steps), np.stack([factor] * steps)
+    return brute_force_varying(problem, rows[0], inputs, factors, action)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS, st.integers(1, 2), st.integers(1, 3), st.integers(1, 6), KINDS)
+def test_condensed_form_equals_bounded_least_squares(
+    random_model, random_state, random_dynamics, seed, actions, rank, horizon, kind
+):
+    model = random_model(seed, actions=actions, rank=rank)
+    problem = make_problem(model, horizon, random_dynamics(model, seed, kind))
     state = random_state(model, seed)
     planned = CondensedProgram(problem, "daqp", 1e-6).solve(*state)
-    np.testing.assert_allclose(planned.ravel(), brute_force(model, problem, *state), atol=1e-6)
+    np.testing.assert_allclose(planned.ravel(), brute_force(problem, *state), atol=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**20), actions=st.integers(1, 2))
-def test_sparse_form_gives_the_condensed_answer_step_after_step(random_model, random_state, seed, actions):
-    model = random_model(seed, actions=actions)
-    problem = make_problem(model, 6)
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(1, 2), st.integers(1, 3), KINDS)
+def test_sparse_form_gives_the_condensed_answer_step_after_step(
+    random_model, random_state, random_dynamics, seed, actions, rank, kind
+):
+    model = random_model(seed, actions=actions, rank=rank)
+    problem = make_problem(model, 6, random_dynamics(model, seed, kind))
     condensed, sparse = CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-8)
     for step in range(3):  # the second and third run through the updates
         state = random_state(model, seed + step)
         np.testing.assert_allclose(sparse.solve(*state), condensed.solve(*state), atol=2e-4)
 
 
-@pytest.mark.parametrize("solver", ["osqp", "daqp"])
-def test_backends_give_the_brute_force_answer_after_updates(random_state, solver, model):
-    problem = make_problem(model, 5)
-    program = CondensedProgram(problem, solver, 1e-8)
-    for seed in range(4):
-        state = random_state(model, seed)
-        np.testing.assert_allclose(
-            program.solve(*state).ravel(), brute_force(model, problem, *state), atol=1e-4
-        )
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.integers(1, 2), st.integers(1, 3), st.integers(1, 5), KINDS)
+def test_varying_b_and_c_equal_bounded_least_squares(
+    random_model, random_state, random_dynamics, seed, actions, rank, horizon, kind
+):
+    model = random_model(seed, actions=actions, rank=rank)
+    problem = make_problem(model, horizon, random_dynamics(model, seed, kind))
+    rows, factor, action = random_state(model, seed)
+    rng = np.random.default_rng(seed)
+    inputs = rows[1:] * rng.uniform(-1.0, 2.0, (horizon, *rows[1:].shape))
+    factors = factor * rng.uniform(-1.0, 2.0, (horizon, *factor.shape))
+    expected = brute_force_varying(problem, rows[0], inputs, factors, action)
+    varying, sparse = VaryingCondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-8)
+    planned = varying.solve_varying(rows[0], inputs, factors, action)
+    np.testing.assert_allclose(planned.ravel(), expected, atol=1e-6)
+    planned = sparse.solve_varying(rows[0], inputs, factors, action)
+    np.testing.assert_allclose(planned.ravel(), expected, atol=2e-4)
+
+
+def test_limits_are_active_in_these_problems(random_model, random_state):
+    # Else the tests above would say nothing about them.
+    active = 0
+    for seed in range(20):
+        model = random_model(seed)
+        planned = CondensedProgram(make_problem(model, 6), "daqp", 1e-6).solve(*random_state(model, seed))
+        active += (np.abs(planned) == LIMIT).any()
+    assert 5 <= active < 20
 
 
 @pytest.mark.filterwarnings("ignore:Converted matrix:UserWarning", "ignore:The default value of raise_error")
-def test_a_solver_that_is_made_anew_gives_the_brute_force_answer(random_state, model):
+@pytest.mark.parametrize(
+    ("form", "solver"), [(form, s) for form in ("condensed", "sparse") for s in solver_names(form)]
+)
+@pytest.mark.parametrize("warm_start", ["kept", "shifted", "none"])
+def test_every_solver_gives_the_brute_force_answer_after_updates(
+    random_model, random_state, form, solver, warm_start
+):
+    model = random_model(0, actions=2)
     problem = make_problem(model, 5)
-    program = CondensedProgram(problem, "daqp", 1e-8)
-    solver = QpsolversBox("osqp", np.full(5, -LIMIT), np.full(5, LIMIT))
+    program = {"condensed": CondensedProgram, "sparse": SparseProgram}[form]
+    program = program(problem, solver, 1e-8, warm_start)
     for seed in range(4):
         state = random_state(model, seed)
-        expected = brute_force(model, problem, *state)
-        np.testing.assert_allclose(solver.solve(*program.matrices(*state)), expected, atol=5e-3)
+        if seed == 2:
+            program.reset()
+        np.testing.assert_allclose(program.solve(*state).ravel(), brute_force(problem, *state), atol=2e-4)
+        assert program.iterations >= 0
 
 
-@pytest.mark.filterwarnings("ignore:Converted matrix:UserWarning", "ignore:The default value of raise_error")
-def test_what_another_solver_raises_is_a_solver_error():
-    solver = QpsolversBox("osqp", -np.ones(2), np.ones(2))
-    with pytest.raises(SolverError, match="osqp"):
-        solver.solve(np.diag([-1.0, 1.0]), np.ones(2))
-    with pytest.raises(SolverError, match="not finite"):
-        solver.solve(np.full((2, 2), np.nan), np.ones(2))
+@pytest.mark.parametrize("form", [CondensedProgram, SparseProgram])
+def test_a_reset_program_plans_as_a_new_one(random_state, model, form):
+    problem = make_problem(model, 5)
+    used, new = form(problem, "osqp", 1e-4), form(problem, "osqp", 1e-4)
+    for seed in range(5):
+        used.solve(*random_state(model, seed))
+    used.reset()
+    state = random_state(model, 9)
+    np.testing.assert_allclose(used.solve(*state), new.solve(*state), atol=1e-12)
+    assert used.iterations == new.iterations
 
 
-def test_one_step_by_hand():
-    # P = 1, Lambda = 1, s = (3, 0), B = (2, 0), C = (1, 0), a_0 = 0.5, R = 0, R~ = 0.01:
-    # min (3 + 2 d)^2 + 0.01 d^2 -> d = -6 / 4.01, within the limits: a_1 = 0.5 - 6 / 4.01
-    problem = PlanningProblem(
-        JordanBlocks(np.ones(1, complex)), np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1
-    )
-    rows = np.array([[3.0, 0.0], [2.0, 0.0]])
-    for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-9)):
-        planned = program.solve(rows, np.array([[1.0, 0.0]]), np.array([0.5]))
-        assert planned[0, 0] == pytest.approx(0.5 - 6 / 4.01, abs=1e-6)
+def test_going_on_from_the_last_solution_saves_iterations(random_state, model):
+    problem, state = make_problem(model, 13), random_state(model, 1)
+    iterations = {}
+    for warm_start in ("kept", "none"):
+        program = CondensedProgram(problem, "osqp", 1e-6, warm_start)
+        program.solve(*state)
+        program.solve(state[0] * 1.001, *state[1:])
+        iterations[warm_start] = program.iterations
+    assert iterations["kept"] < iterations["none"]
 
 
 @settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**20), actions=st.integers(1, 2))
+@given(SEEDS, st.integers(1, 2))
 def test_jordan_blocks_written_as_a_dense_matrix_give_the_same_plan(
     random_model, random_state, seed, actions
 ):
@@ -127,6 +164,34 @@ def test_jordan_blocks_written_as_a_dense_matrix_give_the_same_plan(
     expected = CondensedProgram(jordan, "daqp", 1e-6).solve(*state)
     np.testing.assert_allclose(CondensedProgram(dense, "daqp", 1e-6).solve(*state), expected, atol=1e-8)
     np.testing.assert_allclose(SparseProgram(dense, "osqp", 1e-8).solve(*state), expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("form", [CondensedProgram, SparseProgram])
+def test_planned_cost_and_conditioning_of_the_last_problem(random_state, model, form):
+    problem = make_problem(model, 5)
+    rows, factor, action = random_state(model, 3)
+    program = form(problem, "auto", 1e-9)
+    planned = program.solve(rows, factor, action)
+    terms = residuals(problem, rows[0], [rows[1:]] * 5, [factor] * 5, action, planned.ravel())
+    increments = np.diff(planned, axis=0, prepend=action[None])
+    expected = terms @ terms - problem.increment_weight * (increments**2).sum()
+    assert program.planned_cost(planned) == pytest.approx(expected, rel=1e-4)
+    if form is SparseProgram:
+        assert np.isnan(program.conditioning())
+    else:
+        condition = np.linalg.cond(program.matrices(rows, factor, action)[0], 1)
+        assert condition / 3 <= program.conditioning() <= condition * (1 + 1e-9)
+
+
+def test_one_step_by_hand():
+    # P = 1, Lambda = 1, s = (3, 0), B = (2, 0), C = (1, 0), a_0 = 0.5, R = 0, R~ = 0.01:
+    # min (3 + 2 d)^2 + 0.01 d^2 -> d = -6 / 4.01, within the limits: a_1 = 0.5 - 6 / 4.01
+    dynamics = JordanBlocks(np.ones(1, complex))
+    problem = PlanningProblem(dynamics, np.array([-1.5]), np.array([1.5]), 0.0, 0.01, 1)
+    rows = np.array([[3.0, 0.0], [2.0, 0.0]])
+    for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-9)):
+        planned = program.solve(rows, np.array([[1.0, 0.0]]), np.array([0.5]))
+        assert planned[0, 0] == pytest.approx(0.5 - 6 / 4.01, abs=1e-6)
 
 
 def test_a_model_that_takes_the_action_itself_is_a_dense_transition():
