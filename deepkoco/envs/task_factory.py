@@ -12,7 +12,6 @@ from omegaconf import MISSING
 
 from deepkoco.envs.distractors import DistractorError, DistractorOptions, VectorStateDistractors
 from deepkoco.envs.distractors.registry import PIXEL, make_distractors
-from deepkoco.envs.frames import find_painter
 from deepkoco.envs.pixels import FRAME_SIZE, VectorPixels
 from deepkoco.envs.sparse_cost import VectorSparseCost
 
@@ -96,31 +95,28 @@ def make_task_factory(
     # An own vector class steps the whole batch at once; else one environment after the other.
     mode = "vector_entry_point" if spec.vector_entry_point is not None else "sync"
     arguments: dict[str, Any] = {**config.kwargs, **kwargs}
+    if observation == "images":
+        arguments.setdefault(
+            "render_mode", "rgb_array"
+        )  # for those that cannot draw an observation, and for films
 
     def make(count: int, seed: int) -> VectorEnv:
         envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **arguments)
-        if observation == "images" and find_painter(envs) is None and envs.render_mode is None:
-            envs.close()
-            rendered = {**arguments, "render_mode": "rgb_array"}
-            envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **rendered)
         envs = observed(envs, config, seed, distractors, chosen, split)
         return envs if config.sparse_cost is None else VectorSparseCost(envs, config.sparse_cost)
 
     try:
         probe = make(1, 0)
+        if observation == "images":
+            probe.reset(seed=0)  # some environments find out only here that they lack a package to draw with
     except DistractorError as error:
         raise TaskError(str(error)) from error
     except (gymnasium.error.Error, TypeError, ValueError) as error:
         raise TaskError(f"task.kwargs = {arguments}: {error}") from error
-    if observation == "images":
-        _check_draws(config, probe)
+    except (AttributeError, ImportError, OSError, RuntimeError) as error:
+        if observation != "images":
+            raise
+        # Renderers of other packages fail in these ways where OpenGL is missing.
+        raise TaskError(f"{config.id} cannot be drawn: {error}") from error
     probe.close()
     return make
-
-
-def _check_draws(config: TaskConfig, envs: VectorEnv) -> None:
-    """Draw one frame: an environment finds out only then that it lacks a package to draw with."""
-    try:
-        envs.reset(seed=0)
-    except gymnasium.error.Error as error:
-        raise TaskError(f"{config.id} cannot be drawn: {error}") from error
