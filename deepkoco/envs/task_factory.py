@@ -113,10 +113,10 @@ def make_task_factory(
         raise TaskError(str(error)) from error
     except (gymnasium.error.Error, TypeError, ValueError) as error:
         raise TaskError(f"task.kwargs = {arguments}: {error}") from error
-    except (AttributeError, ImportError, OSError, RuntimeError) as error:
+    except Exception as error:
         if observation != "images":
             raise
-        # Renderers of other packages fail in these ways where OpenGL is missing.
+        # Where OpenGL is missing, each renderer fails in a way of its own.
         raise TaskError(f"{config.id} cannot be drawn: {error}") from error
     probe.close()
     return make
