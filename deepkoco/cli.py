@@ -35,6 +35,10 @@ COMMANDS = {
         "show what a recording of a graph holds: rates, delays, losses, pictures",
     ),
     "export": ("deepkoco.commands.export_command", "write a recording of a graph as CSV or Parquet"),
+    "export-model": (
+        "deepkoco.interchange.command",
+        "write a trained or imported model as ONNX, torch.export or plain arrays",
+    ),
     "systems": ("deepkoco.unit.systems_command", "list the systems with parameters, units and bounds"),
 }
 
