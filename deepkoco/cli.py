@@ -32,7 +32,7 @@ COMMANDS = {
     ),
     "show": (
         "deepkoco.commands.show_command",
-        "show what a recording of a graph holds: rates, delays, losses, pictures",
+        "show what a recording of a graph holds, or what a trained model has learned",
     ),
     "export": ("deepkoco.commands.export_command", "write a recording of a graph as CSV or Parquet"),
     "export-model": (

@@ -1,0 +1,127 @@
+"""The eigenvalues on the plane, and how they moved in training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+
+from deepkoco.analysis.contribution import Contribution
+from deepkoco.analysis.modes import ComplexArray, Modes
+from deepkoco.analysis.picture import SIGNED, Picture
+
+
+def eigenvalue_table(modes: Modes, contribution: Contribution) -> pd.DataFrame:
+    """One row per mode: discrete and continuous eigenvalue, time constants and share of the cost."""
+    rates = modes.continuous
+    with np.errstate(divide="ignore"):
+        period = 2.0 * np.pi / np.abs(rates.imag)
+        doubling = np.log(2.0) / rates.real
+    return pd.DataFrame(
+        {
+            "pair": np.arange(1, len(rates) + 1),
+            "real": modes.eigenvalues.real,
+            "imaginary": modes.eigenvalues.imag,
+            "modulus": np.abs(modes.eigenvalues),
+            "mu_per_s": rates.real,
+            "omega_rad_per_s": rates.imag,
+            "period_s": period,
+            "doubling_time_s": doubling,
+            "share_of_cost": contribution.shares,
+        }
+    )
+
+
+def draw_eigenvalues(modes: Modes, contribution: Contribution) -> Picture:
+    """Unit circle and continuous plane, coloured by the share of the cost."""
+    table = eigenvalue_table(modes, contribution)
+    figure = Figure(figsize=(9.0, 4.0))
+    left, right = figure.subplots(1, 2)
+    reach = max(float(np.abs(contribution.shares).max()), 1e-9)
+    norm = TwoSlopeNorm(0.0, -reach, reach)
+    looks = {"cmap": SIGNED, "norm": norm, "edgecolors": "#222222", "linewidths": 0.7, "s": 60, "zorder": 3}
+    both = np.concatenate([modes.eigenvalues, modes.eigenvalues.conj()])
+    shares = np.tile(contribution.shares, 2)
+    _unit_circle(left, both)
+    left.scatter(both.real, both.imag, c=shares, **looks)
+    left.set(xlabel="real part", ylabel="imaginary part", title="per step, with the unit circle")
+    rates = np.concatenate([modes.continuous, modes.continuous.conj()])
+    right.axvline(0.0, color="#222222", linewidth=0.8)
+    right.scatter(rates.real, rates.imag, c=shares, **looks)
+    right.set(xlabel="growth rate μ [1/s]", ylabel="frequency ω [rad/s]", title="in continuous time")
+    for i, rate in enumerate(modes.continuous):
+        # Labels alternate sides, else neighbours cover each other.
+        side = 7 if i % 2 else -7
+        right.annotate(
+            str(i + 1),
+            (rate.real, rate.imag),
+            xytext=(side, 4),
+            textcoords="offset points",
+            ha="left" if side > 0 else "right",
+            fontsize=8,
+        )
+    figure.colorbar(
+        ScalarMappable(norm, SIGNED), ax=[left, right], label="share of the predicted cost", pad=0.01
+    )
+    growing = int((np.abs(modes.eigenvalues) > 1.0).sum())
+    fastest = float(modes.continuous.real.max())
+    caption = (
+        "Every pair of points is one learned oscillation of the latent state: the angle is how far it turns in a "
+        "step, the distance from the circle (or from the line) whether it dies out, inside, or grows, outside. "
+        f"{growing} of {len(table)} grow here, the fastest by a factor {np.exp(fastest):.3g} per second, which is "
+        "harmless only as long as plans are no longer than the windows the model was trained on; colours say how "
+        "much of the predicted cost runs through a pair."
+    )
+    return Picture("eigenvalues", "What oscillates in the latent state?", caption, figure, table)
+
+
+def _unit_circle(axes: Axes, eigenvalues: ComplexArray) -> None:
+    angle = np.linspace(-np.pi, np.pi, 2000)
+    axes.plot(np.cos(angle), np.sin(angle), color="#222222", linewidth=0.8)
+    # Slow modes crowd at 1: the picture shows where the eigenvalues are, not the whole circle.
+    margin = 0.05
+    low, high = eigenvalues.real.min() - margin, max(eigenvalues.real.max(), 1.0) + margin
+    top = max(float(np.abs(eigenvalues.imag).max()) + margin, (high - low) / 2)
+    axes.set(xlim=(low, high), ylim=(-top, top))
+
+
+def draw_history(path: Path) -> Picture | None:
+    """Growth rates and frequencies over the training episodes.
+
+    Args:
+        path: File eigenvalues.csv of a run.
+
+    Returns:
+        The picture; None where there is no such file or it has a single row.
+    """
+    if not path.is_file():
+        return None
+    table = pd.read_csv(path)
+    if len(table) < 2:
+        return None
+    figure = Figure(figsize=(9.0, 3.4))
+    panels = figure.subplots(1, 2)
+    pairs = sum(name.startswith("mu_") for name in table)
+    for axes, name, label in zip(
+        panels, ("mu", "omega"), ("growth rate μ [1/s]", "frequency ω [rad/s]"), strict=True
+    ):
+        for pair in range(1, pairs + 1):
+            values = table[f"{name}_{pair}"].to_numpy()
+            (line,) = axes.plot(table["episodes"], values, marker=".", markersize=3)
+            axes.annotate(
+                str(pair), (table["episodes"].iloc[-1], values[-1]), xytext=(4, 0),
+                textcoords="offset points", va="center", fontsize=7, color=line.get_color(),
+            )  # fmt: skip
+        axes.set(xlabel="training episodes", ylabel=label)
+    first = table["episodes"].iloc[1]
+    caption = (
+        "How the eigenvalues moved while the model was trained; the first point is where they started, before any "
+        f"training, the next is after the {first:.0f} episodes of the first phase. Lines that are still sloping at "
+        "the end belong to pairs that had not settled."
+    )
+    return Picture("eigenvalue_history", "Have the eigenvalues settled?", caption, figure, table)
