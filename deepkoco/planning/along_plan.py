@@ -2,65 +2,66 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable
 
 import numpy as np
 
-from deepkoco.koopman.latent_model import LatentModel
+from deepkoco.koopman.latent_model import LatentDynamics, LatentModel
 from deepkoco.planning.config import Array
-from deepkoco.planning.errors import PlannerConfigError, SolverError
-from deepkoco.planning.program import VaryingProgram, shifted
+from deepkoco.planning.errors import SolverError
+from deepkoco.planning.program import VaryingProgram, check_decoder, shifted
 
 FIRST_PASSES = 3
 """Solves at the first step of an episode, which has no last plan."""
+Relinearise = Callable[[Array, Array, Array], tuple[Array, Array]]
+"""From latents s_1 .. s_H (H, n), actions a_1 .. a_H (H, M) and the present B (M, n) to the columns of B_1 .. B_H as
+rows (H, M, n) and C_1 .. C_H (H, r, n)."""
 
 
-@runtime_checkable
-class DecodableModel(Protocol):
-    """A latent model that can be linearised at a predicted latent."""
+def relinearise_cost(model: LatentModel) -> Relinearise:
+    """C at the predicted latents, B of the present state."""
 
-    def linearise_along(self, latents: Array, actions: Array) -> tuple[Array, Array]:
-        """Columns of B_k as rows (..., M, n) and C_k (..., r, n) at latents (..., n) and actions (..., M)."""
-        ...
+    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array]:
+        return np.broadcast_to(present, (len(latents), *present.shape)), model.factor(latents)
+
+    return relinearise
+
+
+def relinearise_all(model: LatentModel) -> Relinearise:
+    """B and C at the predicted latents; raises `PlannerConfigError` for a model without decoder."""
+    decodable = check_decoder(model)
+
+    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array]:
+        return decodable.linearise_along(latents, actions)
+
+    return relinearise
 
 
 class AlongPlan:
     r"""$s_{k+1} = A s_k + B_k \Delta a_k$, $y_k = C_k s_k$ along the last plan, one quadratic program per step.
 
     The last plan, moved on by one step and run from the present latent, gives nominal latents and actions
-    $(\bar s_k, \bar a_k)$; there $B_k = \partial\varphi/\partial a$ at $(\varphi^{-1}(\bar s_k), \bar a_k)$ and $C_k =
-    \psi(\bar s_k)$. The first step of an episode starts from the free motion, which needs no B, and solves
-    a few times. Frozen B and C are the same with $\bar s_k = s_0$ and $\bar a_k = a_0$.
+    $(\bar s_k, \bar a_k)$; there $B_k = \partial\varphi/\partial a$ at $(\varphi^{-1}(\bar s_k), \bar
+    a_k)$ and $C_k = \psi(\bar s_k)$. The first step of an episode starts from the free motion, which
+    needs no B, and solves a few times. B may also stay that of the present state (`relinearise_cost`).
+    Frozen B and C are the same with $\bar s_k = s_0$ and $\bar a_k = a_0$.
 
     Source: the scheme of quasi-linear parameter-varying MPC: Cisneros, Voss and Werner, Efficient nonlinear
     model predictive control via quasi-LPV representation, CDC 2016.
     """
 
-    def __init__(self, model: LatentModel, program: VaryingProgram, horizon: int) -> None:
-        """Check the model.
+    def __init__(
+        self, dynamics: LatentDynamics, relinearise: Relinearise, program: VaryingProgram, horizon: int
+    ) -> None:
+        """Keep the parts.
 
         Args:
-            model: A latent model with a decoder.
+            dynamics: A of the free motion.
+            relinearise: Gives B_k and C_k at nominal points.
             program: Solves the quadratic program.
             horizon: H.
-
-        Raises:
-            PlannerConfigError: The model has no decoder.
         """
-        reason = "it cannot be linearised at predicted latents"
-        if isinstance(model, DecodableModel):
-            try:
-                model.linearise_along(np.zeros(model.dynamics.latent_size), np.zeros(model.action_size))
-                reason = ""
-            except ValueError as error:
-                reason = str(error)
-        if reason:
-            raise PlannerConfigError(
-                f'planner.linearisation = "along_plan" does not go with this model: {reason}; '
-                'or give planner.linearisation="frozen"'
-            )
-        assert isinstance(model, DecodableModel)
-        self._model, self._dynamics = model, model.dynamics
+        self._dynamics, self._relinearise = dynamics, relinearise
         self._program, self._horizon = program, horizon
         self._planned: Array | None = None
         self._inputs = np.zeros(0)
@@ -87,7 +88,7 @@ class AlongPlan:
             inputs[0] = rows[1:]
             latents = self._roll(rows[0], inputs, nominal, action)
             with np.errstate(over="ignore", invalid="ignore"):
-                following, factors = self._model.linearise_along(latents, nominal)
+                following, factors = self._relinearise(latents, nominal, rows[1:])
             inputs = np.concatenate((rows[None, 1:], following[:-1]))
             nominal = self._program.solve_varying(rows[0], inputs, factors, action)
         if not np.isfinite(nominal).all():

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from deepkoco.koopman.latent_model import LatentModel
-from deepkoco.planning.along_plan import AlongPlan
+from deepkoco.planning.along_plan import AlongPlan, Relinearise, relinearise_all, relinearise_cost
 from deepkoco.planning.cem import CrossEntropyMethod
 from deepkoco.planning.condensed import CondensedProgram, VaryingCondensedProgram
 from deepkoco.planning.config import Array, PlannerConfig, PlanningProblem
@@ -18,6 +18,10 @@ from deepkoco.planning.sparse import SparseProgram
 Method = Callable[[LatentModel, PlanningProblem, PlannerConfig, np.random.Generator], Program]
 
 FROZEN_FORMS = {"condensed": CondensedProgram, "sparse": SparseProgram}
+LINEARISATIONS: dict[str, Callable[[LatentModel], Relinearise]] = {
+    "cost_along_plan": relinearise_cost,
+    "along_plan": relinearise_all,
+}
 VARYING_FORMS = {"condensed": VaryingCondensedProgram, "sparse": SparseProgram}
 
 
@@ -28,7 +32,8 @@ def lmpc(
     settings = problem, config.solver, config.tolerance, config.warm_start
     if config.linearisation == "frozen":
         return FROZEN_FORMS[config.form](*settings)
-    return AlongPlan(model, VARYING_FORMS[config.form](*settings), config.horizon)
+    relinearise = LINEARISATIONS[config.linearisation](model)
+    return AlongPlan(problem.dynamics, relinearise, VARYING_FORMS[config.form](*settings), config.horizon)
 
 
 METHODS: dict[str, Method] = {"lmpc": lmpc, "cem": CrossEntropyMethod}

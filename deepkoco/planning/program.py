@@ -2,14 +2,51 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
+from deepkoco.koopman.latent_model import LatentModel
 from deepkoco.planning.config import Array
+from deepkoco.planning.errors import PlannerConfigError
 
 _FACTORISE, _ESTIMATE = get_lapack_funcs(("potrf", "pocon"), dtype=np.float64)
+
+
+@runtime_checkable
+class DecodableModel(Protocol):
+    """A latent model that can be linearised at a predicted latent."""
+
+    def linearise_along(self, latents: Array, actions: Array) -> tuple[Array, Array]:
+        """Columns of B_k as rows (..., M, n) and C_k (..., r, n) at latents (..., n) and actions (..., M)."""
+        ...
+
+
+def check_decoder(model: LatentModel) -> DecodableModel:
+    """Check that a model can be linearised at predicted latents.
+
+    Args:
+        model: The latent model.
+
+    Returns:
+        The same model.
+
+    Raises:
+        PlannerConfigError: It has no decoder.
+    """
+    reason = "it cannot be linearised at predicted latents"
+    if isinstance(model, DecodableModel):
+        try:
+            model.linearise_along(np.zeros(model.dynamics.latent_size), np.zeros(model.action_size))
+        except ValueError as error:
+            reason = str(error)
+        else:
+            return model
+    raise PlannerConfigError(
+        f'planner.linearisation = "along_plan" does not go with this model: {reason}; '
+        'or give planner.linearisation="frozen"'
+    )
 
 
 class Program(Protocol):

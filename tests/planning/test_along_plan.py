@@ -66,6 +66,15 @@ def test_b_and_c_are_those_of_the_last_plan_moved_on_by_one_step(random_model, f
     assert np.abs(np.diff(np.stack(inputs), axis=0)).max() > 1e-4  # B does vary
 
 
+def test_the_cost_along_the_plan_alone_keeps_the_present_b(random_model):
+    model = random_model(3)  # no decoder
+    planner = make(model, replace(ALONG, linearisation="cost_along_plan"))
+    rows, factor = model.linearise(np.array([0.1, 0.2, 0.3]), np.zeros(1))
+    planner.plan(rows, factor, np.zeros(1))
+    np.testing.assert_array_equal(planner._program._inputs, np.stack([rows[1:]] * 4))
+    assert planner.statistics.failures == 0
+
+
 def test_a_step_that_is_not_solved_is_held_and_leaves_nothing_behind(random_model):
     model = random_model(3, decoder=(6,))
     planner, fresh = make(model), make(model)
@@ -78,5 +87,6 @@ def test_a_step_that_is_not_solved_is_held_and_leaves_nothing_behind(random_mode
 
 
 def test_a_model_without_decoder_is_refused_at_set_up(model):
-    with pytest.raises(PlannerConfigError, match=r"along_plan.*decoder"):
-        make(model)
+    for method in ("lmpc", "cem"):
+        with pytest.raises(PlannerConfigError, match=r"along_plan.*decoder"):
+            make(model, replace(ALONG, method=method))

@@ -1,5 +1,7 @@
 """The cross-entropy method against the quadratic program on a model for which both solve the same problem."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -37,7 +39,7 @@ def test_cem_comes_close_to_the_optimum_and_never_below_it(steady_model, seed, a
 
 def test_the_objective_takes_the_cost_factor_of_every_predicted_latent(random_model, random_state):
     model = random_model(2)
-    cem, _ = programs(model, CEM)
+    cem, _ = programs(model, replace(CEM, linearisation="cost_along_plan"))
     rows, factor, action = random_state(model, 1)
     cem.solve(rows, factor, action)
     plan = np.array([[0.5], [-1.0], [1.5]])
@@ -49,6 +51,29 @@ def test_the_objective_takes_the_cost_factor_of_every_predicted_latent(random_mo
         before = a
     assert cem.planned_cost(plan) == pytest.approx(cost)
     assert cem.objective(plan[None]).item() == pytest.approx(cost + expected)
+
+
+def test_frozen_samples_solve_the_problem_of_the_quadratic_program(random_model, random_state):
+    model = random_model(2)
+    cem, exact = programs(model, CEM)
+    state = random_state(model, 1)
+    cem.solve(*state)
+    optimum = exact.solve(*state)
+    assert cem.planned_cost(optimum) == pytest.approx(exact.planned_cost(optimum))
+
+
+def test_samples_with_a_decoder_take_b_at_their_own_latents(random_model, random_state):
+    model = random_model(2, decoder=(6,))
+    cem, _ = programs(model, replace(CEM, linearisation="along_plan"))
+    rows, factor, action = random_state(model, 1)
+    cem.solve(rows, factor, action)
+    plan = np.array([[0.5], [-1.0], [1.5]])
+    s, before, b, cost = rows[0], action, rows[1:], 0.0
+    for a in plan:
+        s = model.dynamics.matrix @ s + (a - before) @ b
+        cost += (model.factor(s) @ s).item() ** 2 + model.action_weight * a.item() ** 2
+        b, before = model.linearise_along(s, a)[0], a
+    assert cem.planned_cost(plan) == pytest.approx(cost)
 
 
 def test_the_seed_decides_the_plan(random_model, random_state):

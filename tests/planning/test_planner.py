@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from deepkoco.planning import METHODS, PlannerConfig, PlannerConfigError, UnknownSolverError, make_planner
 from deepkoco.planning.config import CHOICES
-from deepkoco.planning.methods import FROZEN_FORMS, VARYING_FORMS
+from deepkoco.planning.methods import FROZEN_FORMS, LINEARISATIONS, VARYING_FORMS
 
 FORMS = [
     PlannerConfig(5),
@@ -20,6 +20,7 @@ FORMS = [
 ]
 EVERY = [
     *FORMS,
+    PlannerConfig(5, linearisation="cost_along_plan"),
     PlannerConfig(5, linearisation="along_plan"),
     PlannerConfig(5, method="cem", samples=20, sample_iterations=2, elites=4),
 ]
@@ -115,6 +116,7 @@ def test_no_number_in_the_model_takes_an_action_beyond_the_limits(random_model, 
 def test_the_settings_offer_what_the_registries_hold():
     assert set(CHOICES["method"]) == set(METHODS)
     assert set(CHOICES["form"]) == set(FROZEN_FORMS) == set(VARYING_FORMS)
+    assert set(CHOICES["linearisation"]) == {"frozen"} | set(LINEARISATIONS)
 
 
 def test_a_plan_that_is_not_finite_is_a_failure(random_state, model, monkeypatch):
