@@ -194,12 +194,16 @@ def _analyse(work: _Analysis, reference: Mapping[str, EpisodeCost]) -> Page:
 
 
 def pruned_well(picture: Picture, tolerance: float = 1.1) -> tuple[int, int] | None:
-    """Least pairs with which an episode costs at most a tenth more, and all pairs; None without a closed loop."""
+    """Least pairs down to which an episode costs at most a tenth more, and all pairs; None without a closed loop.
+
+    Where fewer pairs happen to do well again, this does not count.
+    """
     done = picture.table.dropna(subset="closed_loop_cost")
     if done.empty:
         return None
     kept, costs = done["pairs_kept"].to_numpy(), done["closed_loop_cost"].to_numpy()
-    return int(kept[costs <= tolerance * costs[0]].min()), int(kept.max())
+    good = np.logical_and.accumulate(costs <= tolerance * costs[0])
+    return int(kept[good].min()), int(kept.max())
 
 
 def _pruning(
@@ -261,7 +265,7 @@ def _maps(
     points = view.points(steps, work.generator)
     still = np.clip(np.zeros_like(run.action_low), run.action_low, run.action_high)
     work.add(
-        draw_sensitivity(sensitivity, inputs.names, inputs.is_task),
+        draw_sensitivity(sensitivity, inputs),
         draw_eigenfunctions(model, modes, contribution, points, run.action_low, run.action_high),
         draw_input_maps(model, points, still),
         draw_linearity(rollout, *view.coordinates(steps.observations[first]), view.labels),

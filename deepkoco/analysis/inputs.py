@@ -18,11 +18,13 @@ class Inputs:
         names: (N,).
         is_task: Which belong to the task (N,); None where task and distractors are mixed in every entry.
         place: Where the task's own entries are, in the task's order (n,); None where they are nowhere as such.
+        listed: The order in which they are listed: the task's, then the distractors' (N,).
     """
 
     names: tuple[str, ...]
     is_task: NDArray[np.bool_] | None
     place: NDArray[np.int64] | None
+    listed: NDArray[np.int64]
 
 
 def describe_inputs(envs: VectorEnv, entries: int) -> Inputs:
@@ -39,7 +41,7 @@ def describe_inputs(envs: VectorEnv, entries: int) -> Inputs:
     inner = envs if layer is None else layer.env
     size = int(np.prod(inner.single_observation_space.shape or (1,)))
     if int(np.prod(envs.single_observation_space.shape or (1,))) != entries:
-        return Inputs(tuple(f"input {i}" for i in range(entries)), None, None)
+        return Inputs(tuple(f"input {i}" for i in range(entries)), None, None, np.arange(entries))
     task = find_attribute(envs, "task")
     own = list(getattr(task, "observation_names", ()))[:size]
     if not own:
@@ -47,12 +49,13 @@ def describe_inputs(envs: VectorEnv, entries: int) -> Inputs:
     else:
         names = own + [f"past action {i}" for i in range(1, size - len(own) + 1)]
     if layer is None:
-        return Inputs(tuple(names), np.ones(size, dtype=bool), np.arange(size))
+        return Inputs(tuple(names), np.ones(size, dtype=bool), np.arange(size), np.arange(size))
     order = layer.mixer.order
     if layer.mixer.rotation is not None:
-        return Inputs(tuple(f"mixed {i}" for i in range(order.size)), None, None)
+        return Inputs(tuple(f"mixed {i}" for i in range(order.size)), None, None, np.arange(order.size))
     names += [f"distractor {i}" for i in range(1, order.size - size + 1)]
-    return Inputs(tuple(names[i] for i in order), order < size, np.argsort(order)[:size])
+    listed = np.argsort(order)
+    return Inputs(tuple(names[i] for i in order), order < size, listed[:size], listed)
 
 
 def find_layer(envs: VectorEnv, name: str) -> Any:

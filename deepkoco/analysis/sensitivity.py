@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from deepkoco.analysis.inputs import Inputs
 from deepkoco.analysis.picture import COLOURS, Picture
 from deepkoco.koopman.latent_model import Array, LatentModel
 
@@ -69,21 +68,19 @@ def input_sensitivity(model: LatentModel, observations: Array, actions: Array, h
     return Sensitivity(found[0], found[1])
 
 
-def draw_sensitivity(
-    sensitivity: Sensitivity, names: Sequence[str], is_task: NDArray[np.bool_] | None
-) -> Picture:
+def draw_sensitivity(sensitivity: Sensitivity, inputs: Inputs) -> Picture:
     """Bars by input, those of the task first.
 
     Args:
         sensitivity: Of N inputs.
-        names: Of the inputs.
-        is_task: Which inputs belong to the task (N,); None where task and distractors are mixed in each.
+        inputs: Their names, and which belong to the task.
 
     Returns:
         The picture.
     """
-    mixed, is_task = is_task is None, np.ones(len(names), dtype=bool) if is_task is None else is_task
-    order = np.concatenate([np.flatnonzero(is_task), np.flatnonzero(~is_task)])
+    order, names = inputs.listed, inputs.names
+    mixed = inputs.is_task is None
+    is_task = np.ones(len(names), dtype=bool) if inputs.is_task is None else inputs.is_task
     table = pd.DataFrame(
         {
             "input": [names[i] for i in order],

@@ -1,14 +1,18 @@
 """Contribution of each pair to the cost, and what is left when pairs are taken out."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from handmade_models import linear_model
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
+from deepkoco.analysis.analyse import pruned_well
 from deepkoco.analysis.contribution import cost_contribution, draw_contribution
 from deepkoco.analysis.eigenvalues import draw_eigenvalues, draw_history, eigenvalue_table
 from deepkoco.analysis.modes import find_modes
+from deepkoco.analysis.picture import Picture
 from deepkoco.analysis.pruning import PrunedModel, control_pruned, draw_pruning, prune
 from deepkoco.analysis.rollout import roll_out
 from deepkoco.analysis.steps import join_steps
@@ -95,3 +99,12 @@ def test_the_history_is_drawn_where_a_run_has_one(tmp_path):
     picture = draw_history(path)
     assert picture is not None
     assert "after the 90 episodes" in picture.caption
+
+
+def test_a_model_is_as_large_as_the_least_number_down_to_which_all_do_well():
+    table = pd.DataFrame(
+        {"pairs_kept": [5, 4, 3, 2, 1], "closed_loop_cost": [100.0, 105.0, 300.0, 101.0, np.nan]}
+    )
+    assert pruned_well(Picture("pruning", "", "", Figure(), table)) == (4, 5)
+    table["closed_loop_cost"] = np.nan
+    assert pruned_well(Picture("pruning", "", "", Figure(), table)) is None

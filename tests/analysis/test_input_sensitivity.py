@@ -1,10 +1,13 @@
 """Which inputs a model looks at, and the maps of B and C."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from handmade_models import linear_model
 
 from deepkoco.analysis.input_maps import draw_input_maps, input_maps
+from deepkoco.analysis.inputs import Inputs
 from deepkoco.analysis.points import Points
 from deepkoco.analysis.sensitivity import draw_sensitivity, input_sensitivity
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
@@ -54,12 +57,13 @@ def test_the_picture_sets_task_inputs_against_distractors():
                          np.array([0.0]), np.array([0.0]))  # fmt: skip
     observations, actions = visited()
     found = input_sensitivity(model, observations / observations.std(0), actions, 0)
-    picture = draw_sensitivity(found, NAMES, np.array([True, False, False]))
-    assert picture.table["input"].tolist() == ["a", "b", "c"]
+    inputs = Inputs(NAMES, np.array([True, False, False]), np.array([0]), np.array([0, 2, 1]))
+    picture = draw_sensitivity(found, inputs)
+    assert picture.table["input"].tolist() == ["a", "c", "b"]
     assert picture.table["belongs_to"].tolist() == ["task", "distractor", "distractor"]
     # 2 against the root mean square of 1 and 0
     assert f"{2 * np.sqrt(2):.3g} times" in picture.caption
-    assert "mixes the task" in draw_sensitivity(found, NAMES, None).caption
+    assert "mixes the task" in draw_sensitivity(found, replace(inputs, is_task=None)).caption
 
 
 def test_maps_show_the_b_and_c_of_the_model():
