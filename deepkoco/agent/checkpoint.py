@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -42,16 +43,44 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         The saved state.
 
     Raises:
-        CheckpointError: There is no such file, or another version wrote it.
+        CheckpointError: There is no such file, it is damaged, or another version wrote it.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: no checkpoint; the run has not saved one yet, start it anew")
-    state = torch.load(path, weights_only=True, map_location="cpu")
+    try:
+        # torch does not compare the checksums that it writes: a flipped bit of a weight would go unnoticed.
+        with zipfile.ZipFile(path) as archive:
+            if (entry := archive.testzip()) is not None:
+                raise zipfile.BadZipFile(f"the checksum of {entry} does not fit")
+        state = torch.load(path, weights_only=True, map_location="cpu")
+    # A damaged archive or pickle fails with whatever its bytes happen to ask for.
+    except Exception as error:
+        raise damaged(path, error) from error
+    if not isinstance(state, dict):
+        raise CheckpointError(
+            f"{path}: damaged, it holds no named entries; start the run anew in another folder"
+        )
     if state.pop("version", None) != FORMAT_VERSION:
         raise CheckpointError(
             f"{path}: written by another version of the format; this release reads {FORMAT_VERSION}"
         )
     return state
+
+
+def damaged(path: Path, error: Exception) -> CheckpointError:
+    """The error to raise for a file whose bytes are not those that were written.
+
+    Args:
+        path: The file.
+        error: What reading it raised.
+
+    Returns:
+        One sentence with the remedy.
+    """
+    reason = (str(error).splitlines() or [""])[0][:150]
+    return CheckpointError(
+        f"{path}: damaged ({type(error).__name__}: {reason}); start the run anew in another folder"
+    )
 
 
 def check_settings(path: Path, state: dict[str, Any], config: dict[str, Any], seed: int) -> None:

@@ -15,7 +15,13 @@ from gymnasium.vector import VectorEnv
 from deepkoco import __version__
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import EpisodeBuffer
-from deepkoco.agent.checkpoint import check_settings, load_checkpoint, save_checkpoint
+from deepkoco.agent.checkpoint import (
+    CheckpointError,
+    check_settings,
+    damaged,
+    load_checkpoint,
+    save_checkpoint,
+)
 from deepkoco.agent.collection import (
     VectorEnvFactory,
     box_sizes,
@@ -115,7 +121,13 @@ class Trainer:
         self.progress = Progress()
         rows, history = [], []
         if (folder / CHECKPOINT_FILE).exists():
-            rows, history = self._restore(load_checkpoint(folder / CHECKPOINT_FILE))
+            state = load_checkpoint(folder / CHECKPOINT_FILE)
+            try:
+                rows, history = self._restore(state)
+            except CheckpointError:
+                raise
+            except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+                raise damaged(folder / CHECKPOINT_FILE, error) from error
         self.metrics = MetricsLog(folder, rows)
         self.eigenvalues = EigenvalueHistory(folder, history)
         if not history and not self.progress.updates:
@@ -299,6 +311,11 @@ class Trainer:
             "package": f"deepkoco {__version__}",
         }
         controller = StoredController(
-            export_model(self.averaged_model), self.config.planner, self._low, self._high, self._task, training
+            export_model(self.averaged_model),
+            self.config.planner,
+            self._low,
+            self._high,
+            self._task,
+            training,
         )
         write_controller(controller, self.folder / MODEL_FOLDER)

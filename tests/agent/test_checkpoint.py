@@ -1,7 +1,13 @@
 """Checkpoints and seeds."""
 
+import os
+import pickle
+from pathlib import Path
+
 import pytest
 import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from deepkoco.agent.checkpoint import CheckpointError, check_settings, load_checkpoint, save_checkpoint
 from deepkoco.agent.seeding import Purpose, derive_seed
@@ -33,6 +39,62 @@ def test_an_interrupted_write_leaves_the_old_checkpoint(tmp_path):
 def test_a_missing_checkpoint_is_named(tmp_path):
     with pytest.raises(CheckpointError, match="no checkpoint"):
         load_checkpoint(tmp_path / "c.pt")
+
+
+STATE = {"w": torch.arange(40, dtype=torch.float32), "n": 4, "rows": [{"a": 1.5}], "name": "x"}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("checkpoint") / "c.pt"
+    save_checkpoint(path, STATE)
+    return path, path.read_bytes()
+
+
+def check_damage(path, bytes_):
+    """A damaged checkpoint is refused in one sentence, or holds what was saved."""
+    path.write_bytes(bytes_)
+    try:
+        state = load_checkpoint(path)
+    except CheckpointError as error:
+        assert str(path) in str(error)  # noqa: PT017
+        assert "\n" not in str(error)  # noqa: PT017
+        return
+    assert torch.equal(state.pop("w"), STATE["w"])
+    assert state == {name: value for name, value in STATE.items() if name != "w"}
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.integers(0), bit=st.integers(0, 7))
+def test_every_flipped_bit_of_a_checkpoint_is_found(place, bit, whole):
+    path, original = whole
+    flipped = bytearray(original)
+    flipped[place % len(flipped)] ^= 1 << bit
+    check_damage(path, bytes(flipped))
+
+
+@settings(max_examples=100, deadline=None)
+@given(place=st.integers(0))
+def test_every_truncation_of_a_checkpoint_is_found(place, whole):
+    path, original = whole
+    path.write_bytes(original[: place % len(original)])
+    with pytest.raises(CheckpointError, match="damaged"):
+        load_checkpoint(path)
+
+
+class _Runs:
+    def __reduce__(self):
+        return os.system, ("touch /tmp/deepkoco_checkpoint_ran_code",)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"x" * 100, pickle.dumps({"version": 2, "x": _Runs()}), pickle.dumps([1])]
+)
+def test_foreign_files_are_refused_and_never_run(content, tmp_path):
+    (tmp_path / "c.pt").write_bytes(content)
+    with pytest.raises(CheckpointError, match="damaged"):
+        load_checkpoint(tmp_path / "c.pt")
+    assert not Path("/tmp/deepkoco_checkpoint_ran_code").exists()
 
 
 def test_evaluation_never_uses_a_training_seed():
