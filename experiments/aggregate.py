@@ -1,12 +1,14 @@
-"""Learning curves of many runs: `python -m experiments.aggregate runs=FOLDER out=FOLDER`."""
+"""Learning curves and final costs of many runs: `python -m experiments.aggregate RUNS --out FOLDER`."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import logging
 import os
 import shutil
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +21,12 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from experiments.commands import run_command
-from experiments.settings import AggregateConfig, ExperimentError, TrainRunConfig
+from experiments.settings import ExperimentError, TrainRunConfig
 from experiments.train import is_finished, load_run_config
 
 logger = logging.getLogger(__name__)
 
+RESAMPLES = 4000
 CURVES = {"train/cost": "training episodes", "evaluation/cost": "noise-free episodes"}
 
 
@@ -127,6 +129,37 @@ def mean_with_band(values: np.ndarray) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
+def interquartile_mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Mean without the lowest and the highest quarter, rounded down to whole runs."""
+    return stats.trim_mean(values, 0.25, axis=axis)
+
+
+def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
+    """95 % percentile bootstrap interval of the interquartile mean over seeds.
+
+    The conditions are bootstrapped one by one, for their costs have no common scale.
+
+    Args:
+        values: One value per seed (n,).
+        seed: Of the resampling.
+
+    Returns:
+        Lower and upper limit; NaN for a single seed.
+
+    Source: Agarwal et al., Deep RL at the Edge of the Statistical Precipice, NeurIPS 2021.
+    """
+    if values.size < 2:
+        return float("nan"), float("nan")
+    found = stats.bootstrap(
+        (values,),
+        interquartile_mean,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+
+
 def learning_curves(rows: pd.DataFrame) -> pd.DataFrame:
     """Average over seeds at every number of episodes.
 
@@ -134,16 +167,38 @@ def learning_curves(rows: pd.DataFrame) -> pd.DataFrame:
         rows: As given by `read_runs`.
 
     Returns:
-        Columns condition, curve, episodes, mean, low, high, seeds.
+        Columns condition, curve, episodes, iqm, low, high, seeds: interquartile mean and its bootstrap interval.
     """
     curves = []
     for (condition, episodes), group in rows.groupby(["condition", "episodes"], sort=True):  # type: ignore[reportGeneralTypeIssues]
         for curve in CURVES:
             values = group[curve].dropna().to_numpy()
             if values.size:
-                mean, low, high = mean_with_band(values)
-                curves.append((condition, curve, episodes, mean, low, high, values.size))
-    return pd.DataFrame(curves, columns=["condition", "curve", "episodes", "mean", "low", "high", "seeds"])
+                low, high = bootstrap_interval(values)
+                middle = float(interquartile_mean(values))
+                curves.append((condition, curve, episodes, middle, low, high, values.size))
+    return pd.DataFrame(curves, columns=["condition", "curve", "episodes", "iqm", "low", "high", "seeds"])
+
+
+def final_table(final: pd.DataFrame) -> pd.DataFrame:
+    """Noise-free cost at the end of training, one row per condition.
+
+    Args:
+        final: The last row of every run.
+
+    Returns:
+        Columns condition, n, iqm, low, high, mean, median, best, worst.
+    """
+    rows = []
+    for condition, group in final.groupby("condition", sort=True):
+        costs = group["evaluation/cost"].to_numpy()
+        low, high = bootstrap_interval(costs)
+        middle = float(interquartile_mean(costs))
+        spread = (costs.mean(), np.median(costs), costs.min(), costs.max())
+        rows.append((condition, costs.size, middle, low, high, *spread))
+    return pd.DataFrame(
+        rows, columns=["condition", "n", "iqm", "low", "high", "mean", "median", "best", "worst"]
+    )
 
 
 def draw(curves: pd.DataFrame, path: Path) -> None:
@@ -159,7 +214,7 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
         for i, (condition, group) in enumerate(chosen.groupby("condition", sort=True)):
             axis.plot(
                 group["episodes"],
-                group["mean"],
+                group["iqm"],
                 color=f"C{i}",
                 label=f"{condition} (n = {group['seeds'].max()})",
             )
@@ -168,32 +223,36 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
             )
         axis.set(title=title, xlabel="training episodes", ylim=(0, None))
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel("cost per episode, mean and 95 % band")
+    axes[0].set_ylabel("cost per episode, interquartile mean and 95 % band")
     axes[-1].legend(fontsize=8)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
-def aggregate(config: AggregateConfig) -> None:
-    """Write `curves.csv`, `final.csv` and `learning_curve.png`.
+def aggregate(runs: Path, out: Path) -> pd.DataFrame:
+    """Write `curves.csv`, `final.csv`, `table.csv` and `learning_curve.png`.
 
     Args:
-        config: Settings of the command.
+        runs: Folder that holds runs, at any depth.
+        out: Folder to make, all or nothing.
+
+    Returns:
+        What `final_table` gives.
+
+    Raises:
+        ExperimentError: The new folder exists, or see `read_runs`.
     """
-    out = Path(config.out)
     if out.exists():
-        raise ExperimentError(f"{out}: exists already; choose another out=")
+        raise ExperimentError(f"{out}: exists already; choose another --out")
     partial = out.with_name(f"{out.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    final = write_aggregate(Path(config.runs), partial)
+    final = write_aggregate(runs, partial)
     os.replace(partial, out)
-    for condition, group in final.groupby("condition"):
-        costs = group["evaluation/cost"]
-        print(f"{condition}: {len(group)} seeds, median {costs.median():.1f}, worst {costs.max():.1f}")
+    return final_table(final)
 
 
 def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
-    """Write the three files into a new folder.
+    """Write the files of `aggregate` into a new folder.
 
     Args:
         runs: Folder that holds runs, at any depth.
@@ -214,9 +273,27 @@ def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
     final[["condition", "seed", *kept, "evaluation/episodes", "seconds"]].to_csv(
         out / "final.csv", index=False
     )
+    final_table(final).to_csv(out / "table.csv", index=False, float_format="%.6g")
     draw(curves, out / "learning_curve.png")
     return final
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description="Learning curves and final costs of many runs.")
+    parser.add_argument("runs", type=Path, metavar="RUNS", help="folder that holds runs, at any depth")
+    parser.add_argument("--out", type=Path, help="new folder (default RUNS_summary, beside RUNS)")
+    args = parser.parse_args(arguments)
+    out = args.out or args.runs.with_name(f"{args.runs.resolve().name}_summary")
+    try:
+        table = aggregate(args.runs, out)
+    except ExperimentError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(table.to_string(index=False, float_format="%.1f"))
+    print(f"cost of noise-free episodes; iqm with its 95 % bootstrap interval. Written to {out}")
+    return 0
+
+
 if __name__ == "__main__":
-    run_command("aggregate", aggregate)
+    sys.exit(main())

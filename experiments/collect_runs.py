@@ -71,6 +71,16 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
     folders = finished_runs(runs)
     partial = out.with_name(f"{out.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
+    try:
+        table = _write(runs, folders, partial, episodes)
+        os.replace(partial, out)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    return table
+
+
+def _write(runs: Path, folders: Sequence[Path], partial: Path, episodes: int) -> pd.DataFrame:
     write_aggregate(runs, partial)  # first, for it refuses what cannot be averaged
     rows = []
     for folder in folders:
@@ -95,7 +105,6 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
         for name in ("metrics.csv", "config.yaml"):
             shutil.copy(folder / name, kept / name)
     (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
-    os.replace(partial, out)
     return table
 
 

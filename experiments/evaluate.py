@@ -16,7 +16,8 @@ from deepkoco.agent.collection import collect_episodes, cost_spread, episode_cos
 from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
 from experiments.commands import run_command
-from experiments.environments import make_environments
+from experiments.environments import make_environments, make_factory
+from experiments.optimal_cost import optimal_costs, paired_difference
 from experiments.settings import EvaluateConfig, ExperimentError, TrainRunConfig
 from experiments.train import check_finished, load_run_config
 
@@ -60,9 +61,7 @@ def run_episodes(config: EvaluateConfig) -> Measured:
     model, planner, low, high = load_model(folder)
     envs = _environments(run, config)
     agent = VectorAgent(model, planner, low, high, config.episodes)
-    # Index 0 is the evaluation that training itself makes at its end.
-    seed = derive_seed(run.seed, Purpose.FINAL_EVALUATION, 1 + config.seed)
-    episodes = collect_episodes(envs, agent, seed, record=False)
+    episodes = collect_episodes(envs, agent, _seed(run, config), record=False)
     envs.close()
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
     return Measured(episode_costs(episodes), ends, agent.statistics.failures)
@@ -75,7 +74,8 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
         config: Settings of the command.
 
     Returns:
-        Number of episodes, mean, spread and median of their cost, share of those that end upright.
+        Number of episodes, mean, spread and median of their cost, share of those that end upright, and how far
+        that is from the optimum of the same start states, where that is known.
     """
     measured = run_episodes(config)
     costs, spread = measured.costs, cost_spread(measured.costs)
@@ -88,7 +88,30 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
         "median": float(np.median(costs)),
         "upright": float((measured.ends <= config.upright_cost).mean()),
         "planner_failures": measured.failures,
+        **_against_optimum(config, costs),
     }
+
+
+def _against_optimum(config: EvaluateConfig, costs: np.ndarray) -> dict[str, Any]:
+    """The optimum of the start states, without distractors, and how much more was paid; None where not known."""
+    run = load_run_config(Path(config.run))
+    envs = make_factory(run.task, "none")(config.episodes, run.seed)
+    best = optimal_costs(envs, _seed(run, config))
+    envs.close()
+    if best is None:
+        return {"optimum": None, "above_optimum": None, "above_optimum_standard_error": None}
+    above, error = paired_difference(costs, best)
+    spread = cost_spread(best) if best.size > 1 else None
+    return {
+        "optimum": {"mean": float(best.mean()), "sd": spread, "median": float(np.median(best))},
+        "above_optimum": above,
+        "above_optimum_standard_error": error,
+    }
+
+
+def _seed(run: TrainRunConfig, config: EvaluateConfig) -> int:
+    # Index 0 is the evaluation that training itself makes at its end.
+    return derive_seed(run.seed, Purpose.FINAL_EVALUATION, 1 + config.seed)
 
 
 def _environments(run: TrainRunConfig, config: EvaluateConfig) -> VectorEnv:
@@ -120,9 +143,11 @@ def evaluate(config: EvaluateConfig) -> None:
         known = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in result.items()}
         print(json.dumps(known, allow_nan=False))
     else:
+        best = result["optimum"]
+        optimum = "" if best is None else f", optimum {best['mean']:.1f}"
         print(
             f"{config.run}: cost {result['mean']:.1f} +- {result['standard_error']:.1f} "
-            f"(sd {result['sd']:.1f}, median {result['median']:.1f}), "
+            f"(sd {result['sd']:.1f}, median {result['median']:.1f}{optimum}), "
             f"upright {100 * result['upright']:.0f} % of {config.episodes} noise-free episodes"
         )
 

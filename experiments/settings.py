@@ -91,20 +91,9 @@ class EvaluateConfig:
     """Largest mean cost of those steps; 0.25 is an angle of 0.5 rad off on the pendulum tasks."""
 
 
-@dataclass
-class AggregateConfig:
-    """Settings of an aggregation."""
-
-    runs: str = MISSING
-    """Folder that holds runs, at any depth."""
-    out: str = MISSING
-    """Folder for the CSV files and the figure; it must not exist."""
-
-
 def register() -> None:
     """Make the schemas known to Hydra."""
     store = ConfigStore.instance()
     store.store(name="train_schema", node=TrainRunConfig)
     store.store(name="evaluate_schema", node=EvaluateConfig)
-    store.store(name="aggregate_schema", node=AggregateConfig)
     store.store(group="task", name="task_schema", node=TaskConfig)

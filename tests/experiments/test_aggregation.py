@@ -1,12 +1,14 @@
 """Which runs are averaged, under which name, and how they are collected."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from deepkoco.planning import PlannerConfig
-from experiments.aggregate import aggregate, conditions, read_runs
+from experiments.aggregate import aggregate, bootstrap_interval, conditions, interquartile_mean, read_runs
+from experiments.aggregate import main as main_of_aggregate
 from experiments.collect_runs import collect, main
-from experiments.settings import AggregateConfig, ExperimentError
+from experiments.settings import ExperimentError
 from experiments.train import load_run_config
 
 
@@ -27,7 +29,7 @@ def test_runs_of_other_settings_are_told_apart_by_what_differs(make_run, tmp_pat
     third = make_run(tmp_path / "c", horizon=20, planner=PlannerConfig(20))
     assert labels(one, two) == [f"pendulum, distractors none, agent.horizon = {t}" for t in (15, 20)]
     assert labels(one, two, third)[2].endswith("agent.horizon = 20, agent.planner.horizon = 20")
-    aggregate(AggregateConfig(str(tmp_path), str(tmp_path / "out")))
+    aggregate(tmp_path, tmp_path / "out")
     final = pd.read_csv(tmp_path / "out" / "final.csv")
     assert len(set(final["condition"])) == 3
     curves = pd.read_csv(tmp_path / "out" / "curves.csv")
@@ -62,7 +64,15 @@ def test_collection_keeps_everything_but_the_weights(make_run, tmp_path, capsys)
     out = tmp_path / "out"
     assert main([str(runs), "--out", str(out), "--episodes", "2"]) == 0
     assert {path.name for path in out.iterdir()} == {
-        *("curves.csv", "final.csv", "learning_curve.png", "evaluations.csv", "PROVENANCE.md", "runs")
+        *(
+            "curves.csv",
+            "final.csv",
+            "table.csv",
+            "learning_curve.png",
+            "evaluations.csv",
+            "PROVENANCE.md",
+            "runs",
+        )
     }
     assert sorted(p.relative_to(out).as_posix() for p in (out / "runs").rglob("*.*")) == [
         "runs/none/seed_1/config.yaml",
@@ -82,7 +92,33 @@ def test_a_collection_that_fails_leaves_no_folder(make_run, tmp_path):
     (run / "model" / "config.json").write_text("{")
     with pytest.raises(ExperimentError, match="seed_1"):
         collect(runs, tmp_path / "out", 1)
-    assert not (tmp_path / "out").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
     with (run / "config.yaml").open("a") as file:
         file.write("colour: red\n")
     assert main([str(runs), "--out", str(tmp_path / "out")]) == 2
+
+
+def test_the_interquartile_mean_and_its_interval_by_hand():
+    # The lowest and the highest of five are left out: (2 + 3 + 7) / 3 = 4.
+    assert interquartile_mean(np.array([7.0, 1.0, 3.0, 100.0, 2.0])) == 4.0
+    # Of two seeds a resample is (a, a), (a, b), (b, a) or (b, b): the interval is from one to the other.
+    assert bootstrap_interval(np.array([5.0, 9.0])) == (5.0, 9.0)
+    assert all(np.isnan(bootstrap_interval(np.array([5.0]))))
+
+
+def test_the_table_has_one_row_per_condition_and_its_number_of_seeds(make_run, tmp_path, capsys):
+    runs = tmp_path / "runs"
+    for seed, cost in enumerate((150.0, 160.0, 170.0)):
+        make_run(runs / f"seed_{seed}", seed=seed, cost=cost)
+    make_run(runs / "copies", distractors="copies", cost=200.0)
+    assert main_of_aggregate([str(runs)]) == 0
+    assert "162.7" in capsys.readouterr().out
+    table = pd.read_csv(tmp_path / "runs_summary" / "table.csv").set_index("condition")
+    assert table["n"].to_dict() == {"pendulum, distractors copies": 1, "pendulum, distractors none": 3}
+    row = table.loc["pendulum, distractors none"]
+    # The last row of a run of `make_run` costs 300 / 110 more than its cost.
+    spread = pytest.approx([162.727, 162.727, 152.727, 172.727])
+    assert row[["iqm", "median", "best", "worst"]].tolist() == spread
+    assert row["best"] <= row["low"] < row["iqm"] < row["high"] <= row["worst"]
+    assert main_of_aggregate([str(runs)]) == 2
+    assert "exists already" in capsys.readouterr().err

@@ -14,7 +14,7 @@ from deepkoco.agent.collection import SpaceError
 from experiments.aggregate import aggregate, learning_curves, mean_with_band, read_runs
 from experiments.environments import make_factory
 from experiments.planner_benchmark import CEM, FRESH, benchmark, random_model, wandering_observations
-from experiments.settings import AggregateConfig, ExperimentError, TaskConfig
+from experiments.settings import ExperimentError, TaskConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -105,13 +105,14 @@ def test_aggregation_averages_seeds_and_draws(run, tmp_path):
     curves = learning_curves(both)
     last = curves[(curves["curve"] == "evaluation/cost") & (curves["episodes"] == 7)].iloc[0]
     assert last["seeds"] == 2
-    assert last["mean"] == pytest.approx(rows["evaluation/cost"].iloc[-1] - 5.0)
+    assert last["iqm"] == pytest.approx(rows["evaluation/cost"].iloc[-1] - 5.0)
 
-    aggregate(AggregateConfig(str(run.parent), str(tmp_path / "out")))
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"curves.csv", "final.csv", "learning_curve.png"}
+    aggregate(run.parent, tmp_path / "out")
+    written = {p.name for p in (tmp_path / "out").iterdir()}
+    assert written == {"curves.csv", "final.csv", "table.csv", "learning_curve.png"}
     assert pd.read_csv(tmp_path / "out" / "final.csv")["seed"].tolist() == [3]
     with pytest.raises(ExperimentError, match="exists already"):
-        aggregate(AggregateConfig(str(run.parent), str(tmp_path / "out")))
+        aggregate(run.parent, tmp_path / "out")
 
 
 @pytest.mark.filterwarnings("ignore:The default value of raise_error")  # inside qpsolvers

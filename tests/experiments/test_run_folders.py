@@ -138,3 +138,12 @@ def test_the_benchmark_names_a_missing_model(monkeypatch, tmp_path, capsys):
         planner_benchmark.main()
     assert stop.value.code == 2
     assert "config.json" in capsys.readouterr().err
+
+
+def test_the_optimum_of_the_same_start_states_is_told(make_run, tmp_path, capsys):
+    evaluate(EvaluateConfig(str(make_run(tmp_path / "run")), episodes=8, json=True))
+    result = json.loads(capsys.readouterr().out)
+    # An untrained model pays far more than the optimum, which is some 140 over all start states.
+    assert 40 < result["optimum"]["mean"] < 260
+    assert result["above_optimum"] == pytest.approx(result["mean"] - result["optimum"]["mean"])
+    assert result["above_optimum"] > 3 * result["above_optimum_standard_error"] > 0
