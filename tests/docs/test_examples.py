@@ -4,7 +4,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
+
+from deepkoco.agent.stored_controller import StoredController, write_controller
+from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
+from deepkoco.planning import PlannerConfig
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -40,3 +46,14 @@ def test_examples_run_from_top_to_bottom(page: str, tmp_path: Path, monkeypatch:
         pytest.importorskip("mujoco")
     monkeypatch.chdir(tmp_path)
     run_examples(page, {"__name__": "example"})
+
+
+def test_the_examples_of_models_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("casadi")
+    limit = np.array([2.0])
+    torch.manual_seed(0)
+    exported = export_model(KoopmanModel(3, 1, ModelConfig(4)))
+    stored = StoredController(exported, PlannerConfig(), -limit, limit, {"name": "pendulum"})
+    write_controller(stored, tmp_path / "runs" / "first" / "model")
+    monkeypatch.chdir(tmp_path)
+    run_examples("models.md", {"__name__": "example"})
