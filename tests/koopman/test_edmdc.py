@@ -1,5 +1,6 @@
 """EDMDc on systems whose answer is known, and control with it against Riccati's answer."""
 
+import gymnasium
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -173,3 +174,30 @@ def test_what_does_not_fit_is_named():
         LiftedLinearModel(Identity(2), MATRIX * np.nan, INPUTS, good, 0.1)
     with pytest.raises(LiftedModelError, match="time_step"):
         LiftedLinearModel(Identity(2), MATRIX, INPUTS, good, 0.0)
+
+
+def test_a_pendulum_is_balanced_upright_with_a_fitted_model():
+    env = gymnasium.make("Pendulum-v1")
+    rng = np.random.default_rng(0)
+
+    def start(angle, speed):
+        env.reset(seed=0)
+        env.unwrapped.state = np.array([angle, speed])
+        return np.array([np.sin(angle), speed])
+
+    observations, actions = np.zeros((40, 12, 2)), rng.uniform(-2, 2, (40, 12, 1))
+    for episode in range(40):
+        o = start(rng.uniform(-0.4, 0.4), rng.uniform(-0.5, 0.5))
+        for k in range(12):
+            observations[episode, k] = o
+            o = env.step(actions[episode, k])[0][1:]
+    cost = TargetCost([1.0, 0.1], [0.0, 0.0], 0.001)
+    model = fit_edmdc(observations, actions, Identity(2), cost, 0.05)
+    planner = make_planner(model, PlannerConfig(15), np.array([-2.0]), np.array([2.0]))
+    for angle in (-0.2, -0.1, 0.15, 0.2):
+        o, a = start(angle, 0.0), np.zeros(1)
+        planner.reset()
+        for _ in range(100):
+            following = a + planner.plan(*model.linearise(o, a), a)
+            o, a = env.step(a)[0][1:], following
+        assert np.abs(o).max() < 0.02
