@@ -121,6 +121,8 @@ def episode_cost(costs: Array) -> EpisodeCost:
 def read_reference(path: Path) -> dict[str, EpisodeCost]:
     """Read reference costs from a CSV with the columns name, mean and, where known, standard_error and episodes.
 
+    The table optimum.csv of `experiments.optimum` (method, input_delay, n, mean, ...) is one too.
+
     Args:
         path: The file.
 
@@ -134,6 +136,7 @@ def read_reference(path: Path) -> dict[str, EpisodeCost]:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
         raise ReferenceCostError(f"{path}: not a CSV file of reference costs: {error}") from error
+    table = table.rename(columns={"method": "name", "n": "episodes"})  # as experiments.optimum writes them
     missing = [name for name in ("name", "mean") if name not in table]
     if missing:
         raise ReferenceCostError(
@@ -149,7 +152,10 @@ def read_reference(path: Path) -> dict[str, EpisodeCost]:
             raise ReferenceCostError(f"{path}: row {row['name']!r} holds no number: {wrong}") from wrong
         if not np.isfinite(mean):
             raise ReferenceCostError(f"{path}: row {row['name']!r} has no finite mean")
-        found[str(row["name"])] = EpisodeCost(mean, error, count, False)
+        delayed = str(row.get("input_delay", False)) in ("True", "1")
+        found[str(row["name"]) + (", one step of delay" if delayed else "")] = EpisodeCost(
+            mean, error, count, False
+        )
     return found
 
 

@@ -56,6 +56,15 @@ def test_reference_costs_are_read_and_shown(tmp_path):
     assert "No reference values" in draw_comparison(own, "fitted to nothing").caption
 
 
+def test_the_table_of_the_optimum_is_a_file_of_reference_costs(tmp_path):
+    path = tmp_path / "optimum.csv"
+    path.write_text("method,input_delay,n,mean,standard_error\nvalue,False,50,138,5\nvalue,True,50,145,6\n")
+    reference = read_reference(path)
+    assert list(reference) == ["value", "value, one step of delay"]
+    assert reference["value, one step of delay"].mean == 145
+    assert reference["value"].episodes == 50
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
