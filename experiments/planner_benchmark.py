@@ -73,8 +73,9 @@ def planners(model: ExportedModel, horizon: int) -> dict[str, PlannerConfig]:
         for solver in solver_names(form)
     }
     if model.decoder:
-        configs["along the plan, daqp"] = PlannerConfig(horizon, linearisation="along_plan")
-    configs["cost along the plan, daqp"] = PlannerConfig(horizon, linearisation="cost_along_plan")
+        for linearisation in ("along_plan", "tangent"):
+            configs[f"{linearisation}, daqp"] = PlannerConfig(horizon, linearisation=linearisation)
+    configs["cost_along_plan, daqp"] = PlannerConfig(horizon, linearisation="cost_along_plan")
     configs[CEM_FROZEN] = PlannerConfig(horizon, method="cem")
     configs[CEM] = PlannerConfig(horizon, method="cem", linearisation="cost_along_plan")
     return configs

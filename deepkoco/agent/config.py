@@ -155,9 +155,9 @@ class TrainingConfig:
             raise TrainingConfigError("model.pairs and model.time_step must be above 0")
         if not self.model.action_weight >= 0:
             raise TrainingConfigError(f"model.action_weight = {self.model.action_weight}; give 0 or more")
-        if self.planner.linearisation == "along_plan" and not self.model.decoder_hidden:
+        if self.planner.linearisation in ("along_plan", "tangent") and not self.model.decoder_hidden:
             raise PlannerConfigError(
-                'planner.linearisation = "along_plan" needs a model with a decoder; add rollout=updated '
-                "model.decoder_hidden=[90,90]"
+                f'planner.linearisation = "{self.planner.linearisation}" needs a model with a decoder; add '
+                "rollout=updated model.decoder_hidden=[90,90]"
             )
         self.planner.check(self.horizon)

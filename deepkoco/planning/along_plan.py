@@ -13,16 +13,19 @@ from deepkoco.planning.program import VaryingProgram, check_decoder, shifted
 
 FIRST_PASSES = 3
 """Solves at the first step of an episode, which has no last plan."""
-Relinearise = Callable[[Array, Array, Array], tuple[Array, Array]]
+TANGENT_STEP = 1e-6
+"""Step of the difference quotients; psi is piecewise affine, so y(s) is a parabola between its kinks."""
+Relinearise = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 """From latents s_1 .. s_H (H, n), actions a_1 .. a_H (H, M) and the present B (M, n) to the columns of B_1 .. B_H as
-rows (H, M, n) and C_1 .. C_H (H, r, n)."""
+rows (H, M, n), C_1 .. C_H (H, r, n) and offsets e_1 .. e_H (H, r) of y_k = C_k s_k + e_k."""
 
 
 def relinearise_cost(model: LatentModel) -> Relinearise:
     """C at the predicted latents, B of the present state."""
 
-    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array]:
-        return np.broadcast_to(present, (len(latents), *present.shape)), model.factor(latents)
+    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array, Array]:
+        factors = model.factor(latents)
+        return np.broadcast_to(present, (len(latents), *present.shape)), factors, 0.0 * factors[..., 0]
 
     return relinearise
 
@@ -31,8 +34,30 @@ def relinearise_all(model: LatentModel) -> Relinearise:
     """B and C at the predicted latents; raises `PlannerConfigError` for a model without decoder."""
     decodable = check_decoder(model)
 
-    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array]:
-        return decodable.linearise_along(latents, actions)
+    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array, Array]:
+        inputs, factors = decodable.linearise_along(latents, actions)
+        return inputs, factors, 0.0 * factors[..., 0]
+
+    return relinearise
+
+
+def relinearise_tangent(model: LatentModel) -> Relinearise:
+    r"""B at the predicted latents and the tangent of $y(s) = \psi(s) s$ there.
+
+    $\psi(\bar s)$ alone gives the value of y but not its slope, which is $\psi(\bar s) + \bar s^\top \psi'(\bar
+    s)$. B is piecewise constant (the networks are ReLU), so this is the Gauss-Newton step on the model
+    of updated rollouts. Raises `PlannerConfigError` for a model without decoder.
+    """
+    decodable = check_decoder(model)
+    step = TANGENT_STEP * np.eye(model.dynamics.latent_size)
+
+    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array, Array]:
+        inputs, factors = decodable.linearise_along(latents, actions)
+        y = (factors @ latents[..., None])[..., 0]  # (H, r)
+        beside = latents[:, None] + step  # (H, n, n)
+        moved = (model.factor(beside) @ beside[..., None])[..., 0]  # (H, n, r)
+        slope = np.ascontiguousarray(((moved - y[:, None]) / TANGENT_STEP).swapaxes(1, 2))
+        return inputs, slope, y - (slope @ latents[..., None])[..., 0]
 
     return relinearise
 
@@ -88,9 +113,9 @@ class AlongPlan:
             inputs[0] = rows[1:]
             latents = self._roll(rows[0], inputs, nominal, action)
             with np.errstate(over="ignore", invalid="ignore"):
-                following, factors = self._relinearise(latents, nominal, rows[1:])
+                following, factors, offsets = self._relinearise(latents, nominal, rows[1:])
             inputs = np.concatenate((rows[None, 1:], following[:-1]))
-            nominal = self._program.solve_varying(rows[0], inputs, factors, action)
+            nominal = self._program.solve_varying(rows[0], inputs, factors, action, offsets)
         if not np.isfinite(nominal).all():
             raise SolverError("the plan is not finite")
         self._planned, self._inputs = nominal, inputs

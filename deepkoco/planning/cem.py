@@ -46,7 +46,7 @@ class CrossEntropyMethod:
         """
         self._model, self._problem, self._generator = model, problem, generator
         self._frozen = config.linearisation == "frozen"
-        self._decodable = check_decoder(model) if config.linearisation == "along_plan" else None
+        self._decodable = check_decoder(model) if config.linearisation in ("along_plan", "tangent") else None
         self._samples, self._elites = config.samples, config.elites
         self.iterations = config.sample_iterations
         self._kept = config.warm_start != "none"

@@ -134,9 +134,14 @@ class VaryingCondensedProgram:
         matrix[:, :-actions] -= matrix[:, actions:]
         return matrix, free
 
-    def solve_varying(self, latent: Array, inputs: Array, factors: Array, action: Array) -> Array:
+    def solve_varying(
+        self, latent: Array, inputs: Array, factors: Array, action: Array, offsets: Array | None = None
+    ) -> Array:
         """See `VaryingProgram.solve_varying`."""
-        return self._box.solve(*self.response(latent, inputs, factors, action), action)
+        matrix, free = self.response(latent, inputs, factors, action)
+        if offsets is not None:
+            free = free + offsets.ravel()
+        return self._box.solve(matrix, free, action)
 
     def planned_cost(self, planned: Array) -> float:
         """See `Program.planned_cost`."""

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 CHOICES = {
     "method": ("lmpc", "cem"),
     "form": ("condensed", "sparse"),
-    "linearisation": ("frozen", "cost_along_plan", "along_plan"),
+    "linearisation": ("frozen", "cost_along_plan", "along_plan", "tangent"),
     "warm_start": ("kept", "shifted", "none"),
 }
 
@@ -40,8 +40,8 @@ class PlannerConfig:
     the same latent model."""
     linearisation: str = "frozen"
     """B and C over a plan: "frozen" at the present state; "cost_along_plan": C taken anew at the predicted
-    latents; "along_plan": C and B, which needs a model with a decoder (agent.rollout=updated). The quadratic
-    programs take the latents of the last plan, cem those of every sample."""
+    latents; "along_plan": C and B, which needs a model with a decoder (agent.rollout=updated); "tangent": B
+    and the slope of C s. The quadratic programs take the latents of the last plan, cem those of every sample."""
     warm_start: str = "kept"
     """Where a solver begins: "kept": its own last solution; "shifted": the last plan moved on by one step;
     "none": from scratch."""

@@ -7,7 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from deepkoco.koopman.latent_model import LatentModel
-from deepkoco.planning.along_plan import AlongPlan, Relinearise, relinearise_all, relinearise_cost
+from deepkoco.planning.along_plan import (
+    AlongPlan,
+    Relinearise,
+    relinearise_all,
+    relinearise_cost,
+    relinearise_tangent,
+)
 from deepkoco.planning.cem import CrossEntropyMethod
 from deepkoco.planning.condensed import CondensedProgram, VaryingCondensedProgram
 from deepkoco.planning.config import Array, PlannerConfig, PlanningProblem
@@ -21,6 +27,7 @@ FROZEN_FORMS = {"condensed": CondensedProgram, "sparse": SparseProgram}
 LINEARISATIONS: dict[str, Callable[[LatentModel], Relinearise]] = {
     "cost_along_plan": relinearise_cost,
     "along_plan": relinearise_all,
+    "tangent": relinearise_tangent,
 }
 VARYING_FORMS = {"condensed": VaryingCondensedProgram, "sparse": SparseProgram}
 

@@ -98,7 +98,9 @@ class VaryingProgram(Protocol):
         """Of the last solve."""
         ...
 
-    def solve_varying(self, latent: Array, inputs: Array, factors: Array, action: Array) -> Array:
+    def solve_varying(
+        self, latent: Array, inputs: Array, factors: Array, action: Array, offsets: Array | None = None
+    ) -> Array:
         """Plan.
 
         Args:
@@ -106,6 +108,7 @@ class VaryingProgram(Protocol):
             inputs: Columns of B_0 .. B_{H-1} as rows (H, M, n).
             factors: C_1 .. C_H (H, r, n).
             action: Present action a_0 (M,).
+            offsets: e_1 .. e_H (H, r) of y_k = C_k s_k + e_k; None for zero.
 
         Returns:
             Planned actions a_1 .. a_H (H, M).

@@ -103,10 +103,13 @@ class SparseProgram:
         inputs = np.broadcast_to(rows[1:], (steps, *rows[1:].shape))
         return self.solve_varying(rows[0], inputs, np.broadcast_to(factor, (steps, *factor.shape)), action)
 
-    def solve_varying(self, latent: Array, inputs: Array, factors: Array, action: Array) -> Array:
+    def solve_varying(
+        self, latent: Array, inputs: Array, factors: Array, action: Array, offsets: Array | None = None
+    ) -> Array:
         """See `VaryingProgram.solve_varying`."""
         self._entries[self._changing] = -np.concatenate((inputs.ravel(), factors.ravel()))[self._source]
         self._right[: latent.size] = self._dynamics @ latent
+        self._right[self._parts[1]] = 0.0 if offsets is None else offsets.ravel()
         self._right[self._parts[2].start : self._parts[2].start + action.size] = action
         if self._warm_start == "none":
             self._solver.restart()

@@ -22,6 +22,7 @@ EVERY = [
     *FORMS,
     PlannerConfig(5, linearisation="cost_along_plan"),
     PlannerConfig(5, linearisation="along_plan"),
+    PlannerConfig(5, linearisation="tangent"),
     PlannerConfig(5, method="cem", samples=20, sample_iterations=2, elites=4),
 ]
 NUMBERS = st.floats(width=64) | st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e300, -1e-300, 1e20])

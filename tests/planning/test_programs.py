@@ -26,13 +26,13 @@ def make_problem(model: ExportedModel, horizon: int, dynamics=None, action_weigh
     return PlanningProblem(dynamics, -limit, limit, action_weight, 0.01, horizon, model.cost_rank)
 
 
-def residuals(problem, latent, inputs, factors, action, planned):
+def residuals(problem, latent, inputs, factors, offsets, action, planned):
     """Square roots of all terms of the objective, by running the latent model forward."""
     s, before, terms = latent, action, []
     for k, a in enumerate(planned.reshape(problem.horizon, -1)):
         s = problem.dynamics.matrix @ s + (a - before) @ inputs[k]
         terms += [
-            factors[k] @ s,
+            factors[k] @ s + offsets[k],
             problem.action_weight**0.5 * a,
             problem.increment_weight**0.5 * (a - before),
         ]
@@ -40,10 +40,10 @@ def residuals(problem, latent, inputs, factors, action, planned):
     return np.concatenate(terms)
 
 
-def brute_force_varying(problem, latent, inputs, factors, action):
+def brute_force_varying(problem, latent, inputs, factors, offsets, action):
     """The affine residuals, probed column by column, in a general bounded least-squares solver."""
     size = problem.horizon * action.size
-    arguments = problem, latent, inputs, factors, action
+    arguments = problem, latent, inputs, factors, offsets, action
     offset = residuals(*arguments, np.zeros(size))
     columns = [residuals(*arguments, unit) - offset for unit in np.eye(size)]
     return lsq_linear(np.stack(columns, 1), -offset, (-LIMIT, LIMIT), method="bvls", tol=1e-14).x
@@ -52,7 +52,7 @@ def brute_force_varying(problem, latent, inputs, factors, action):
 def brute_force(problem, rows, factor, action):
     steps = problem.horizon
     inputs, factors = np.stack([rows[1:]] * steps), np.stack([factor] * steps)
-    return brute_force_varying(problem, rows[0], inputs, factors, action)
+    return brute_force_varying(problem, rows[0], inputs, factors, np.zeros((steps, 1)), action)
 
 
 @settings(max_examples=30, deadline=None)
@@ -91,11 +91,12 @@ def test_varying_b_and_c_equal_bounded_least_squares(
     rng = np.random.default_rng(seed)
     inputs = rows[1:] * rng.uniform(-1.0, 2.0, (horizon, *rows[1:].shape))
     factors = factor * rng.uniform(-1.0, 2.0, (horizon, *factor.shape))
-    expected = brute_force_varying(problem, rows[0], inputs, factors, action)
+    offsets = rng.normal(size=(horizon, rank))
+    expected = brute_force_varying(problem, rows[0], inputs, factors, offsets, action)
     varying, sparse = VaryingCondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-8)
-    planned = varying.solve_varying(rows[0], inputs, factors, action)
+    planned = varying.solve_varying(rows[0], inputs, factors, action, offsets)
     np.testing.assert_allclose(planned.ravel(), expected, atol=1e-6)
-    planned = sparse.solve_varying(rows[0], inputs, factors, action)
+    planned = sparse.solve_varying(rows[0], inputs, factors, action, offsets)
     np.testing.assert_allclose(planned.ravel(), expected, atol=2e-4)
 
 
@@ -172,7 +173,7 @@ def test_planned_cost_and_conditioning_of_the_last_problem(random_state, model, 
     rows, factor, action = random_state(model, 3)
     program = form(problem, "auto", 1e-9)
     planned = program.solve(rows, factor, action)
-    terms = residuals(problem, rows[0], [rows[1:]] * 5, [factor] * 5, action, planned.ravel())
+    terms = residuals(problem, rows[0], [rows[1:]] * 5, [factor] * 5, np.zeros(5), action, planned.ravel())
     increments = np.diff(planned, axis=0, prepend=action[None])
     expected = terms @ terms - problem.increment_weight * (increments**2).sum()
     assert program.planned_cost(planned) == pytest.approx(expected, rel=1e-4)
