@@ -21,6 +21,8 @@ MOST_PLANNED = 2_000
 """Most planned numbers (steps times actions) of a stored planner; a quadratic program has their square."""
 MOST_SAMPLED = 10_000_000
 """Most numbers that a stored planner draws per decision."""
+LARGEST_LIMIT = 1e20
+"""Largest limit of an action; solvers take numbers from here on as infinite."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +95,12 @@ def read_controller(
         low, high = (_limits(config[name], name, model.action_size) for name in ("action_low", "action_high"))
         if (low > high).any():
             raise ValueError("action_low is above action_high")
-        samples = planner.samples if planner.method == "cem" else 1
+        samples = planner.samples * planner.sample_iterations if planner.method == "cem" else 1
         planned = planner.horizon * model.action_size
         if planned > MOST_PLANNED or samples * planned > MOST_SAMPLED:
-            raise ValueError(f"planner.horizon = {planner.horizon} is too much to plan in one step")
+            raise ValueError(
+                f"planner.horizon = {planner.horizon} with {samples} samples is too much to plan in one step"
+            )
     except KeyError as error:
         raise ModelFolderError(f"{folder}: entry {error} of {CONFIG_FILE} is missing") from error
     except (TypeError, ValueError, AttributeError) as error:
@@ -132,10 +136,13 @@ def _planner(stored: Mapping[str, Any]) -> PlannerConfig:
 
 
 def _limits(stored: Any, name: str, count: int) -> Array:
-    """One finite number per action."""
+    """One number per action, none of which a solver takes as infinite."""
     if not isinstance(stored, list) or len(stored) != count:
         raise ValueError(f"{name} should hold {count} limits")
-    return np.array([number_above(value, name, -np.inf) for value in stored])
+    limits = np.array([number_above(value, name, -np.inf) for value in stored])
+    if (np.abs(limits) >= LARGEST_LIMIT).any():
+        raise ValueError(f"{name} should hold limits below {LARGEST_LIMIT:g}")
+    return limits
 
 
 def _entries(stored: Any) -> dict[str, Any]:

@@ -108,7 +108,8 @@ def _read_lifting(stored: Mapping[str, Any], arrays: Mapping[str, Array]) -> Lif
         if field.type == "Array":
             values[field.name] = arrays[name]
         elif field.type == "int":
-            values[field.name] = whole_number(stored[field.name], name, 0)
+            least = 1 if field.name == "observation_size" else 0
+            values[field.name] = whole_number(stored[field.name], name, least)
         elif field.type == "float":
             values[field.name] = number_above(stored[field.name], name, 0.0, equal=True)
         elif field.type == "str":

@@ -65,10 +65,14 @@ def write_model_folder(model: LatentModel, folder: Path, extra: dict[str, Any]) 
         extra: Further entries of config.json: the planner's settings, the action limits, task and training.
 
     Raises:
-        ModelFolderError: The folder exists.
+        ModelFolderError: The folder exists, or the model is of no such kind.
         LiftingError: The model holds a function, which no file can hold.
     """
-    kind = next(name for name, kind in KINDS.items() if isinstance(model, kind.model))
+    kind = next((name for name, kind in KINDS.items() if isinstance(model, kind.model)), None)
+    if kind is None:
+        raise ModelFolderError(
+            f"{folder}: a {type(model).__name__} cannot be written; the kinds are {', '.join(KINDS)}"
+        )
     settings, arrays = KINDS[kind].parts(model)
     config = {"kind": kind, **settings, **extra}
     write_files(folder, config, arrays, model_card(config))

@@ -93,6 +93,14 @@ def test_a_function_cannot_be_written(tmp_path):
     assert not any(tmp_path.iterdir())
 
 
+def test_a_model_of_another_kind_cannot_be_written(tmp_path):
+    with pytest.raises(
+        ModelFolderError, match="Identity cannot be written; the kinds are network, lifted_linear"
+    ):
+        write_model_folder(Identity(3), tmp_path / "m", {})  # pyright: ignore[reportArgumentType]
+    assert not any(tmp_path.iterdir())
+
+
 def test_an_existing_folder_is_not_overwritten(folder):
     with pytest.raises(ModelFolderError, match="exists"):
         write_model_folder(make_network(), folder, {})
@@ -148,6 +156,7 @@ def test_what_a_stranger_wrote_is_checked(change, message, folder):
         ({"kind": "polynomial", "observation_size": 3, "degree": 10**9}, "too many"),
         ({"kind": "polynomial", "observation_size": 3, "degree": 0}, "degree"),
         ({"kind": "time_delays", "observation_size": 3, "delays": 10**9, "stride": 1}, "1 to 10000"),
+        ({"kind": "polynomial", "observation_size": 0, "degree": 10**15}, "at least 1"),
         ({"kind": "identity", "observation_size": "3"}, "observation_size"),
         ({"kind": "identity", "observation_size": 4}, "A has shape"),
         ({"kind": "network", "layers": 10**9, "activation": "relu"}, "missing"),
