@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import Episode
+from deepkoco.agent.stored_controller import LARGEST_LIMIT
 from deepkoco.koopman.exported import Array
 
 FRAME_COLOURS = 3
@@ -33,7 +34,8 @@ def box_sizes(envs: VectorEnv) -> tuple[tuple[int, ...], Array, Array]:
         Shape of an observation, (N,) for states and (H, W, 3) for frames, and the action limits (M,), (M,).
 
     Raises:
-        SpaceError: A space is neither a flat Box nor, for observations, one of uint8 frames.
+        SpaceError: A space is neither a flat Box nor, for observations, one of uint8 frames, or an action has
+            no limit.
     """
     observation, action = envs.single_observation_space, envs.single_action_space
     if not isinstance(action, spaces.Box) or len(action.shape) != 1:
@@ -45,7 +47,13 @@ def box_sizes(envs: VectorEnv) -> tuple[tuple[int, ...], Array, Array]:
             f"observation space is {observation}; DeepKoCo needs a one-dimensional Box, "
             f"or uint8 frames of shape (height, width, 3) with at least {SMALLEST_FRAME} pixels a side"
         )
-    return observation.shape, action.low.astype(np.float64), action.high.astype(np.float64)
+    low, high = action.low.astype(np.float64), action.high.astype(np.float64)
+    if not (np.abs(np.stack((low, high))) < LARGEST_LIMIT).all():
+        raise SpaceError(
+            f"action space is {action}; DeepKoCo needs limits on every action, "
+            "wrap the environment in gymnasium.wrappers.RescaleAction"
+        )
+    return observation.shape, low, high
 
 
 def _has_frames(space: spaces.Box) -> bool:

@@ -66,3 +66,14 @@ def test_spaces_that_are_not_flat_boxes_are_refused():
     envs = gymnasium.make_vec("CartPole-v1", num_envs=1, vectorization_mode="sync")
     with pytest.raises(SpaceError, match="action space is Discrete"):
         box_sizes(envs)
+
+
+@pytest.mark.parametrize("limit", [np.inf, float(np.finfo(np.float32).max)])
+def test_actions_without_limits_are_refused_before_any_work(limit):
+    def make():
+        env = Countdown(3)
+        env.action_space = spaces.Box(np.array([-1.0, -1.0]), np.array([1.0, limit]), dtype=np.float64)
+        return env
+
+    with pytest.raises(SpaceError, match="limits on every action"):
+        box_sizes(SyncVectorEnv([make]))
