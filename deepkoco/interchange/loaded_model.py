@@ -166,8 +166,14 @@ class LoadedModel:
 
         Returns:
             C (..., r, n).
+
+        Raises:
+            ObservationError: The latent does not have n entries.
         """
-        return self.latent_model.factor(np.asarray(latent, np.float64))
+        entries, size = np.asarray(latent, np.float64), self.latent_model.dynamics.latent_size
+        if entries.shape[-1:] != (size,):
+            raise ObservationError(f"latent has shape {entries.shape}; this model has (..., {size})")
+        return self.latent_model.factor(entries)
 
     def rollout(self, observation: ArrayLike, action: ArrayLike, increments: ArrayLike) -> Prediction:
         """Predict with B and C of the present point, as the planner does.
@@ -218,13 +224,15 @@ class LoadedModel:
             entries = np.asarray(observation, np.float64)
         else:
             given, shape = np.asarray(observation), history.observation_shape
-            lead = given.ndim - len(shape) - 1
-            if lead < 0 or given.shape[lead + 1 :] != shape or given.shape[lead] == 0:
+            kind, lead = history.observation_type, given.ndim - len(shape) - 1
+            fits = lead >= 0 and given.shape[lead + 1 :] == shape and given.shape[lead] > 0
+            if not fits or not np.can_cast(given.dtype, kind):
                 raise ObservationError(
-                    f"observation has shape {given.shape}; give the last ones, (d, *{shape})"
+                    f"observation has shape {given.shape} and type {given.dtype}; "
+                    f"give the last ones, (d, *{shape}) {np.dtype(kind)}"
                 )
             for step in np.moveaxis(given, lead, 0):
-                entries = history.push(step.astype(history.observation_type, copy=False))
+                entries = history.push(step.astype(kind, copy=False))
         expected = (model.observation_size,), (model.action_size,)
         if (entries.shape[-1:], action.shape[-1:]) != expected or entries.shape[:-1] != action.shape[:-1]:
             raise ObservationError(

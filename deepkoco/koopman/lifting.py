@@ -94,6 +94,7 @@ class StackedHistory:
         Returns:
             The last observations, newest first (..., window * N).
         """
+        observation = np.array(observation, np.float64)  # a caller may use its array again
         before = [observation] * (self._window - 1) if self._stacked is None else self._stacked[:-1]
         self._stacked = [observation, *before]
         return np.concatenate(self._stacked, axis=-1)

@@ -124,6 +124,8 @@ def test_a_model_on_images_takes_frames(tmp_path):
         model.act(frames[0] / 255.0)
     with pytest.raises(ObservationError, match="last ones"):
         model.encode(frames[0], [0.1])
+    with pytest.raises(ObservationError, match=r"float64; give the last ones, .* uint8"):
+        model.encode(frames / 255.0, [0.1])
 
 
 def delayed_model(lifting=None):
@@ -165,15 +167,33 @@ def test_what_does_not_fit_is_named(observation, action, increments, folder):
         deepkoco.load(folder).rollout(observation, action, increments)
 
 
+def test_a_latent_of_another_size_is_named(folder):
+    with pytest.raises(ObservationError, match=r"latent has shape \(5,\); this model has \(\.\.\., 6\)"):
+        deepkoco.load(folder).C(np.zeros(5))
+
+
+def test_a_history_does_not_follow_the_array_of_its_caller():
+    model, other = (
+        LoadedModel(StoredController(delayed_model(), PlannerConfig(5), np.array([-3.0]), np.array([3.0])))
+        for _ in range(2)
+    )
+    buffer = np.zeros(1)
+    for position in (1.0, 0.7, 0.2, 0.1):
+        buffer[0] = position
+        assert model.act(buffer) == other.act([position])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"planner": PlannerConfig(10**7)}, "too much to plan"),
         ({"planner": PlannerConfig(100, method="cem", samples=10**6)}, "too much to plan"),
+        ({"planner": PlannerConfig(5, method="cem", sample_iterations=10**9)}, "too much to plan"),
         ({"planner": PlannerConfig(0)}, "horizon"),
         ({"planner": PlannerConfig(5, solver="none such")}, "not installed"),
         ({"action_low": np.array([3.0, 3.0])}, "above action_high"),
         ({"action_low": np.array([3.0])}, "2 limits"),
+        ({"action_low": np.array([-1e20, -1.0])}, "limits below 1e\\+20"),
     ],
 )
 def test_a_stored_planner_is_checked(change, message, stored, tmp_path):
