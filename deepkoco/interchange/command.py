@@ -6,10 +6,9 @@ import argparse
 
 from deepkoco.command_line import InputError
 
-DESCRIPTION = (
-    "Export a model for other programs: ONNX or torch.export of (observation, action) -> (latent, B, C), or"
-)
-DESCRIPTION += " plain arrays (.npz, .mat, .json) for a controller of your own."
+DESCRIPTION = """\
+Export a model for other programs: ONNX or torch.export of (observation, action) -> (latent, B, C), or plain
+arrays (.npz, .mat, .json) for a controller of your own."""
 EXAMPLE = """\
 example:
   deepkoco export-model runs/first --to onnx --out first.onnx

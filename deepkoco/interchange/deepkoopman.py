@@ -197,7 +197,12 @@ def read_deepkoopman(
             i = len(layers) + 1
             if f"b{name}{i}" not in arrays:
                 raise DeepKoopmanError(f"b{name}{i} is missing")
-            weight, bias = (np.asarray(arrays[f"{kind}{name}{i}"], np.float64) for kind in "Wb")
+            try:
+                weight, bias = (np.asarray(arrays[f"{kind}{name}{i}"], np.float64) for kind in "Wb")
+            except (TypeError, ValueError) as error:
+                raise DeepKoopmanError(
+                    f"layer {name}{i} holds what is no array of numbers: {error}"
+                ) from error
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
                 raise DeepKoopmanError(f"layer {name}{i} holds numbers that are not finite")
             layers.append((np.atleast_2d(weight).T, bias.reshape(-1)))
@@ -230,14 +235,20 @@ def _read_arrays(path: Path) -> dict[str, Array]:
     try:
         if not path.is_dir():
             return load_file(path)
-        found = {match[1]: file for file in sorted(path.iterdir()) if (match := _FILE.fullmatch(file.name))}
+        found: dict[str, Path] = {}
+        for file in sorted(path.iterdir()):
+            if (match := _FILE.fullmatch(file.name)) is not None:
+                if match[1] in found:
+                    raise DeepKoopmanError(
+                        f"{path}: {found[match[1]].name} and {file.name} both hold {match[1]}; keep one model a folder"
+                    )
+                found[match[1]] = file
         arrays = {name: np.loadtxt(file, delimiter=",", ndmin=1) for name, file in found.items()}
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise DeepKoopmanError(f"{path}: cannot be read: {error}") from error
     # A CSV file does not tell a column from a row: a layer has as many outputs as its bias.
-    return {
-        name: array.reshape(-1, arrays[f"b{name[1:]}"].size)
-        if name[0] == "W" and f"b{name[1:]}" in arrays and array.size % arrays[f"b{name[1:]}"].size == 0
-        else array
-        for name, array in arrays.items()
-    }
+    outputs = {name: arrays[f"b{name[1:]}"].size for name in arrays if f"b{name[1:]}" in arrays}
+    for name, size in outputs.items():
+        if name[0] == "W" and size and arrays[name].size % size == 0:
+            arrays[name] = arrays[name].reshape(-1, size)
+    return arrays

@@ -164,6 +164,8 @@ def test_a_target_cost_goes_through_the_linearised_decoder():
         ({"WOC1_2": np.ones((6, 1)), "bOC1_2": np.ones(1)}, "should have 1 and 2"),
         ({"WD1": np.full((2, 6), np.nan)}, "not finite"),
         ({"WX1": np.ones((2, 2))}, "WX1 belongs to no layer"),
+        ({"WE1": "x"}, "layer E1 holds"),
+        ({"bE1": [[1.0], [1.0, 2.0]]}, "layer E1 holds"),
         ({"WD2": np.ones((6, 3)), "bD2": np.ones(3)}, "decoder gives 3"),
     ],
 )
@@ -177,6 +179,14 @@ def test_what_is_no_file_of_weights_is_named(tmp_path):
     (tmp_path / "w.safetensors").write_bytes(b"no")
     with pytest.raises(DeepKoopmanError, match="cannot be read"):
         read_deepkoopman(tmp_path / "w.safetensors", DT)
+    for name in ("One_WE1.csv", "One_bE1.csv", "Two_WE1.csv"):
+        (tmp_path / name).write_text("1.0\n")
+    with pytest.raises(DeepKoopmanError, match="both hold WE1"):
+        read_deepkoopman(tmp_path, DT)
+    (tmp_path / "Two_WE1.csv").unlink()
+    (tmp_path / "One_bE1.csv").write_text("")
+    with pytest.warns(UserWarning, match="no data"), pytest.raises(DeepKoopmanError, match="network E"):
+        read_deepkoopman(tmp_path, DT)
     with pytest.raises(DeepKoopmanError, match="time_step"):
         read_deepkoopman(random_weights(0), 0.0)
     with pytest.raises(DeepKoopmanError, match="activation"):
