@@ -223,7 +223,7 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
             )
         axis.set(title=title, xlabel="training episodes", ylim=(0, None))
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel("cost per episode, interquartile mean and 95 % band")
+    axes[0].set_ylabel("cost per episode (iqm, 95 % band)")
     axes[-1].legend(fontsize=8)
     figure.savefig(path, dpi=150)
     plt.close(figure)
@@ -269,9 +269,9 @@ def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
     final = rows.sort_values("episodes").groupby("run").tail(1).sort_values(["condition", "seed"])
     kept = ["episodes", "updates", "evaluation/cost", "evaluation/cost_sd", "evaluation/cost_median"]
     out.mkdir(parents=True)
-    curves.to_csv(out / "curves.csv", index=False)
+    curves.to_csv(out / "curves.csv", index=False, float_format="%.6g")
     final[["condition", "seed", *kept, "evaluation/episodes", "seconds"]].to_csv(
-        out / "final.csv", index=False
+        out / "final.csv", index=False, float_format="%.6g"
     )
     final_table(final).to_csv(out / "table.csv", index=False, float_format="%.6g")
     draw(curves, out / "learning_curve.png")

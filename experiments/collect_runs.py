@@ -7,47 +7,41 @@ learning curves and where it all comes from are written. The weights stay in the
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+import torch
 
 from experiments.aggregate import finished_runs, write_aggregate
+from experiments.commands import BAD_INPUT
+from experiments.evaluate import measure
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError
+from experiments.settings import EvaluateConfig, ExperimentError
 from experiments.train import load_run_config
 
 
-def evaluate_run(run: Path, episodes: int) -> dict:
-    """Evaluate one run in a process of its own, as a user would.
+def evaluate_run(run: Path, episodes: int) -> dict[str, Any]:
+    """Evaluate one run.
 
     Args:
         run: The run's folder.
         episodes: Noise-free episodes.
 
     Returns:
-        What `experiments.evaluate` prints.
+        What `experiments.evaluate.measure` gives.
 
     Raises:
         ExperimentError: The run cannot be evaluated.
     """
-    command = [
-        sys.executable,
-        "-m",
-        "experiments.evaluate",
-        f"run={run}",
-        f"episodes={episodes}",
-        "json=true",
-    ]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    if result.returncode != 0:
-        raise ExperimentError(f"{run}: {result.stderr.strip()}")
-    return json.loads(result.stdout.strip().splitlines()[-1])
+    try:
+        return measure(EvaluateConfig(str(run), episodes=episodes))
+    except BAD_INPUT as error:
+        raise ExperimentError(f"{run}: {error}") from error
 
 
 def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
@@ -86,6 +80,7 @@ def _write(runs: Path, folders: Sequence[Path], partial: Path, episodes: int) ->
     for folder in folders:
         config = load_run_config(folder)
         evaluation = evaluate_run(folder, episodes)
+        optimum = evaluation["optimum"] or {"mean": None}
         last = pd.read_csv(folder / "metrics.csv").iloc[-1]
         rows.append(
             {
@@ -93,6 +88,8 @@ def _write(runs: Path, folders: Sequence[Path], partial: Path, episodes: int) ->
                 "distractors": config.distractors,
                 "seed": config.seed,
                 **{name: evaluation[name] for name in ("n", "mean", "sd", "median", "upright")},
+                "optimum": optimum["mean"],
+                "above_optimum": evaluation["above_optimum"],
                 "planner_failures": evaluation["planner_failures"],
                 "train_seconds": last["seconds"],
             }
@@ -115,6 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="new folder")
     parser.add_argument("--episodes", type=int, default=50, help="noise-free episodes a run (default 50)")
     args = parser.parse_args(arguments)
+    torch.set_num_threads(1)
     try:
         print(collect(args.runs, args.out, args.episodes).to_string(index=False))
     except ExperimentError as error:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from gymnasium.vector import VectorEnv
 
 from deepkoco.agent.agent import VectorAgent
@@ -138,6 +139,7 @@ def evaluate(config: EvaluateConfig) -> None:
     Args:
         config: Settings of the command.
     """
+    torch.set_num_threads(1)  # small tensors: more threads only wait for each other
     result = measure(config)
     if config.json:
         known = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in result.items()}

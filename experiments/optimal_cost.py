@@ -18,7 +18,8 @@ def optimal_costs(envs: VectorEnv, seed: int, points: int = 301) -> np.ndarray |
         points: Of the grid, for the angle and for the speed.
 
     Returns:
-        One for each environment (B,); None where the task is no swing-up without delays on own equations.
+        One for each environment (B,); None where the task is no swing-up without delays on own equations, or
+        its cost is replaced.
     """
     try:
         model = TrueModel.of(envs)

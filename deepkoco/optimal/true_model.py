@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import VectorEnv, VectorRewardWrapper, VectorWrapper
 from torch import Tensor
 
 from deepkoco.engines.ode import World
@@ -69,12 +69,16 @@ class TrueModel:
 
     @classmethod
     def of(cls, envs: VectorEnv, substeps: int | None = None) -> TrueModel:
-        """Model of the package's own environments, below any wrappers.
+        """Model of the package's own environments, below wrappers that leave the cost as it is.
 
         Raises:
-            TrueModelError: They are others, or no function of state and action.
+            TrueModelError: They are others, no function of state and action, or a wrapper replaces their cost.
         """
-        inner = envs.unwrapped
+        inner, outer = envs.unwrapped, envs
+        while isinstance(outer, VectorWrapper):
+            if isinstance(outer, VectorRewardWrapper):
+                raise TrueModelError(f"{type(outer).__name__} replaces the cost of the task")
+            outer = outer.env
         if not isinstance(inner, DelayGraphVectorEnv):
             raise TrueModelError(f"{type(inner).__name__} does not tell its equations")
         return cls(inner.settings, substeps)

@@ -127,8 +127,9 @@ def _between(values, row, column):
     angles, speeds = values.shape
     i, j = int(row), min(int(column), speeds - 2)
     s, t = row - i, column - j
-    i = i % angles
-    k = (i + 1) % angles
+    # Rounding may put a row just below a full turn on it. Comparisons, for a modulo takes most of the time.
+    i = i - angles if i >= angles else i
+    k = i + 1 if i + 1 < angles else 0
     near = values[i, j] * (1 - t) + values[i, j + 1] * t
     return near * (1 - s) + (values[k, j] * (1 - t) + values[k, j + 1] * t) * s
 

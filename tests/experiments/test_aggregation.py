@@ -80,7 +80,9 @@ def test_collection_keeps_everything_but_the_weights(make_run, tmp_path, capsys)
     ]
     row = pd.read_csv(out / "evaluations.csv").iloc[0]
     assert (row["task"], row["seed"], row["n"], row["train_seconds"]) == ("pendulum", 1, 2, 110.5)
-    assert row["mean"] > 0
+    # Both are written to six digits.
+    assert row["above_optimum"] == pytest.approx(row["mean"] - row["optimum"], rel=1e-4)
+    assert row["above_optimum"] > 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "runs"]
     assert main([str(runs), "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err

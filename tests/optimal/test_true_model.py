@@ -7,6 +7,7 @@ import torch
 
 import deepkoco.envs  # noqa: F401 - registers the ids
 from deepkoco.envs.distractors import VectorStateDistractors
+from deepkoco.envs.sparse_cost import VectorSparseCost
 from deepkoco.optimal import TrueModel, TrueModelError, play, start_states
 
 IDS = ("deepkoco/RodPendulum-v0", "deepkoco/Pendulum-v0", "deepkoco/Manipulator-v0")
@@ -64,3 +65,8 @@ def test_what_is_no_function_of_the_state_is_refused(settings, message):
 def test_other_environments_are_refused():
     with pytest.raises(TrueModelError, match="does not tell"):
         TrueModel.of(make("Pendulum-v1"))
+
+
+def test_a_cost_that_a_wrapper_replaces_is_refused():
+    with pytest.raises(TrueModelError, match="VectorSparseCost"):
+        TrueModel.of(VectorStateDistractors(VectorSparseCost(make(IDS[0]), 0.25), shuffle_seed=3))
