@@ -108,7 +108,7 @@ def fresh_controller(
 
     def act(observation: Array) -> Array:
         rows, factor = model.linearise(observation, state["action"])
-        hessian, gradient = CondensedProgram(problem, "daqp", 1e-6).matrices(rows, factor, state["action"])
+        hessian, gradient = CondensedProgram(problem, "auto", 1e-6).matrices(rows, factor, state["action"])
         bounds = np.tile(low, config.horizon), np.tile(high, config.horizon)
         program = qpsolvers.Problem(sparse.csc_matrix(hessian), gradient, lb=bounds[0], ub=bounds[1])
         solution = qpsolvers.solve_problem(program, solver="osqp", eps_abs=1e-6, eps_rel=1e-6)

@@ -12,8 +12,10 @@ from deepkoco.agent.collection import collect_episodes, cost_spread, episode_cos
 from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.koopman.exported import Array
+from deepkoco.koopman.latent_model import LatentModel
 from deepkoco.planning.config import PlannerConfig
 from experiments.environments import make_environments
+from experiments.settings import TrainRunConfig
 from experiments.train import check_finished, load_run_config
 
 INDEX = 1_000  # of the start states: neither those of training nor those of `evaluate`
@@ -37,9 +39,7 @@ def closed_loop_costs(
         ExperimentError: The folder holds no finished run.
         ModelFolderError: Its model cannot be read.
     """
-    run = load_run_config(folder)
-    check_finished(folder)
-    model, _, low, high = load_model(folder)
+    run, model, low, high = _finished(folder)
     envs = make_environments(run, "evaluation")(episodes, run.seed)
     seed = derive_seed(run.seed, Purpose.FINAL_EVALUATION, INDEX)
     costs: dict[str, Array] = {}
@@ -79,9 +79,7 @@ def observed_sequence(folder: Path, planner: PlannerConfig, steps: int) -> Array
         ExperimentError: The folder holds no finished run.
         ModelFolderError: Its model cannot be read.
     """
-    run = load_run_config(folder)
-    check_finished(folder)
-    model, _, low, high = load_model(folder)
+    run, model, low, high = _finished(folder)
     envs = make_environments(run, "evaluation")(1, run.seed)
     observations, index = [], INDEX
     while sum(map(len, observations)) < steps:
@@ -91,3 +89,11 @@ def observed_sequence(folder: Path, planner: PlannerConfig, steps: int) -> Array
         index += 1
     envs.close()
     return np.concatenate(observations)[:steps]
+
+
+def _finished(folder: Path) -> tuple[TrainRunConfig, LatentModel, Array, Array]:
+    """Settings, model and action limits (M,) of a finished run."""
+    run = load_run_config(folder)
+    check_finished(folder)
+    model, _, low, high = load_model(folder)
+    return run, model, low, high

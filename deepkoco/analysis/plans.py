@@ -8,9 +8,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import COLOURS, Picture
+from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.steps import Steps
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.picture import Picture
 from deepkoco.planning import Planner, make_planner
 from deepkoco.planning.config import PlannerConfig
 
@@ -30,12 +31,13 @@ class Plan:
     costs: Array
 
 
-def make_plan(model: LatentModel, planner: Planner, observation: Array, action: Array) -> Plan:
+def make_plan(model: LatentModel, planner: Planner, horizon: int, observation: Array, action: Array) -> Plan:
     """Plan from one point and predict its cost.
 
     Args:
         model: The latent model.
         planner: Of this model.
+        horizon: H of the planner.
         observation: (N,).
         action: Present action (M,).
 
@@ -44,7 +46,10 @@ def make_plan(model: LatentModel, planner: Planner, observation: Array, action: 
     """
     rows, factor = model.linearise(observation, action)
     increment = planner.plan(rows, factor, action)
-    increments = np.vstack([increment, planner._held])
+    planned = planner.planned
+    if planned is None:  # the first plan of an episode failed: nothing is planned but to hold the action
+        planned = np.tile(action, (horizon, 1))
+    increments = np.vstack([increment, np.diff(planned, axis=0)])
     actions = np.vstack([action, action + np.cumsum(increments, axis=0)])
     latent, latents = np.ascontiguousarray(rows[0]), [rows[0]]
     for step in increments:
@@ -92,7 +97,9 @@ def planned_costs(
         planner.reset()
         total = np.concatenate([[0.0], np.cumsum(steps.costs[start : start + length])])
         for k in range(length - config.horizon):
-            plan = make_plan(model, planner, steps.observations[start + k], steps.actions[start + k])
+            plan = make_plan(
+                model, planner, config.horizon, steps.observations[start + k], steps.actions[start + k]
+            )
             planned.append(plan.costs[1:].sum())
             realised.append(total[k + config.horizon + 1] - total[k + 1])
             episodes.append(number)

@@ -88,7 +88,7 @@ def film_episode(
         scenes.append(_picture(envs.unwrapped))
         action = policy.act(observation[0]).astype(np.float64)
         seen = observation[0].astype(np.float64) if history is None else history.push(observation[0])
-        plans.append(make_plan(policy.model, planner, seen, action))
+        plans.append(make_plan(policy.model, planner, config.horizon, seen, action))
         observations.append(np.array(observation[0]))
         actions.append(action)
         observation, reward, terminated, truncated, _ = envs.step(_typed(envs, action))

@@ -15,17 +15,16 @@ FIRST_PASSES = 3
 """Solves at the first step of an episode, which has no last plan."""
 TANGENT_STEP = 1e-6
 """Step of the difference quotients; psi is piecewise affine, so y(s) is a parabola between its kinks."""
-Relinearise = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
+Relinearise = Callable[[Array, Array, Array], tuple[Array, Array, Array | None]]
 """From latents s_1 .. s_H (H, n), actions a_1 .. a_H (H, M) and the present B (M, n) to the columns of B_1 .. B_H as
-rows (H, M, n), C_1 .. C_H (H, r, n) and offsets e_1 .. e_H (H, r) of y_k = C_k s_k + e_k."""
+rows (H, M, n), C_1 .. C_H (H, r, n) and offsets e_1 .. e_H (H, r) of y_k = C_k s_k + e_k, None for zero."""
 
 
 def relinearise_cost(model: LatentModel) -> Relinearise:
     """C at the predicted latents, B of the present state."""
 
-    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array, Array]:
-        factors = model.factor(latents)
-        return np.broadcast_to(present, (len(latents), *present.shape)), factors, 0.0 * factors[..., 0]
+    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array, None]:
+        return np.broadcast_to(present, (len(latents), *present.shape)), model.factor(latents), None
 
     return relinearise
 
@@ -34,9 +33,8 @@ def relinearise_all(model: LatentModel) -> Relinearise:
     """B and C at the predicted latents; raises `PlannerConfigError` for a model without decoder."""
     decodable = check_decoder(model)
 
-    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array, Array]:
-        inputs, factors = decodable.linearise_along(latents, actions)
-        return inputs, factors, 0.0 * factors[..., 0]
+    def relinearise(latents: Array, actions: Array, present: Array) -> tuple[Array, Array, None]:
+        return *decodable.linearise_along(latents, actions), None
 
     return relinearise
 

@@ -12,17 +12,28 @@ from deepkoco.planning.solvers import make_box_solver
 class BoxProgram:
     r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $|y_0 + D a|^2 + R |a|^2 + \tilde R |\Delta a|^2$.
 
-    Written in the actions instead of the increments the limits are plain bounds; the two programs are one
+    What a condensed form adds is how D and y_0 follow from its model. Written in the actions instead of the increments the limits are plain bounds; the two programs are one
     linear change of variables apart.
 
     Source: DeepKoCo, Eq. 5.16.
     """
 
-    def __init__(self, problem: PlanningProblem, solver: str, tolerance: float, warm_start: str) -> None:
-        """Make everything that does not change from step to step; see `CondensedProgram`."""
+    def __init__(
+        self, problem: PlanningProblem, solver: str, tolerance: float, warm_start: str = "kept"
+    ) -> None:
+        """Make everything that does not change from step to step.
+
+        Args:
+            problem: Dynamics, weights and limits.
+            solver: Name of the solver.
+            tolerance: For solvers that iterate.
+            warm_start: "kept", "shifted" or "none", see `PlannerConfig`.
+
+        Raises:
+            UnknownSolverError: No such solver is installed.
+        """
         steps, actions = problem.horizon, problem.action_low.size
-        self._shape = (steps, actions)
-        self._action_weight, self._increment_weight = problem.action_weight, problem.increment_weight
+        self._problem = problem
         difference = np.eye(steps) - np.eye(steps, k=-1)
         fixed = problem.action_weight * np.eye(steps) + problem.increment_weight * difference.T @ difference
         self._fixed = np.asarray(2.0 * np.kron(fixed, np.eye(actions)), np.float64)
@@ -43,7 +54,7 @@ class BoxProgram:
         self._planned = None
         self._solver.restart()
 
-    def matrices(self, matrix: Array, free: Array, action: Array) -> tuple[Array, Array]:
+    def quadratic(self, matrix: Array, free: Array, action: Array) -> tuple[Array, Array]:
         """The quadratic program.
 
         Args:
@@ -57,11 +68,11 @@ class BoxProgram:
         hessian = 2.0 * (matrix.T @ matrix)
         hessian += self._fixed
         gradient = 2.0 * (free @ matrix)
-        gradient[: action.size] -= 2.0 * self._increment_weight * action
+        gradient[: action.size] -= 2.0 * self._problem.increment_weight * action
         return hessian, gradient
 
-    def solve(self, matrix: Array, free: Array, action: Array) -> Array:
-        """Plan; see `matrices` for the arguments.
+    def solve_box(self, matrix: Array, free: Array, action: Array) -> Array:
+        """Plan; see `quadratic` for the arguments.
 
         Returns:
             Planned actions a_1 .. a_H (H, M).
@@ -70,19 +81,19 @@ class BoxProgram:
             SolverError: The program was not solved.
         """
         self._response = matrix, free
-        self._hessian, gradient = self.matrices(matrix, free, action)
+        self._hessian, gradient = self.quadratic(matrix, free, action)
         if self._warm_start == "none":
             self._solver.restart()
         elif self._warm_start == "shifted" and self._planned is not None:
             self._solver.start_at(shifted(self._planned).ravel())
-        self._planned = self._solver.solve(self._hessian, gradient).reshape(self._shape)
+        self._planned = self._solver.solve(self._hessian, gradient).reshape(self._problem.horizon, -1)
         return self._planned
 
     def planned_cost(self, planned: Array) -> float:
         """See `Program.planned_cost`."""
         matrix, free = self._response
         y, flat = free + matrix @ planned.ravel(), planned.ravel()
-        return float(y @ y + self._action_weight * flat @ flat)
+        return float(y @ y + self._problem.action_weight * flat @ flat)
 
     def conditioning(self) -> float:
         """See `Program.conditioning`."""

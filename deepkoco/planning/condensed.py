@@ -9,7 +9,7 @@ from deepkoco.planning.box_program import BoxProgram
 from deepkoco.planning.config import Array, PlanningProblem
 
 
-class CondensedProgram:
+class CondensedProgram(BoxProgram):
     r"""$y = y_0 + D a$ with B and C frozen over the plan.
 
     $y_k = C s_k = C A^k s_0 + \sum_{j<k} g_{k-1-j} \Delta a_j$ with $g_i = C A^i B$, so in the actions $D$ is
@@ -21,19 +21,9 @@ class CondensedProgram:
     def __init__(
         self, problem: PlanningProblem, solver: str, tolerance: float, warm_start: str = "kept"
     ) -> None:
-        """Make everything that does not change from step to step.
-
-        Args:
-            problem: Dynamics, weights and limits.
-            solver: Name of the solver.
-            tolerance: For solvers that iterate.
-            warm_start: "kept", "shifted" or "none", see `PlannerConfig`.
-
-        Raises:
-            UnknownSolverError: No such solver is installed.
-        """
+        """Prepare the powers of A and the Toeplitz matrix; see `BoxProgram`."""
         steps, actions, rank = problem.horizon, problem.action_low.size, problem.cost_rank
-        self._box = BoxProgram(problem, solver, tolerance, warm_start)
+        super().__init__(problem, solver, tolerance, warm_start)
         self._shape = (rank * steps, steps * actions)
         self._steps = steps
         self._respond = problem.dynamics.responses(steps)
@@ -45,15 +35,6 @@ class CondensedProgram:
             (stride[0], stride[1], -stride[1], stride[2]),
             writeable=False,
         )
-
-    @property
-    def iterations(self) -> int:
-        """Of the last solve."""
-        return self._box.iterations
-
-    def reset(self) -> None:
-        """See `Program.reset`."""
-        self._box.reset()
 
     def response(self, rows: Array, factor: Array, action: Array) -> tuple[Array, Array]:
         """How y = (C s_1 .. C s_H) depends on the actions; rows, factor and action as in `Program.solve`.
@@ -75,43 +56,19 @@ class CondensedProgram:
         Returns:
             Hessian (HM, HM) and gradient (HM,) for the stacked actions a_1 .. a_H.
         """
-        return self._box.matrices(*self.response(rows, factor, action), action)
+        return self.quadratic(*self.response(rows, factor, action), action)
 
     def solve(self, rows: Array, factor: Array, action: Array) -> Array:
         """See `Program.solve`."""
-        return self._box.solve(*self.response(rows, factor, action), action)
-
-    def planned_cost(self, planned: Array) -> float:
-        """See `Program.planned_cost`."""
-        return self._box.planned_cost(planned)
-
-    def conditioning(self) -> float:
-        """See `Program.conditioning`."""
-        return self._box.conditioning()
+        return self.solve_box(*self.response(rows, factor, action), action)
 
 
-class VaryingCondensedProgram:
+class VaryingCondensedProgram(BoxProgram):
     r"""$y = y_0 + D a$ with B_k and C_k of their own at every step.
 
     $y_k = C_k A^k s_0 + \sum_{j<k} G_{kj} \Delta a_j$ with $G_{kj} = C_k A^{k-1-j} B_j$, so $D_{ki} = G_{k,i-1} -
     G_{ki}$. The columns of every B_j are moved on step by step, together with the latent.
     """
-
-    def __init__(
-        self, problem: PlanningProblem, solver: str, tolerance: float, warm_start: str = "kept"
-    ) -> None:
-        """Make everything that does not change from step to step; see `CondensedProgram`."""
-        self._box = BoxProgram(problem, solver, tolerance, warm_start)
-        self._problem = problem
-
-    @property
-    def iterations(self) -> int:
-        """Of the last solve."""
-        return self._box.iterations
-
-    def reset(self) -> None:
-        """See `Program.reset`."""
-        self._box.reset()
 
     def response(self, latent: Array, inputs: Array, factors: Array, action: Array) -> tuple[Array, Array]:
         """How y = (C_1 s_1 .. C_H s_H) depends on the actions; arguments as in `VaryingProgram.solve_varying`.
@@ -141,12 +98,4 @@ class VaryingCondensedProgram:
         matrix, free = self.response(latent, inputs, factors, action)
         if offsets is not None:
             free = free + offsets.ravel()
-        return self._box.solve(matrix, free, action)
-
-    def planned_cost(self, planned: Array) -> float:
-        """See `Program.planned_cost`."""
-        return self._box.planned_cost(planned)
-
-    def conditioning(self) -> float:
-        """See `Program.conditioning`."""
-        return self._box.conditioning()
+        return self.solve_box(matrix, free, action)

@@ -9,7 +9,7 @@ import numpy as np
 
 from deepkoco.planning.config import Array
 from deepkoco.planning.errors import SolverError
-from deepkoco.planning.program import Program
+from deepkoco.planning.program import Program, shifted
 from deepkoco.planning.statistics import PlannerStatistics
 
 logger = logging.getLogger(__name__)
@@ -41,21 +41,24 @@ class Planner:
         self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
         self._diagnostics = diagnostics
         self.statistics = PlannerStatistics()
-        self._held = np.zeros((0, self._low.size))
+        self._planned: Array | None = None
+
+    @property
+    def planned(self) -> Array | None:
+        """The plan that is followed: actions a_1 .. a_H (H, M), the first of them decided last.
+
+        A failure moves it on by one step; None before the first plan of an episode.
+        """
+        return self._planned
 
     def reset(self) -> None:
         """Forget the last plan at the start of an episode."""
-        self._held = self._held[:0]
+        self._planned = None
         self.statistics.planned_costs = []
         self._program.reset()
 
     def plan(self, rows: Array, factor: Array, action: Array) -> Array:
-        """Decide the next action increment.
-
-        Args:
-            rows: Latent and input columns (1 + M, n) as given by `LatentModel.linearise`.
-            factor: Cost factor C (r, n).
-            action: Present action a_0 (M,).
+        """Decide the next action increment; rows, factor and action as in `Program.solve`.
 
         Returns:
             Increment da_0 (M,) with a_0 + da_0 inside the limits.
@@ -70,7 +73,7 @@ class Planner:
             increment = self._hold(str(error))
         else:
             increment = planned[0] - action
-            self._held = planned[1:] - planned[:-1]
+            self._planned = planned.copy()  # some solvers give out memory that they write to again
         return np.minimum(np.maximum(action + increment, self._low), self._high) - action
 
     def _observed_solve(self, rows: Array, factor: Array, action: Array) -> Array:
@@ -99,7 +102,7 @@ class Planner:
             logger.warning(
                 "plan not solved (%s), failure %d: holding the last plan", reason, statistics.failures
             )
-        if len(self._held) == 0:
+        if self._planned is None:
             return np.zeros_like(self._low)
-        increment, self._held = self._held[0], self._held[1:]
-        return increment
+        before, self._planned = self._planned, shifted(self._planned)
+        return self._planned[0] - before[0]

@@ -44,22 +44,34 @@ def check_decoder(model: LatentModel) -> DecodableModel:
         else:
             return model
     raise PlannerConfigError(
-        f'planner.linearisation = "along_plan" does not go with this model: {reason}; '
+        f'planner.linearisation = "along_plan" or "tangent" does not go with this model: {reason}; '
         'or give planner.linearisation="frozen"'
     )
 
 
-class Program(Protocol):
-    """One optimisation over the actions of the next H steps.
-
-    Attributes:
-        iterations: Of the last solve.
-    """
+class Optimisation(Protocol):
+    """What every program tells of its last solve, whatever it takes."""
 
     @property
     def iterations(self) -> int:
         """Of the last solve."""
         ...
+
+    def reset(self) -> None:
+        """Forget all earlier steps."""
+        ...
+
+    def planned_cost(self, planned: Array) -> float:
+        """Predicted sum of |C_k s_k|^2 + R a_k'a_k over k = 1 .. H of a plan (H, M) for the last problem."""
+        ...
+
+    def conditioning(self) -> float:
+        """Estimated condition number of the last problem's Hessian; NaN where there is none."""
+        ...
+
+
+class Program(Optimisation, Protocol):
+    """One optimisation over the actions of the next H steps."""
 
     def solve(self, rows: Array, factor: Array, action: Array) -> Array:
         """Plan.
@@ -77,26 +89,9 @@ class Program(Protocol):
         """
         ...
 
-    def reset(self) -> None:
-        """Forget all earlier steps."""
-        ...
 
-    def planned_cost(self, planned: Array) -> float:
-        """Predicted sum of |C_k s_k|^2 + R a_k'a_k over k = 1 .. H of a plan (H, M) for the last problem."""
-        ...
-
-    def conditioning(self) -> float:
-        """Estimated condition number of the last problem's Hessian; NaN where there is none."""
-        ...
-
-
-class VaryingProgram(Protocol):
+class VaryingProgram(Optimisation, Protocol):
     """A program with B_k and C_k of their own at every step."""
-
-    @property
-    def iterations(self) -> int:
-        """Of the last solve."""
-        ...
 
     def solve_varying(
         self, latent: Array, inputs: Array, factors: Array, action: Array, offsets: Array | None = None
@@ -116,18 +111,6 @@ class VaryingProgram(Protocol):
         Raises:
             SolverError: The program was not solved.
         """
-        ...
-
-    def reset(self) -> None:
-        """See `Program.reset`."""
-        ...
-
-    def planned_cost(self, planned: Array) -> float:
-        """See `Program.planned_cost`."""
-        ...
-
-    def conditioning(self) -> float:
-        """See `Program.conditioning`."""
         ...
 
 

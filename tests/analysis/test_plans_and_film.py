@@ -39,7 +39,7 @@ def pendulum(steps=14):
 def test_the_cost_of_a_plan_is_that_of_stepping_the_model_under_it(policy):
     model, action = policy.model, np.array([0.3])
     observation = np.array([0.5, -0.8, 1.0])
-    plan = make_plan(model, make_planner(model, PLANNER, LOW, HIGH), observation, action)
+    plan = make_plan(model, make_planner(model, PLANNER, LOW, HIGH), 4, observation, action)
     assert plan.actions.shape == (4, 1)
     rows, factor = model.linearise(observation, action)
     latent, before = rows[0], action
@@ -48,6 +48,14 @@ def test_the_cost_of_a_plan_is_that_of_stepping_the_model_under_it(policy):
         before = planned
         expected = np.square(factor @ latent).sum() + model.action_weight * np.square(planned).sum()
         assert cost == pytest.approx(expected)
+
+
+def test_a_plan_that_cannot_be_made_holds_the_action(policy):
+    impossible = make_planner(policy.model, PLANNER, HIGH, LOW)
+    plan = make_plan(policy.model, impossible, 4, np.array([0.5, -0.8, 1.0]), np.array([2.0]))
+    assert impossible.statistics.failures == 1
+    assert plan.costs.shape == (5,)
+    np.testing.assert_array_equal(plan.actions[1:], np.repeat(plan.actions[:1], 3, axis=0))
 
 
 def test_realised_costs_are_those_of_the_following_steps(exact):

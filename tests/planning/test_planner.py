@@ -83,7 +83,7 @@ def test_huge_numbers_are_a_failure_and_leave_nothing_behind(size, config, model
     rows, factor = model.linearise(np.array([0.1, 0.2, 0.3]), action)
     huge_rows, huge_factor = model.linearise(np.array([0.1, size, 0.3]), action)
     planner.plan(rows, factor, action)
-    held = planner._held[0].copy()
+    held = planner.planned[1] - planner.planned[0]
     increment = planner.plan(huge_rows, huge_factor, action)
     np.testing.assert_array_equal(increment, np.clip(held, -1.5, 1.5))
     assert planner.statistics.failures == 1
@@ -146,7 +146,19 @@ def test_reset_forgets_the_plan(random_state, model):
     rows, factor, action = random_state(model, 1)
     planner.plan(rows, factor, action)
     planner.reset()
+    assert planner.planned is None
     np.testing.assert_array_equal(planner.plan(rows * np.nan, factor, action), 0.0)
+
+
+def test_the_plan_that_is_followed_moves_on_with_every_failure(random_state, model):
+    planner = make(model, PlannerConfig(5))
+    rows, factor, action = random_state(model, 1)
+    increment = planner.plan(rows, factor, action)
+    planned = planner.planned
+    assert planned.shape == (5, 1)
+    np.testing.assert_allclose(planned[0], action + increment)
+    planner.plan(rows * np.nan, factor, action)
+    np.testing.assert_array_equal(planner.planned, planned[[1, 2, 3, 4, 4]])
 
 
 def test_bad_settings_are_named(model):
