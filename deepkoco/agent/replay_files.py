@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from deepkoco.agent.buffer import Episode
-from deepkoco.agent.checkpoint import load_checkpoint, save_checkpoint
+from deepkoco.agent.checkpoint import damaged, load_checkpoint, save_checkpoint
 
 REPLAY_FOLDER = "replay"
 
@@ -44,13 +44,17 @@ def read_replay(folder: Path, iterations: int) -> list[Episode]:
         The episodes in the order they were collected.
 
     Raises:
-        CheckpointError: A file is missing, or another version wrote it.
+        CheckpointError: A file is missing or damaged, or another version wrote it.
     """
     episodes = []
     for iteration in range(iterations):
-        state = load_checkpoint(_path(folder, iteration))
-        recorded = zip(state["observations"], state["actions"], state["costs"], strict=True)
-        episodes += [Episode(*tensors) for tensors in recorded]
+        path = _path(folder, iteration)
+        state = load_checkpoint(path)
+        try:
+            recorded = zip(state["observations"], state["actions"], state["costs"], strict=True)
+            episodes += [Episode(*tensors) for tensors in recorded]
+        except (KeyError, TypeError, ValueError) as error:
+            raise damaged(path, error) from error
     return episodes
 
 

@@ -112,25 +112,25 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self._learner = Learner(observation, self._low.size, config)
-        history = 1 if self._learner.model.frame_encoder is None else config.model.frames
-        self._buffer = EpisodeBuffer(history, config.cost_discount)
+        recordings = 1 if self._learner.model.frame_encoder is None else config.model.frames
+        self._buffer = EpisodeBuffer(recordings, config.cost_discount)
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
         self._loss_sums = torch.zeros(len(LOSS_NAMES), dtype=torch.float64, device=config.device)
         self.progress = Progress()
-        rows, history = [], []
+        rows, eigenvalues = [], []
         if (folder / CHECKPOINT_FILE).exists():
             state = load_checkpoint(folder / CHECKPOINT_FILE)
             try:
-                rows, history = self._restore(state)
+                rows, eigenvalues = self._restore(state)
             except CheckpointError:
                 raise
             except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
                 raise damaged(folder / CHECKPOINT_FILE, error) from error
         self.metrics = MetricsLog(folder, rows)
-        self.eigenvalues = EigenvalueHistory(folder, history)
-        if not history and not self.progress.updates:
+        self.eigenvalues = EigenvalueHistory(folder, eigenvalues)
+        if not eigenvalues and not self.progress.updates:
             self._note_eigenvalues()
 
     @property

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepkoco.agent.checkpoint import CheckpointError, check_settings, load_checkpoint, save_checkpoint
+from deepkoco.agent.replay_files import read_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
 
 
@@ -95,6 +96,16 @@ def test_foreign_files_are_refused_and_never_run(content, tmp_path):
     with pytest.raises(CheckpointError, match="damaged"):
         load_checkpoint(tmp_path / "c.pt")
     assert not Path("/tmp/deepkoco_checkpoint_ran_code").exists()
+
+
+@pytest.mark.parametrize(
+    "content", [{"actions": [], "costs": []}, {"observations": [torch.zeros(2)], "actions": [], "costs": []}]
+)
+def test_a_replay_file_that_holds_no_episodes_is_named(content, tmp_path):
+    (tmp_path / "replay").mkdir()
+    save_checkpoint(tmp_path / "replay" / "000.pt", content)
+    with pytest.raises(CheckpointError, match=r"000\.pt: damaged"):
+        read_replay(tmp_path, 1)
 
 
 def test_evaluation_never_uses_a_training_seed():
