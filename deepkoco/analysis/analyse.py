@@ -26,7 +26,6 @@ from deepkoco.analysis.learning import draw_learning
 from deepkoco.analysis.linearity import draw_linearity
 from deepkoco.analysis.modes import Modes, find_modes
 from deepkoco.analysis.page import Page
-from deepkoco.analysis.picture import Picture, house_style
 from deepkoco.analysis.plan_film import PlanFilm
 from deepkoco.analysis.plans import draw_planned_costs, planned_costs
 from deepkoco.analysis.pruning import control_pruned, draw_pruning, prune
@@ -41,6 +40,7 @@ from deepkoco.analysis.words import facts, lead, tiles
 from deepkoco.analysis.wrapped_model import WrappedModel
 from deepkoco.koopman.exported import ExportedModel
 from deepkoco.koopman.latent_model import LatentModel
+from deepkoco.picture import Picture, house_style
 
 Report = Callable[[str, int, int], None]
 """Called with (what is done next, stages done, stages in all)."""

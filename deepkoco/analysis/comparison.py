@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import COLOURS, Picture
+from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.steps import Steps
 from deepkoco.koopman.edmdc import fit_edmdc, fit_lifted_cost
 from deepkoco.koopman.latent_model import Array
 from deepkoco.koopman.lifted_linear import LiftedLinearModel
 from deepkoco.koopman.lifting import RadialBasis
+from deepkoco.picture import Picture
 
 CENTRES = 20
 COMPONENTS = 24

@@ -8,10 +8,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.modes import Modes
-from deepkoco.analysis.picture import COLOURS, Picture
 from deepkoco.analysis.steps import Steps
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.picture import Picture
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from deepkoco.analysis.colours import MAGNITUDE, PHASE
 from deepkoco.analysis.contribution import Contribution
 from deepkoco.analysis.modes import ComplexArray, Modes
-from deepkoco.analysis.picture import MAGNITUDE, PHASE, Picture
 from deepkoco.analysis.points import Points, paint
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.picture import Picture
 
 SHOWN_PAIRS = 3
 TABLE_POINTS = 700

@@ -10,10 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from scipy.optimize import isotonic_regression
 
+from deepkoco.analysis.colours import SIGNED
 from deepkoco.analysis.contribution import Contribution
 from deepkoco.analysis.modes import ComplexArray, Modes
-from deepkoco.analysis.picture import SIGNED, Picture
+from deepkoco.koopman.latent_model import Array
+from deepkoco.picture import Picture
 
 
 def eigenvalue_table(modes: Modes, contribution: Contribution) -> pd.DataFrame:
@@ -88,6 +91,26 @@ def _unit_circle(axes: Axes, eigenvalues: ComplexArray) -> None:
     low, high = eigenvalues.real.min() - margin, max(eigenvalues.real.max(), 1.0) + margin
     top = max(float(np.abs(eigenvalues.imag).max()) + margin, (high - low) / 2)
     axes.set(xlim=(low, high), ylim=(-top, top))
+    axes.set_aspect("equal", adjustable="datalim")  # else neither angles nor distances could be read off
+
+
+def spread_labels(values: Array, gap: float) -> Array:
+    """Heights of labels that do not cover each other, as close to their values as that allows.
+
+    Args:
+        values: Where the labels belong (n,).
+        gap: Least distance between two labels.
+
+    Returns:
+        Heights (n,), in the order of the values.
+
+    Source: isotonic regression of the values less multiples of the gap.
+    """
+    order = np.argsort(values, kind="stable")
+    offsets = gap * np.arange(values.size)
+    heights = np.empty_like(values)
+    heights[order] = isotonic_regression(values[order] - offsets).x + offsets
+    return heights
 
 
 def draw_history(path: Path) -> Picture | None:
@@ -112,12 +135,17 @@ def draw_history(path: Path) -> Picture | None:
     ):
         for pair in range(1, pairs + 1):
             values = table[f"{name}_{pair}"].to_numpy()
-            (line,) = axes.plot(table["episodes"], values, marker=".", markersize=3)
-            axes.annotate(
-                str(pair), (table["episodes"].iloc[-1], values[-1]), xytext=(4, 0),
-                textcoords="offset points", va="center", fontsize=7, color=line.get_color(),
-            )  # fmt: skip
+            axes.plot(table["episodes"], values, marker=".", markersize=3)
         axes.set(xlabel="training episodes", ylabel=label)
+        last = table[[f"{name}_{pair}" for pair in range(1, pairs + 1)]].iloc[-1].to_numpy(np.float64)
+        low, high = axes.get_ylim()
+        size = min(7.0, 210.0 / pairs)  # [points]; about 210 of them make the height of the axes
+        heights = spread_labels(last, (high - low) * size / 210.0)
+        for pair, (line, height) in enumerate(zip(axes.lines, heights, strict=True), start=1):
+            axes.annotate(
+                str(pair), (1.01, height), xycoords=("axes fraction", "data"), va="center",
+                fontsize=size, color=line.get_color(), annotation_clip=False,
+            )  # fmt: skip
     first = table["episodes"].iloc[1]
     caption = (
         "How the eigenvalues moved while the model was trained; the first point is where they started, before any "

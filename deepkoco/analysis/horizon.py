@@ -10,9 +10,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import COLOURS, Picture
+from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.rollout import Rollout
 from deepkoco.koopman.latent_model import Array
+from deepkoco.picture import Picture
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ import pandas as pd
 from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import MAGNITUDE, SIGNED, Picture
+from deepkoco.analysis.colours import MAGNITUDE, SIGNED
 from deepkoco.analysis.points import Points, paint
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.picture import Picture
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import COLOURS, Picture
+from deepkoco.analysis.colours import COLOURS
+from deepkoco.picture import Picture
 
 LOSSES = {
     "loss/linear": "linearity of the latent",

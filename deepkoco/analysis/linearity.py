@@ -8,9 +8,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from deepkoco.analysis.picture import COLOURS, MAGNITUDE, Picture
+from deepkoco.analysis.colours import COLOURS, MAGNITUDE
 from deepkoco.analysis.rollout import Rollout
 from deepkoco.koopman.latent_model import Array
+from deepkoco.picture import Picture
 
 
 def linearity_residual(rollout: Rollout) -> Array:

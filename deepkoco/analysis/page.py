@@ -16,9 +16,9 @@ import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import Picture, house_style
 from deepkoco.analysis.plan_film import PlanFilm
 from deepkoco.envs.film import write_clip
+from deepkoco.picture import Picture, house_style
 
 
 class PageExistsError(FileExistsError):
@@ -83,6 +83,7 @@ def write_page(page: Page, path: Path) -> None:
     folder = data_folder(path)
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     partial.mkdir(parents=True)
+    written = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         pictures = []
         for picture in page.pictures:
@@ -115,12 +116,12 @@ def write_page(page: Page, path: Path) -> None:
                 folder=folder.name,
             )
         )
-        written = path.with_name(f".{path.name}.{os.getpid()}.partial")
         written.write_text(html, encoding="utf-8")
         os.rename(partial, folder)
         os.rename(written, path)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
+        written.unlink(missing_ok=True)
         raise
 
 

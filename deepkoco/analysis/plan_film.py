@@ -12,8 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import COLOURS, house_style
+from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.replays import FilmedEpisode, Future
+from deepkoco.picture import house_style
 
 SHADOW_COLOUR = tuple(round(255 * c) for c in to_rgb(COLOURS["DeepKoCo"]))
 DIFFERENT = 24  # grey levels from the background

@@ -10,11 +10,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.modes import Modes
-from deepkoco.analysis.picture import COLOURS, Picture
 from deepkoco.analysis.rollout import Rollout
 from deepkoco.analysis.wrapped_model import WrappedModel
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.picture import Picture
 
 
 @dataclass(frozen=True)

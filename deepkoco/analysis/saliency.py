@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.picture import Picture
 from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.picture import Picture
 
 PATCH, STRIDE = 8, 4  # [pixels]
 SHOWN = 5

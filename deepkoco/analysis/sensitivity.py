@@ -9,9 +9,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.inputs import Inputs
-from deepkoco.analysis.picture import COLOURS, Picture
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.picture import Picture
 
 STEP = 1e-3  # of the spread of an input
 

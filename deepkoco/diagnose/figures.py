@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.resources import files
-from typing import NamedTuple
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -16,6 +13,7 @@ from deepkoco.diagnose.causes import CAUSES
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
 from deepkoco.diagnose.findings import motion_of
 from deepkoco.diagnose.missing_curve import expected_missing_torque
+from deepkoco.picture import Picture, house_style
 
 # One colour per model in every figure.
 COLOURS = {"measured": "#222222", "baseline": "#9a9a9a", "refit": "#3b7dd8", "extended": "#e4572e"}
@@ -25,16 +23,6 @@ LABELS = {
     "extended": "simulation with the named cause",
 }
 SHOWN_WINDOWS = 4
-
-
-class Picture(NamedTuple):
-    """One figure: file stem, title, one sentence on how to read it, drawing and its data."""
-
-    name: str
-    title: str
-    caption: str
-    figure: Figure
-    table: pd.DataFrame
 
 
 def draw_all(diagnosis: Diagnosis) -> list[Picture]:
@@ -49,8 +37,7 @@ def draw_all(diagnosis: Diagnosis) -> list[Picture]:
         before_after,
         parameters,
     )
-    style = str(files("deepkoco").joinpath("figures.mplstyle"))
-    with matplotlib.rc_context(fname=style):
+    with house_style():
         pictures = [draw(diagnosis, diagnosis.details) for draw in drawings]
     return [picture for picture in pictures if picture is not None]
 

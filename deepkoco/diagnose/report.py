@@ -15,8 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from deepkoco.diagnose.causes import CAUSES
 from deepkoco.diagnose.diagnosis import Diagnosis
-from deepkoco.diagnose.figures import Picture, draw_all
+from deepkoco.diagnose.figures import draw_all
 from deepkoco.diagnose.words import headline, lead
+from deepkoco.picture import Picture
 from deepkoco.systems import save_model
 
 

@@ -12,8 +12,8 @@ from deepkoco.planning.solvers import make_box_solver
 class BoxProgram:
     r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $|y_0 + D a|^2 + R |a|^2 + \tilde R |\Delta a|^2$.
 
-    What a condensed form adds is how D and y_0 follow from its model. Written in the actions instead of the increments the limits are plain bounds; the two programs are one
-    linear change of variables apart.
+    What a condensed form adds is how D and y_0 follow from its model. Written in the actions instead of the
+    increments the limits are plain bounds; the two programs are one linear change of variables apart.
 
     Source: DeepKoCo, Eq. 5.16.
     """

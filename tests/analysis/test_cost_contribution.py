@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 
 from deepkoco.analysis.analyse import pruned_well
 from deepkoco.analysis.contribution import cost_contribution, draw_contribution
-from deepkoco.analysis.eigenvalues import draw_eigenvalues, draw_history, eigenvalue_table
+from deepkoco.analysis.eigenvalues import draw_eigenvalues, draw_history, eigenvalue_table, spread_labels
 from deepkoco.analysis.modes import find_modes
-from deepkoco.analysis.picture import Picture
 from deepkoco.analysis.pruning import PrunedModel, control_pruned, draw_pruning, prune
 from deepkoco.analysis.rollout import roll_out
 from deepkoco.analysis.steps import join_steps
+from deepkoco.picture import Picture
 
 
 def modes_of(model):
@@ -99,6 +99,11 @@ def test_the_history_is_drawn_where_a_run_has_one(tmp_path):
     picture = draw_history(path)
     assert picture is not None
     assert "after the 90 episodes" in picture.caption
+
+
+def test_labels_are_moved_apart_as_little_as_possible():
+    # 1.0 and 1.2 are less than 0.5 apart: both move by 0.15, the others stay where they belong.
+    np.testing.assert_allclose(spread_labels(np.array([3.0, 1.2, 1.0, -1.0]), 0.5), [3.0, 1.35, 0.85, -1.0])
 
 
 def test_a_model_is_as_large_as_the_least_number_down_to_which_all_do_well():

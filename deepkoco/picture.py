@@ -1,4 +1,4 @@
-"""What every analysis hands to the page: a figure, the table behind it and how to read it."""
+"""What a report shows: a figure with its heading, how to read it and the table behind it, all in one style."""
 
 from __future__ import annotations
 
@@ -11,21 +11,17 @@ import matplotlib
 import pandas as pd
 from matplotlib.figure import Figure
 
-# One colour per method in every figure.
-COLOURS = {
-    "DeepKoCo": "#e4572e",
-    "EDMDc": "#3b7dd8",
-    "reference": "#2f9e6e",
-    "measured": "#222222",
-    "muted": "#9a9a9a",
-}
-SIGNED = "RdBu_r"
-MAGNITUDE = "viridis"
-PHASE = "twilight"
-
 
 class Picture(NamedTuple):
-    """One figure of the page: file stem, title, two sentences for the reader, drawing and its data."""
+    """One figure of a report.
+
+    Attributes:
+        name: File stem.
+        title: Heading.
+        caption: A sentence or two on how to read it.
+        figure: The drawing.
+        table: What it draws, units in the column names.
+    """
 
     name: str
     title: str
