@@ -261,7 +261,7 @@ def _maps(
     sensitivity = input_sensitivity(model, observations, actions, run.planner.horizon)
     inputs = describe_inputs(envs, model.observation_size)
     axes = work.options.axes or choose_axes(sensitivity.cost, inputs.is_task)
-    view = choose_view(envs, inputs, axes)
+    view = choose_view(envs, inputs, axes, observations[0])
     points = view.points(steps, work.generator)
     still = np.clip(np.zeros_like(run.action_low), run.action_low, run.action_high)
     work.add(

@@ -18,6 +18,9 @@ from deepkoco.analysis.modes import ComplexArray, Modes
 from deepkoco.koopman.latent_model import Array
 from deepkoco.picture import Picture
 
+NUMBERED = 12
+"""Pairs with a label; more would cover each other."""
+
 
 def eigenvalue_table(modes: Modes, contribution: Contribution) -> pd.DataFrame:
     """One row per mode: discrete and continuous eigenvalue, time constants and share of the cost."""
@@ -57,9 +60,11 @@ def draw_eigenvalues(modes: Modes, contribution: Contribution) -> Picture:
     right.axvline(0.0, color="#222222", linewidth=0.8)
     right.scatter(rates.real, rates.imag, c=shares, **looks)
     right.set(xlabel="growth rate μ [1/s]", ylabel="frequency ω [rad/s]", title="in continuous time")
-    for i, rate in enumerate(modes.continuous):
+    numbered = np.argsort(-np.abs(contribution.shares), kind="stable")[:NUMBERED]
+    for place, i in enumerate(np.sort(numbered)):
+        rate = modes.continuous[i]
         # Labels alternate sides, else neighbours cover each other.
-        side = 7 if i % 2 else -7
+        side = 7 if place % 2 else -7
         right.annotate(
             str(i + 1),
             (rate.real, rate.imag),
@@ -79,6 +84,7 @@ def draw_eigenvalues(modes: Modes, contribution: Contribution) -> Picture:
         f"{growing} of {len(table)} grow here, the fastest by a factor {np.exp(fastest):.3g} per second, which is "
         "harmless only as long as plans are no longer than the windows the model was trained on; colours say how "
         "much of the predicted cost runs through a pair."
+        + (f" The {NUMBERED} with the largest shares are numbered." if len(table) > NUMBERED else "")
     )
     return Picture("eigenvalues", "What oscillates in the latent state?", caption, figure, table)
 

@@ -19,6 +19,7 @@ from deepkoco.systems import System
 
 GRID = 101  # points along either side of a plane
 SCATTERED = 4000
+STEP = 1e-4  # of a channel, in its unit
 
 
 class View(Protocol):
@@ -62,49 +63,73 @@ class EntriesView:
 
 @dataclass(frozen=True)
 class PlaneView:
-    """The plane of a task whose measurement is a pair, such as angle and speed.
+    """The plane of two channels of a task's measurement, such as angle and speed.
 
     Attributes:
         task: Makes observations of measurements, and the other way round.
         scene: The system with what the task adds to it.
         place: Where the task's own entries are among the inputs (n,).
+        channels: The two channels, numbers of `scene.measurements`.
     """
 
     task: Task
     scene: System
     place: NDArray[np.int64]
+    channels: tuple[int, int]
 
     @property
     def labels(self) -> tuple[str, str]:
         """Names and units of the two channels."""
-        first, second = self.scene.measurements
+        first, second = (self.scene.measurements[c] for c in self.channels)
         return f"{first.name} [{first.unit}]", f"{second.name} [{second.unit}]"
 
     def coordinates(self, observations: Array) -> tuple[Array, Array]:
-        """The measurements that are seen as these observations."""
-        pairs = np.stack([self.task.measurement(self.scene, o[self.place]) for o in observations])
-        angles = [channel.angle for channel in self.scene.measurements]
-        return tuple(np.where(angle, wrapped(v), v) for angle, v in zip(angles, pairs.T, strict=True))  # pyright: ignore[reportReturnType]
+        """The two channels of the measurements that are seen as these observations."""
+        seen = np.stack([self.task.measurement(self.scene, o[self.place]) for o in observations])
+        x, y = (
+            wrapped(seen[:, c]) if self.scene.measurements[c].angle else seen[:, c] for c in self.channels
+        )
+        return x, y
 
     def points(self, steps: Steps, generator: np.random.Generator) -> Points:
         """A grid over a whole turn of an angle and the visited range of everything else.
 
-        Inputs that the plane does not set (distractors, past actions) are held at those of one visited
-        observation, for they cannot be derived from it.
+        What the plane does not set (other channels, distractors, past actions) is held as it is in one visited
+        observation, for it cannot be derived from the plane.
         """
         visited = self.coordinates(steps.observations[steps.sample(SCATTERED, generator)])
         sides = []
-        for channel, values in zip(self.scene.measurements, visited, strict=True):
-            reach = np.pi if channel.angle else float(np.abs(values).max())
+        for channel, values in zip(self.channels, visited, strict=True):
+            angle = self.scene.measurements[channel].angle
+            reach = np.pi if angle else float(np.abs(values).max())
             sides.append(np.linspace(-reach, reach, GRID))
         x, y = (side.ravel() for side in np.meshgrid(*sides))
-        seen = self.task.observation(self.scene, torch.from_numpy(np.stack([x, y], -1))).numpy()
-        start = steps.observations[steps.sample(1, generator)]
+        (start,) = steps.observations[steps.sample(1, generator)]
+        measurements = np.tile(self.task.measurement(self.scene, start[self.place]), (x.size, 1))
+        measurements[:, self.channels] = np.stack([x, y], -1)
+        seen = self.task.observation(self.scene, torch.from_numpy(measurements)).numpy()
         observations = np.tile(start, (x.size, 1))
         observations[:, self.place[: seen.shape[1]]] = seen
-        others = observations.shape[1] - seen.shape[1]
+        others = int((np.ptp(observations, axis=0) == 0.0).sum())
         held = f" (the {others} other inputs are held at those of one visited observation)" if others else ""
         return Points(observations, x, y, self.labels, (GRID, GRID), held)
+
+
+def channel_of(task: Task, scene: System, observation: Array, entry: int) -> int:
+    """The channel of a measurement that moves an entry of the observation most.
+
+    Args:
+        task: Of the entry.
+        scene: Its system.
+        observation: Where this is asked (n,).
+        entry: Number of the entry, in the task's order.
+
+    Returns:
+        Number of the channel.
+    """
+    measured = torch.from_numpy(task.measurement(scene, observation).astype(np.float64))
+    moved = task.observation(scene, measured + STEP * torch.eye(measured.numel(), dtype=torch.float64))
+    return int((moved - task.observation(scene, measured))[:, entry].abs().argmax())
 
 
 def wrapped(angle: Array) -> Array:
@@ -112,20 +137,27 @@ def wrapped(angle: Array) -> Array:
     return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
-def choose_view(envs: VectorEnv, inputs: Inputs, axes: tuple[int, int]) -> View:
-    """The task's plane where it has one, else two entries.
+def choose_view(envs: VectorEnv, inputs: Inputs, axes: tuple[int, int], observation: Array) -> View:
+    """A plane of the task where one can be made up, else two entries.
 
     Args:
         envs: Environments that observe states.
         inputs: Of the model.
-        axes: The two entries.
+        axes: The two entries; the plane is that of the channels behind them, or of the only two there are.
+        observation: A visited observation (N,).
 
     Returns:
         The view.
     """
     task, scene = (find_attribute(envs, name) for name in ("task", "system"))
-    if isinstance(task, Task) and inputs.place is not None and len(scene.measurements) == 2:
-        return PlaneView(task, scene, inputs.place)
+    if isinstance(task, Task) and inputs.place is not None:
+        channels = (0, 1)
+        if len(scene.measurements) > 2:
+            own = [int(np.flatnonzero(inputs.place == axis)[0]) for axis in axes if axis in inputs.place]
+            own = [entry for entry in own if entry < len(task.observation_names)]  # past actions come behind
+            channels = tuple(channel_of(task, scene, observation[inputs.place], entry) for entry in own)
+        if len(set(channels)) == 2:
+            return PlaneView(task, scene, inputs.place, (channels[0], channels[1]))
     return EntriesView(axes, (inputs.names[axes[0]], inputs.names[axes[1]]))
 
 

@@ -47,13 +47,13 @@ def test_a_projection_mixes_all_inputs():
     envs = VectorStateDistractors(pendulum(), "projection", DistractorOptions(channels=4))
     inputs = describe_inputs(envs, 7)
     assert inputs.is_task is None
-    assert isinstance(choose_view(envs, inputs, (0, 1)), EntriesView)
+    assert isinstance(choose_view(envs, inputs, (0, 1), np.zeros(7)), EntriesView)
 
 
 def test_the_plane_of_the_pendulum_is_angle_and_speed():
     envs = VectorStateDistractors(pendulum(), "copies", shuffle_seed=3)
     inputs, steps = describe_inputs(envs, 15), steps_of(envs)
-    view = choose_view(envs, inputs, (0, 1))
+    view = choose_view(envs, inputs, (0, 1), steps.observations[0])
     assert isinstance(view, PlaneView)
     assert view.labels == ("theta [rad]", "omega [rad/s]")
     points = view.points(steps, np.random.default_rng(0))
@@ -70,10 +70,27 @@ def test_the_plane_of_the_pendulum_is_angle_and_speed():
     np.testing.assert_allclose(np.sin(angle), np.sin(points.x), atol=1e-6)
 
 
+def test_the_plane_of_a_larger_task_is_that_of_the_channels_behind_two_inputs():
+    envs = gymnasium.make_vec("deepkoco/Manipulator-v0", num_envs=2, vectorization_mode="vector_entry_point")
+    inputs, steps = describe_inputs(envs, 10), steps_of(envs)
+    names = list(inputs.names)
+    view = choose_view(
+        envs, inputs, (names.index("target_x"), names.index("target_y")), steps.observations[0]
+    )
+    assert [label.split(" ")[0] for label in view.labels] == ["target_x", "target_y"]
+    points = view.points(steps, np.random.default_rng(0))
+    np.testing.assert_allclose(points.observations[:, names.index("target_x")], points.x, atol=1e-6)
+    others = [i for i in range(10) if names[i] not in ("target_x", "target_y")]
+    assert np.ptp(points.observations[:, others], axis=0).max() == 0.0
+    assert "8 other inputs" in points.held
+    # Both inputs are of one angle, so they span no plane.
+    assert isinstance(choose_view(envs, inputs, (0, 1), steps.observations[0]), EntriesView)
+
+
 def test_a_task_of_someone_else_is_drawn_over_two_entries():
     envs = gymnasium.make_vec("Pendulum-v1", num_envs=2, vectorization_mode="sync")
     inputs, steps = describe_inputs(envs, 3), steps_of(envs)
-    view = choose_view(envs, inputs, (0, 2))
+    view = choose_view(envs, inputs, (0, 2), steps.observations[0])
     assert view.labels == ("entry 0", "entry 2")
     points = view.points(steps, np.random.default_rng(0))
     np.testing.assert_array_equal(points.x, points.observations[:, 0])
