@@ -27,6 +27,7 @@ from experiments.train import is_finished, load_run_config
 logger = logging.getLogger(__name__)
 
 RESAMPLES = 4000
+ABSENT = "not given"
 CURVES = {"train/cost": "training episodes", "evaluation/cost": "noise-free episodes"}
 
 
@@ -64,8 +65,8 @@ def conditions(configs: Mapping[Path, TrainRunConfig]) -> dict[Path, str]:
         configs: Settings of every run.
 
     Returns:
-        Label of each run: environment and distractors, and where groups share these, the settings that
-        tell them apart.
+        Label of each run: environment, observation unless it is of states, distractors, and where groups share
+        these, the settings that tell them apart.
 
     Raises:
         ExperimentError: Two runs of a group have the same seed.
@@ -82,14 +83,21 @@ def conditions(configs: Mapping[Path, TrainRunConfig]) -> dict[Path, str]:
                 f"{run}: same settings and seed as {seen[key, seed]}; move one of them elsewhere"
             )
         seen[key, seed] = run
-    plain = {key: f"{s['task.name']}, distractors {s['distractors']}" for key, s in groups.items()}
+    plain = {key: _plain_label(settings) for key, settings in groups.items()}
     labels = {}
     for key, settings in groups.items():
         same = [groups[other] for other in groups if plain[other] == plain[key]]
         names = sorted({name for other in same for name in other})
-        apart = [n for n in names if any(other.get(n) != settings.get(n) for other in same)]
-        labels[key] = ", ".join([plain[key], *(f"{n} = {settings.get(n)}" for n in apart)])
+        # Arguments of an environment may be given in one group and not in the other: that is not None.
+        apart = [n for n in names if any(other.get(n, ABSENT) != settings.get(n, ABSENT) for other in same)]
+        labels[key] = ", ".join([plain[key], *(f"{n} = {settings.get(n, ABSENT)}" for n in apart)])
     return {run: labels[key] for run, key in member.items()}
+
+
+def _plain_label(settings: Mapping[str, Any]) -> str:
+    """Environment, observation and distractors of a group of runs."""
+    seen = "" if settings["observation"] == "states" else f" from {settings['observation']}"
+    return f"{settings['task.name']}{seen}, distractors {settings['distractors']}"
 
 
 def read_runs(folder: Path) -> pd.DataFrame:

@@ -85,6 +85,7 @@ def _write(runs: Path, folders: Sequence[Path], partial: Path, episodes: int) ->
         rows.append(
             {
                 "task": config.task.name,
+                "observation": config.observation,
                 "distractors": config.distractors,
                 "seed": config.seed,
                 **{name: evaluation[name] for name in ("n", "mean", "sd", "median", "upright")},
@@ -94,7 +95,7 @@ def _write(runs: Path, folders: Sequence[Path], partial: Path, episodes: int) ->
                 "train_seconds": last["seconds"],
             }
         )
-    table = pd.DataFrame(rows).sort_values(["task", "distractors", "seed"])
+    table = pd.DataFrame(rows).sort_values(["task", "observation", "distractors", "seed"])
     table.to_csv(partial / "evaluations.csv", index=False, float_format="%.6g")
     for folder in folders:
         kept = partial / "runs" / folder.relative_to(runs)

@@ -16,7 +16,10 @@ from deepkoco.planning import PlannerConfig
 from experiments.settings import TaskConfig, TrainRunConfig
 
 MakeRun = Callable[..., Path]
-METRICS = "episodes,updates,seconds,train/cost,evaluation/cost,evaluation/cost_sd,evaluation/cost_median,"
+METRICS = (
+    "episodes,updates,seconds,train/cost,loss/linear,loss/cost_prediction,"
+    "evaluation/cost,evaluation/cost_sd,evaluation/cost_median,evaluation/episodes"
+)
 
 SMALL = [
     "task=gymnasium_pendulum",
@@ -41,18 +44,21 @@ def write_run(
     limit: float = 2.0,
     finished: bool = True,
     cost: float = 150.0,
+    observation: str = "states",
     **agent: object,
 ) -> Path:
     """Write config.yaml, metrics.csv and a small exported model of the rod pendulum."""
     if task is None:
         task = TaskConfig("pendulum", "deepkoco/RodPendulum-v0", kwargs={"action_units": "physical"})
-    config = TrainRunConfig(task=task, distractors=distractors, seed=seed, run=str(folder))
+    config = TrainRunConfig(
+        task, seed=seed, observation=observation, distractors=distractors, run=str(folder)
+    )
     for name, value in agent.items():
         setattr(config.agent, name, value)
     folder.mkdir(parents=True)
     OmegaConf.save(OmegaConf.structured(config), folder / "config.yaml", resolve=True)
-    rows = [f"{n},{10 * n},{n}.5,{cost + 400 / n},{cost + 300 / n},20.0,{cost},10" for n in (90, 110)]
-    (folder / "metrics.csv").write_text("\n".join([METRICS + "evaluation/episodes", *rows]) + "\n")
+    rows = [f"{n},{10 * n},{n}.5,{cost + 400 / n},0.1,0.2,{cost + 300 / n},20.0,{cost},10" for n in (90, 110)]
+    (folder / "metrics.csv").write_text("\n".join([METRICS, *rows]) + "\n")
     if finished:
         torch.manual_seed(seed)
         model = export_model(KoopmanModel(entries, 1, ModelConfig(2, 0.05, (8,), (8,))))

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from deepkoco.envs.task_factory import TaskConfig
 from deepkoco.planning import PlannerConfig
 from experiments.aggregate import aggregate, bootstrap_interval, conditions, interquartile_mean, read_runs
 from experiments.aggregate import main as main_of_aggregate
@@ -34,6 +35,24 @@ def test_runs_of_other_settings_are_told_apart_by_what_differs(make_run, tmp_pat
     assert len(set(final["condition"])) == 3
     curves = pd.read_csv(tmp_path / "out" / "curves.csv")
     assert set(curves["seeds"]) == {1}
+
+
+def test_other_tasks_and_observations_never_share_a_line(make_run, tmp_path):
+    rod = {"id": "deepkoco/RodPendulum-v0"}
+    tasks = [
+        TaskConfig("pendulum", **rod),
+        TaskConfig("pendulum", **rod, kwargs={"start": None}),
+        TaskConfig("pendulum", "deepkoco/DiskPendulum-v0"),
+        TaskConfig("disk", "deepkoco/DiskPendulum-v0"),
+    ]
+    runs = [make_run(tmp_path / f"{i}", task) for i, task in enumerate(tasks)]
+    runs.append(make_run(tmp_path / "images", tasks[0], observation="images"))
+    found = labels(*runs)
+    assert len(set(found)) == 5
+    assert "task.kwargs.start = not given" in found[0]
+    assert "task.kwargs.start = None" in found[1]
+    assert found[3:] == ["disk, distractors none", "pendulum from images, distractors none"]
+    assert labels(runs[4]) == found[4:]
 
 
 def test_the_same_seed_twice_is_refused(make_run, tmp_path):
@@ -79,7 +98,8 @@ def test_collection_keeps_everything_but_the_weights(make_run, tmp_path, capsys)
         "runs/none/seed_1/metrics.csv",
     ]
     row = pd.read_csv(out / "evaluations.csv").iloc[0]
-    assert (row["task"], row["seed"], row["n"], row["train_seconds"]) == ("pendulum", 1, 2, 110.5)
+    assert (row["task"], row["observation"], row["seed"]) == ("pendulum", "states", 1)
+    assert (row["n"], row["train_seconds"]) == (2, 110.5)
     # Both are written to six digits.
     assert row["above_optimum"] == pytest.approx(row["mean"] - row["optimum"], rel=1e-4)
     assert row["above_optimum"] > 0
