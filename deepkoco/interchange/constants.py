@@ -38,8 +38,8 @@ def network_arrays(model: LoadedModel) -> dict[str, Array]:
 
     Returns:
         Of a trained model `encoder_W0`, `encoder_b0`, ... (outputs, inputs), and the same of `cost_factor`,
-        `decoder`, `frame_encoder`; of a lifted linear one `A`, `B`, `cost_factor`, `cost_offset` and what its
-        lifting is made of.
+        `decoder`, `frame_encoder`; of a lifted linear one `A`, `B`, `cost_factor`, `cost_offset` and the numbers of
+        its lifting, `lifting_NAME`. Names, of its kind, kernel or activation, are not among them.
     """
     latent_model = model.latent_model
     if isinstance(latent_model, ExportedModel):
