@@ -1,6 +1,7 @@
 """Ablations: their configs, their comparison, and a call that is repeated."""
 
 import json
+import sys
 
 import numpy as np
 import pandas as pd
@@ -75,15 +76,14 @@ def test_the_reference_is_added_and_unknown_names_are_refused():
         with_references(["colour"])
 
 
-def test_a_repeated_call_does_nothing_again_and_adds_what_is_new(small, tmp_path, capsys):
+def test_a_repeated_call_does_nothing_again_and_adds_what_is_new(make_run, small, tmp_path, capsys):
     out = tmp_path / "out"
-    call = ["--out", str(out), "--seeds", "0", "--episodes", "3", "--set", *small]
-    assert main([*call, "--only", "default"]) == 0
-    model = out / "runs" / "default" / "seed_0" / "model" / "model.safetensors"
+    model = make_run(out / "runs" / "default" / "seed_0") / "model" / "model.safetensors"
     before = model.stat().st_mtime_ns
-    capsys.readouterr()
+    call = ["--out", str(out), "--seeds", "0", "--episodes", "3", "--set", *small]
     assert main([*call, "--only", "rank_2"]) == 0
-    assert capsys.readouterr().out.startswith("training rank_2, seed 0")
+    printed = capsys.readouterr().out
+    assert [line for line in printed.splitlines() if "training" in line] == ["training rank_2, seed 0"]
     assert model.stat().st_mtime_ns == before
     rows = pd.read_csv(out / "ablations.csv").set_index("ablation")
     stored = json.loads((out / "evaluations" / "rank_2" / "seed_0.json").read_text())
@@ -91,8 +91,22 @@ def test_a_repeated_call_does_nothing_again_and_adds_what_is_new(small, tmp_path
     difference = pd.read_csv(out / "differences.csv").set_index("ablation").loc["rank_2", "difference"]
     assert difference == pytest.approx(rows.loc["rank_2", "cost"] - rows.loc["default", "cost"], abs=0.5)
     assert (out / "ablations.png").stat().st_size > 0
-    capsys.readouterr()
     assert main([*call, "--only", "rank_2"]) == 0
     assert "training" not in capsys.readouterr().out
-    assert main([*call, "agent.colour=3", "--only", "rank_4"]) == 2
-    assert "rank_4, seed 0" in capsys.readouterr().err
+
+
+def test_runs_that_fail_are_named_and_hold_up_no_other(make_run, tmp_path, capsys, monkeypatch):
+    out, python = tmp_path / "out", tmp_path / "python"
+    make_run(out / "runs" / "default" / "seed_0")
+    damaged = make_run(out / "runs" / "rank_2" / "seed_0") / "model" / "config.json"
+    damaged.write_text("{")
+    # In the place of a Python that trains.
+    python.write_text("#!/bin/sh\necho 'error: no disk' >&2\nexit 2\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    names = ["--only", "rank_2", "rank_4"]
+    assert main(["--out", str(out), "--seeds", "0", "--episodes", "2", *names]) == 2
+    printed = capsys.readouterr().err
+    assert f"error: rank_2, seed 0: {damaged}" in printed
+    assert "error: rank_4, seed 0: error: no disk" in printed
+    assert pd.read_csv(out / "ablations.csv")["ablation"].tolist() == ["default"]

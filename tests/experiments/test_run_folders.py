@@ -34,6 +34,20 @@ def settings(folder, **changes) -> TrainRunConfig:
     return TrainRunConfig(TaskConfig("pendulum", "Pendulum-v1"), run=str(folder), **changes)
 
 
+def test_a_run_is_never_overwritten(call_train, make_run, tmp_path, capsys):
+    run = make_run(tmp_path / "run")
+    assert call_train(f"run={run}") == 2
+    printed = capsys.readouterr().err
+    assert "exists already" in printed
+    assert len(printed.strip().splitlines()) == 1
+
+
+def test_unknown_settings_end_with_status_two_and_no_folder(call_train, tmp_path, capsys):
+    assert call_train("agent.learningrate=1", f"run={tmp_path / 'x'}") == 2
+    assert "learningrate" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
 def test_a_new_folder_appears_with_its_settings_inside(tmp_path):
     left_over = tmp_path / "run.partial"
     left_over.mkdir()
@@ -110,11 +124,18 @@ def test_an_unfinished_run_is_named_with_its_remedy(make_run, tmp_path):
 
 
 def test_the_spread_of_one_episode_is_not_known(make_run, tmp_path, capsys):
-    evaluate(EvaluateConfig(str(make_run(tmp_path / "run")), episodes=1, json=True))
+    # On a task that value iteration does not take, for the sake of time.
+    sparse = TaskConfig(
+        "pendulum", "deepkoco/RodPendulum-v0", kwargs={"action_units": "physical"}, sparse_cost=0.25
+    )
+    evaluate(EvaluateConfig(str(make_run(tmp_path / "run", sparse)), episodes=1, json=True))
     result = json.loads(capsys.readouterr().out)
     assert result["sd"] is None
     assert result["standard_error"] is None
     assert result["mean"] > 0
+    # The cost of a run on a sparse task is a number of steps: the optimum of the dense one is no measure of it.
+    assert result["optimum"] is None
+    assert result["above_optimum"] is None
 
 
 @pytest.mark.parametrize("text", ["agent: {colour: red}", "seed: [", "- 1", "seed: much", "\x00"])
