@@ -217,7 +217,7 @@ def _pruning(
     pruning = prune(modes, rollout, model.action_weight)
     pairs = pruning.removed.size
     counts = sorted(
-        {round(k) for k in np.linspace(1, pairs, min(pairs, work.options.prunings))}, reverse=True
+        {round(k) for k in np.linspace(pairs, 1, min(pairs, work.options.prunings))}, reverse=True
     )
     pruning = control_pruned(pruning, model, modes, counts, control)
     return draw_pruning(pruning, work.run.planner.horizon, episodes)

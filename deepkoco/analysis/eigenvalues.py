@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from scipy.optimize import isotonic_regression
 
 from deepkoco.analysis.colours import SIGNED
 from deepkoco.analysis.contribution import Contribution
-from deepkoco.analysis.modes import ComplexArray, Modes
+from deepkoco.analysis.modes import Modes
 from deepkoco.koopman.latent_model import Array
 from deepkoco.picture import Picture
 
@@ -53,7 +54,7 @@ def draw_eigenvalues(modes: Modes, contribution: Contribution) -> Picture:
     looks = {"cmap": SIGNED, "norm": norm, "edgecolors": "#222222", "linewidths": 0.7, "s": 60, "zorder": 3}
     both = np.concatenate([modes.eigenvalues, modes.eigenvalues.conj()])
     shares = np.tile(contribution.shares, 2)
-    _unit_circle(left, both)
+    _draw_unit_circle(left)
     left.scatter(both.real, both.imag, c=shares, **looks)
     left.set(xlabel="real part", ylabel="imaginary part", title="per step, with the unit circle")
     rates = np.concatenate([modes.continuous, modes.continuous.conj()])
@@ -89,14 +90,11 @@ def draw_eigenvalues(modes: Modes, contribution: Contribution) -> Picture:
     return Picture("eigenvalues", "What oscillates in the latent state?", caption, figure, table)
 
 
-def _unit_circle(axes: Axes, eigenvalues: ComplexArray) -> None:
-    angle = np.linspace(-np.pi, np.pi, 2000)
-    axes.plot(np.cos(angle), np.sin(angle), color="#222222", linewidth=0.8)
-    # Slow modes crowd at 1: the picture shows where the eigenvalues are, not the whole circle.
-    margin = 0.05
-    low, high = eigenvalues.real.min() - margin, max(eigenvalues.real.max(), 1.0) + margin
-    top = max(float(np.abs(eigenvalues.imag).max()) + margin, (high - low) / 2)
-    axes.set(xlim=(low, high), ylim=(-top, top))
+def _draw_unit_circle(axes: Axes) -> None:
+    # As an artist it has no say in the limits: slow modes crowd at 1, and the picture shows where they are.
+    axes.add_artist(Circle((0.0, 0.0), 1.0, fill=False, color="#222222", linewidth=0.8))
+    axes.update_datalim([(1.0, 0.0)])
+    axes.margins(0.1)
     axes.set_aspect("equal", adjustable="datalim")  # else neither angles nor distances could be read off
 
 

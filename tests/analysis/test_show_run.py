@@ -11,6 +11,7 @@ import torch
 
 import deepkoco.analysis.analyse as analyse_module
 from deepkoco.agent.stored_controller import StoredController, write_controller
+from deepkoco.analysis import view
 from deepkoco.analysis.page import data_folder
 from deepkoco.analysis.run_folder import RunFolderError, read_trained
 from deepkoco.cli import main
@@ -18,7 +19,7 @@ from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.planning import PlannerConfig
 
 TASK = {"name": "pendulum", "id": "deepkoco/RodPendulum-v0"}
-KWARGS = {"action_units": "physical", "max_episode_steps": 30}
+KWARGS = {"action_units": "physical", "max_episode_steps": 20}
 
 
 def controller(task: dict, entries: int = 3) -> StoredController:
@@ -54,8 +55,9 @@ def run(tmp_path) -> Path:
 @pytest.fixture
 def small(monkeypatch) -> None:
     """Analyses of few episodes."""
-    few = {"episodes": 3, "exploring_episodes": 6, "windows": 40, "prunings": 2, "film_plans": 3}
+    few = {"episodes": 2, "exploring_episodes": 4, "windows": 20, "prunings": 1, "film_plans": 1}
     whole = analyse_module.AnalysisOptions
+    monkeypatch.setattr(view, "GRID", 21)
     monkeypatch.setattr(analyse_module, "AnalysisOptions", lambda **given: replace(whole(**given), **few))
 
 
