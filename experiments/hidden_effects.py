@@ -25,7 +25,7 @@ from deepkoco.diagnose import CAUSES, diagnose
 from deepkoco.diagnose.baseline import refit, start_from
 from deepkoco.graph.recording import Recording
 from deepkoco.identify import Noise, cut_windows, moving, window_length
-from deepkoco.systems import JointSystem, make_system
+from deepkoco.systems import JointSystem, one_joint
 from deepkoco.unit import UnitSpecError, make_unit
 from deepkoco.unit.record import record
 
@@ -82,7 +82,7 @@ def unit_log(
         seconds: Length of the log [s].
         noisy: Whether the sensors have noise.
     """
-    base = make_system(system)
+    base = one_joint(system)
     rng = np.random.default_rng(seed)
     parameters = {}
     for p in base.parameters:
@@ -98,7 +98,7 @@ def unit_log(
 
 def unexplained(recording: Recording, system: str) -> tuple[float, int]:
     """Cost that the refitted baseline leaves (its distance from its priors included), and samples."""
-    base = make_system(system)
+    base = one_joint(system)
     assert isinstance(base, JointSystem)
     noise = tuple(Noise(c.noise_sd, 0.0) for c in base.measurements)
     windows = cut_windows([recording], base, window_length(base), noise)
@@ -120,7 +120,7 @@ def dosed(
     cause: str, system: str, excitation: str, seed: int, wanted: float, seconds: float
 ) -> tuple[Hidden, float]:
     """Dose of a cause at which ES is about what is wanted, and the ES that it really has."""
-    base = make_system(system)
+    base = one_joint(system)
     dose, found = 1.0, 0.0
     hidden: Hidden = {}
     for _ in range(5):

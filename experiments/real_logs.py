@@ -18,7 +18,7 @@ import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
 from deepkoco.graph.recording import LogError, Recording, read_log
-from deepkoco.systems import make_system
+from deepkoco.systems import one_joint
 
 
 class Split(NamedTuple):
@@ -75,7 +75,7 @@ def summary(diagnosis: Diagnosis, seconds: float) -> dict:
 
 
 def _stretch(folder: Path, split: Split, name: str, start: float, stop: float) -> Recording:
-    system = make_system(split.system)
+    system = one_joint(split.system)
     channels = [(c.name, c.unit, c.kind) for c in (system.command, *system.measurements)]
     recording = read_log(folder / name, split.mapping, split.system, channels=channels).between(start, stop)
     # A measured torque is a sample in the middle of the time that it stands for, not a command that
