@@ -14,7 +14,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from deepkoco.agent.buffer import ReplayError
 from deepkoco.agent.checkpoint import CheckpointError
@@ -39,6 +39,27 @@ BAD_INPUT = (
 )
 
 
+def _reason(error: Exception) -> str:
+    """What is wrong, in one line."""
+    if isinstance(error, MissingMandatoryValue) and (name := getattr(error, "full_key", None)):
+        return f"{name} is not given; add {name}=VALUE"
+    return " ".join(str(error).split())
+
+
+def _check_form(arguments: list[str]) -> None:
+    """Refuse a bare folder or word, before Hydra's parser says that it misses an EQUAL.
+
+    Args:
+        arguments: Of the command, without its name.
+
+    Raises:
+        ExperimentError: An argument is neither NAME=VALUE nor an option of Hydra or its value.
+    """
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        if "=" not in argument and argument[:1] not in "-~" and not before.startswith("-"):
+            raise ExperimentError(f"{argument}: settings are given as NAME=VALUE, such as run={argument}")
+
+
 @dataclass
 class _Outcome:
     """How far a command came.
@@ -60,6 +81,7 @@ def run_command(name: str, task: Callable[[Any], None]) -> None:
     register()
     outcome = _Outcome()
     try:
+        _check_form(sys.argv[1:])
         check_launcher(sys.argv)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -73,7 +95,7 @@ def run_command(name: str, task: Callable[[Any], None]) -> None:
         try:
             task(OmegaConf.to_object(config))
         except BAD_INPUT as error:
-            reason = " ".join(str(error).split())
+            reason = _reason(error)
             print(f"error: {reason}", file=sys.stderr, flush=True)
             if not sweep:
                 sys.exit(2)

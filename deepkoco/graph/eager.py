@@ -60,6 +60,11 @@ class EagerExecutor:
                 raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
         for name, given in parameters.items():
             for key, value in given.items():
+                if not isinstance(value, Tensor):
+                    raise GraphError(
+                        f'parameter "{name}.{key}" = {value!r} is no tensor; give '
+                        f"torch.tensor({value!r}, dtype=torch.float64)"
+                    )
                 if value.ndim and len(value) not in (1, batch):
                     raise GraphError(
                         f'parameter "{name}.{key}" {tuple(value.shape)} is neither a number nor one for each '

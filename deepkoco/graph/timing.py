@@ -59,7 +59,7 @@ def draw_timing(
         The computation graph of the batch.
 
     Raises:
-        TimingError: an override names nothing in the graph, or is no delay.
+        TimingError: an override names nothing in the graph, or is no delay; or `generator` is none.
     """
     if steps < 1 or batch < 1 or (rows is not None and rows < 1):
         raise TimingError(f"steps {steps}, batch {batch} and rows {rows} must be at least 1")
@@ -81,8 +81,13 @@ def draw_timing(
         rows = 1 if laws.constant and not coupled[1] else batch
     if isinstance(generator, torch.Generator):
         seed = int(torch.randint(2**62, (), generator=generator))
-    else:
+    elif isinstance(generator, np.random.Generator):
         seed = int(generator.integers(2**62))
+    else:
+        raise TimingError(
+            f"generator {generator!r} is no generator; give np.random.default_rng(SEED) or "
+            "torch.Generator().manual_seed(SEED)"
+        )
     origin = Origin(graph, seed, laws, *coupled, rows, None)
     return _work_out(origin, steps, np.arange(batch, dtype=np.int64) % rows)
 

@@ -55,6 +55,11 @@ class LoadedModel:
         self._stored = stored
         self._policy = KoopmanPolicy(stored.model, stored.planner, stored.action_low, stored.action_high)
 
+    def __repr__(self) -> str:
+        name = self.task.get("name") or "unnamed task"
+        sizes = f"{self.Lambda.shape[0]} latents, {len(self.action_low)} actions"
+        return f"LoadedModel({name}, {sizes}, {self.time_step:g} s per step)"
+
     def act(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Control one step.
 

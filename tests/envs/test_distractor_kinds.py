@@ -274,3 +274,11 @@ def test_a_task_without_a_video_folder_is_refused_in_one_sentence():
     with pytest.raises(TaskError, match="videos=FOLDER"):
         make_task_factory(TASK, "video", "images")
     assert deepkoco.envs.ENVIRONMENTS
+
+
+@pytest.mark.parametrize(
+    ("text", "known", "needed"), [("copies+camera", STATE, "images"), ("projection", PIXEL, "states")]
+)
+def test_distractors_of_the_other_observation_say_which_one_they_need(text, known, needed):
+    with pytest.raises(DistractorError, match=f"add observation={needed}"):
+        parse_distractors(text, list(known))

@@ -223,6 +223,12 @@ def test_delays_can_be_overridden_by_law_or_for_each_environment():
         timed(graph, 3, delays={"n0": [-0.1]})
 
 
+def test_a_seed_in_the_place_of_a_generator_is_refused():
+    graph = chain(Connection("n0", "agent"), phase=0)
+    with pytest.raises(TimingError, match=r"generator 0 is no generator; give np.random.default_rng"):
+        draw_timing(graph, 0, 5, 1)
+
+
 def test_a_long_stall_only_makes_the_timing_longer():
     graph = Graph([Accumulate("n0", 100), agent(delay=Listed((900, 0, 0)))], [Connection("n0", "agent")])
     timing = timed(graph, 9)

@@ -53,6 +53,12 @@ def parse_distractors(text: str, known: Sequence[str]) -> list[str]:
     names = text.split("+")
     if unknown := [name for name in names if name not in known]:
         choice = f'choose none, {", ".join(known)}, or several joined by "+"'
+        if unknown[0] in PIXEL or unknown[0] in STATE:
+            needed, seen = ("images", "states") if unknown[0] in PIXEL else ("states", "images")
+            raise DistractorError(
+                f'distractors = "{text}": "{unknown[0]}" is for an agent that sees {needed}, and this one sees {seen}; '
+                f"add observation={needed}, or {choice}"
+            )
         raise DistractorError(f'distractors = "{text}": there is no "{unknown[0]}"; {choice}')
     if len(set(names)) < len(names):
         raise DistractorError(f'distractors = "{text}": name each of them once')

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any, ClassVar, TypeVar
@@ -121,6 +121,9 @@ def make_delay(spec: "Delay | float | Mapping[str, Any]") -> Delay:
         name = options.pop("law", None)
         if name not in LAWS:
             raise DelayError(f'delay law "{name}" is not known; known: {", ".join(sorted(LAWS))}')
+        known = [field.name for field in fields(LAWS[name]) if field.init]  # pyright: ignore[reportArgumentType]
+        if strange := [option for option in options if option not in known]:
+            raise DelayError(f'{name}: there is no "{strange[0]}"; it takes {", ".join(known)}')
         try:
             return LAWS[name](**options)
         except TypeError as error:

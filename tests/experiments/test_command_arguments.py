@@ -1,0 +1,28 @@
+"""What the experiment commands say to arguments of the wrong form."""
+
+import sys
+
+import pytest
+
+from experiments.commands import run_command
+
+
+def refusal(monkeypatch, capsys, command, *arguments):
+    monkeypatch.setattr(sys, "argv", [command, *arguments])
+    with pytest.raises(SystemExit) as stop:
+        run_command(command, lambda config: pytest.fail("ran"))
+    assert stop.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_bare_folder_is_answered_with_the_form_of_a_setting(monkeypatch, capsys):
+    text = refusal(monkeypatch, capsys, "evaluate", "runs/first")
+    assert text == "error: runs/first: settings are given as NAME=VALUE, such as run=runs/first\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "name"), [("evaluate", [], "run"), ("train", ["task=gymnasium"], "task.id")]
+)
+def test_a_setting_without_a_default_is_asked_for_by_name(monkeypatch, capsys, command, arguments, name):
+    text = refusal(monkeypatch, capsys, command, *arguments)
+    assert text == f"error: {name} is not given; add {name}=VALUE\n"
