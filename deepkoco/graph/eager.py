@@ -60,7 +60,7 @@ class EagerExecutor:
                 raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
         for name, given in parameters.items():
             for key, value in given.items():
-                if not isinstance(value, Tensor):
+                if not hasattr(value, "ndim"):
                     raise GraphError(
                         f'parameter "{name}.{key}" = {value!r} is no tensor; give '
                         f"torch.tensor({value!r}, dtype=torch.float64)"
