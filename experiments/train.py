@@ -168,10 +168,20 @@ def _train(config: TrainRunConfig, folder: Path) -> None:
     )
     with Progress(*columns, disable=not _draws_progress()) as bar:
         task = bar.add_task(str(folder), cost="")
+        told = trainer.progress.iteration
 
         def show(progress: TrainingProgress, planned: int, row: Row) -> None:
+            nonlocal told
             text = f"iteration {progress.iteration + 1}, training cost {row['train/cost']:.0f}"
             bar.update(task, total=planned, completed=progress.iteration_updates, cost=text)
+            # A log file gets one line an iteration in the place of the bar.
+            if bar.disable and progress.iteration > told:
+                told, done = progress.iteration, trainer.metrics.rows[-1]
+                print(
+                    f"{folder}: {done['episodes']:.0f} episodes, training cost {done['train/cost']:.0f}, "
+                    f"noise-free cost {done['evaluation/cost']:.0f}, {done['seconds']:.0f} s",
+                    flush=True,
+                )
 
         last = trainer.run(show)
     print(

@@ -85,6 +85,10 @@ def read_controller(
         ModelFolderError: The folder holds no model this release can read.
         TypeError: An unknown planner setting.
     """
+    known = [field.name for field in fields(PlannerConfig)]
+    unknown = ", ".join(name for name in changes or {} if name not in known)
+    if unknown:
+        raise TypeError(f"planner settings {unknown} are not known; choose from {', '.join(known)}")
     folder = Path(folder)
     root = root or folder
     if (folder / MODEL_FOLDER).is_dir():
