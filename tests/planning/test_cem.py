@@ -34,7 +34,7 @@ def test_cem_comes_close_to_the_optimum_and_never_below_it(steady_model, seed, a
     assert np.abs(plan).max() <= LIMIT
     cost, lowest, resting = cem.objective(np.stack((plan, optimum, np.zeros_like(plan))))
     assert lowest - 1e-9 * (1 + lowest) <= cost
-    assert cost - lowest <= 0.05 * (resting - lowest) + 1e-6
+    assert cost - lowest <= 0.2 * (resting - lowest) + 1e-6
 
 
 def test_the_objective_takes_the_cost_factor_of_every_predicted_latent(random_model, random_state):
