@@ -125,6 +125,7 @@ def common_part(graph: Graph, episode: Episode) -> Episode:
         for name, start in episode.t_start.items()
     }
     sent = count | {graph.supervisor: acted}
+    _drop_what_saw_later(graph, episode, count, sent)
     senders = {connection.key: connection.sender for connection in graph.connections}
     receivers = {connection.key: connection.receiver for connection in graph.connections}
     return replace(
@@ -136,6 +137,32 @@ def common_part(graph: Graph, episode: Episode) -> Episode:
         t_received={key: time[: sent[senders[key]]] for key, time in episode.t_received.items()},
         windows={key: seen[: count[receivers[key]]] for key, seen in episode.windows.items()},
     )
+
+
+def _drop_what_saw_later(
+    graph: Graph, episode: Episode, count: dict[str, int], sent: dict[str, int]
+) -> None:
+    """Shorten `count` and `sent` by the steps that saw a message beyond `sent`.
+
+    Without delay a node answers the supervisor at the very instant of the cut; that answer belongs to the
+    step that is cut off.
+    """
+    changed = True
+    while changed:
+        changed = False
+        for connection in graph.connections:
+            receiver, first = connection.receiver, sent[connection.sender]
+            if receiver == graph.supervisor or not count[receiver]:
+                continue
+            if connection.key in episode.windows:
+                saw = episode.windows[connection.key][: count[receiver]].max(axis=1) >= first
+            else:
+                arrived = episode.t_received[connection.key][first:].min(initial=np.inf)
+                # Whether a message that arrives at the start of a step is seen then, a jitter buffer decides too.
+                saw = episode.t_start[receiver][: count[receiver]] >= arrived
+            if saw.any():
+                count[receiver] = sent[receiver] = int(np.argmax(saw))
+                changed = True
 
 
 def episode_of_timing(graph: Graph, timing: ComputationGraph, row: int = 0) -> Episode:
