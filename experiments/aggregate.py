@@ -95,9 +95,10 @@ def conditions(configs: Mapping[Path, TrainRunConfig]) -> dict[Path, str]:
 
 
 def _plain_label(settings: Mapping[str, Any]) -> str:
-    """Environment, observation and distractors of a group of runs."""
+    """Agent unless it is DeepKoCo, environment, observation unless of states, and distractors of a group of runs."""
+    agent = "" if settings["agent.name"] == "deepkoco" else f"{settings['agent.name']}, "
     seen = "" if settings["observation"] == "states" else f" from {settings['observation']}"
-    return f"{settings['task.name']}{seen}, distractors {settings['distractors']}"
+    return f"{agent}{settings['task.name']}{seen}, distractors {settings['distractors']}"
 
 
 def read_runs(folder: Path) -> pd.DataFrame:

@@ -22,7 +22,8 @@ from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
-from experiments.settings import ExperimentError, register
+from experiments.agents import register
+from experiments.settings import ExperimentError
 from experiments.sweep import Failure, SweepFailed, check_launcher
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"

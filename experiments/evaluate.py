@@ -12,10 +12,9 @@ import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 
-from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.collection import collect_episodes, cost_spread, episode_costs
-from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
+from experiments.agents import load_controller
 from experiments.commands import run_command
 from experiments.environments import make_environments, make_factory
 from experiments.optimal_cost import optimal_costs, paired_difference
@@ -59,13 +58,12 @@ def run_episodes(config: EvaluateConfig) -> Measured:
     folder = Path(config.run)
     run = load_run_config(folder)
     check_finished(folder)
-    model, planner, low, high = load_model(folder)
+    agent = load_controller(run.agent.name, folder, config.episodes)
     envs = _environments(run, config)
-    agent = VectorAgent(model, planner, low, high, config.episodes)
     episodes = collect_episodes(envs, agent, _seed(run, config), record=False)
     envs.close()
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
-    return Measured(episode_costs(episodes), ends, agent.statistics.failures)
+    return Measured(episode_costs(episodes), ends, agent.failures)
 
 
 def measure(config: EvaluateConfig) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from deepkoco.agent.config import TrainingConfig, flatten
@@ -26,8 +25,8 @@ class TrainRunConfig:
 
     task: TaskConfig = field(default_factory=TaskConfig)
     """The environment, a file of configs/task."""
-    agent: TrainingConfig = field(default_factory=TrainingConfig)
-    """Hyper-parameters."""
+    agent: Any = field(default_factory=TrainingConfig)
+    """Hyper-parameters of the agent, a file of configs/agent."""
     seed: int = 0
     """Seed of everything: weights, episodes, noise, distractors."""
     observation: str = "states"
@@ -37,7 +36,7 @@ class TrainRunConfig:
     "colour", "camera", "sensor_noise"; several are joined by "+"."""
     distractor_options: DistractorOptions = field(default_factory=DistractorOptions)
     """How strong they are, and how many."""
-    run: str = "runs/${task.name}/${observation}/${distractors}/seed_${seed}"
+    run: str = "runs/${agent.name}/${task.name}/${observation}/${distractors}/seed_${seed}"
     """Folder of the run; it must not exist."""
     resume: str | None = None
     """Folder of a run to continue, with the settings stored there."""
@@ -89,11 +88,3 @@ class EvaluateConfig:
     """Steps at the end of an episode that tell whether it is upright."""
     upright_cost: float = 0.25
     """Largest mean cost of those steps; 0.25 is an angle of 0.5 rad off on the pendulum tasks."""
-
-
-def register() -> None:
-    """Make the schemas known to Hydra."""
-    store = ConfigStore.instance()
-    store.store(name="train_schema", node=TrainRunConfig)
-    store.store(name="evaluate_schema", node=EvaluateConfig)
-    store.store(group="task", name="task_schema", node=TaskConfig)

@@ -1,4 +1,4 @@
-"""Train DeepKoCo: `python -m experiments.train task=pendulum seed=0 distractors=none run=RUN`."""
+"""Train an agent: `python -m experiments.train agent=deepkoco task=pendulum seed=0 distractors=none run=RUN`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from yaml import YAMLError
 
-from deepkoco.agent.metrics import Row
-from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER, Trainer
-from deepkoco.agent.training import Progress as TrainingProgress
+from deepkoco.agent.standing import Standing
+from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
+from experiments.agents import settings_class, trainer_class
 from experiments.commands import BAD_INPUT, run_command
 from experiments.environments import make_environments
 from experiments.run_lock import locked
@@ -40,8 +40,11 @@ def load_run_config(folder: Path) -> TrainRunConfig:
     if not path.is_file():
         raise ExperimentError(f"{folder}: no {CONFIG_FILE}; give the folder of a training run")
     try:
-        merged = OmegaConf.merge(OmegaConf.structured(TrainRunConfig), OmegaConf.load(path))
-        config = OmegaConf.to_object(merged)
+        stored = OmegaConf.load(path)
+        # Runs from before there was a choice do not name their agent.
+        name = OmegaConf.select(stored, "agent.name", default="deepkoco")
+        schema = OmegaConf.structured(TrainRunConfig(agent=settings_class(name)()))
+        config = OmegaConf.to_object(OmegaConf.merge(schema, stored))
     except (OmegaConfBaseException, YAMLError, OSError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise ExperimentError(f"{path}: not the settings of a run this release reads: {reason}") from error
@@ -159,24 +162,22 @@ def _train(config: TrainRunConfig, folder: Path) -> None:
         "observation": config.observation,
         "distractors": config.distractors,
     }
-    trainer = Trainer(make_environments(config), config.agent, config.seed, folder, evaluation, description)
+    make = trainer_class(config.agent.name)
+    trainer = make(make_environments(config), config.agent, config.seed, folder, evaluation, description)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.fields[cost]}"),
+        TextColumn("{task.fields[text]}"),
         TimeElapsedColumn(),
     )
     with Progress(*columns, disable=not _draws_progress()) as bar:
-        task = bar.add_task(str(folder), cost="")
-        told = trainer.progress.iteration
+        task = bar.add_task(str(folder), text="")
 
-        def show(progress: TrainingProgress, planned: int, row: Row) -> None:
-            nonlocal told
-            text = f"iteration {progress.iteration + 1}, training cost {row['train/cost']:.0f}"
-            bar.update(task, total=planned, completed=progress.iteration_updates, cost=text)
-            # A log file gets one line an iteration in the place of the bar.
-            if bar.disable and progress.iteration > told:
-                told, done = progress.iteration, trainer.metrics.rows[-1]
+        def show(standing: Standing) -> None:
+            bar.update(task, total=standing.total, completed=standing.completed, text=standing.text)
+            # A log file gets a line for every row in the place of the bar.
+            if bar.disable and standing.row is not None:
+                done = standing.row
                 print(
                     f"{folder}: {done['episodes']:.0f} episodes, training cost {done['train/cost']:.0f}, "
                     f"noise-free cost {done['evaluation/cost']:.0f}, {done['seconds']:.0f} s",

@@ -28,9 +28,10 @@ from deepkoco.agent.learner import Learner
 from deepkoco.agent.training import Trainer
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.losses import ChunkBatch
+from experiments.agents import register
 from experiments.commands import CONFIGS
 from experiments.environments import make_factory
-from experiments.settings import TrainRunConfig, register
+from experiments.settings import TrainRunConfig
 
 CASES = {
     "pendulum, states (P = 10, M = 1)": ("task=pendulum",),

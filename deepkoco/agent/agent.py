@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
+from deepkoco.agent.policy import load_model
 from deepkoco.koopman.latent_model import Array, LatentModel
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.methods import make_planner
@@ -65,6 +68,11 @@ class VectorAgent:
         return total
 
     @property
+    def failures(self) -> int:
+        """Plans that could not be made."""
+        return self.statistics.failures
+
+    @property
     def planned_costs(self) -> list[Array]:
         """Predicted cost of every plan since the reset, one array per controller; see `PlannerStatistics`."""
         return [np.array(planner.statistics.planned_costs) for planner in self._planners]
@@ -80,12 +88,11 @@ class VectorAgent:
         if self._noise is not None:
             self._noise.reset()
 
-    def act(self, observations: Array | NDArray[np.uint8], variance: float = 0.0) -> Array:
+    def act(self, observations: Array | NDArray[np.uint8]) -> Array:
         """Return the actions decided one step earlier and decide the next ones.
 
         Args:
             observations: o_k (B, N), or the frames of this step, uint8 (B, H, W, 3).
-            variance: sigma^2 of the exploration noise.
 
         Returns:
             a_k (B, M).
@@ -101,6 +108,22 @@ class VectorAgent:
             plans = zip(self._planners, rows, factors, actions, strict=True)
             following = actions + np.stack([planner.plan(r, c, a) for planner, r, c, a in plans])
         if self._noise is not None:
-            following = following + self._noise.step(variance).numpy()
+            following = following + self._noise.step().numpy()
         self._next = np.clip(following, self._low, self._high)
         return actions
+
+
+def load_agent(folder: Path, count: int) -> VectorAgent:
+    """Load a trained controller for several environments.
+
+    Args:
+        folder: Folder of an exported model, or of a finished training run.
+        count: B.
+
+    Returns:
+        The agent, without exploration.
+
+    Raises:
+        ModelFolderError: The folder holds no trained model this release can read.
+    """
+    return VectorAgent(*load_model(folder), count)

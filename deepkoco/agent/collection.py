@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
 
-from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.stored_controller import LARGEST_LIMIT
 from deepkoco.koopman.exported import Array
@@ -18,6 +19,17 @@ FRAME_COLOURS = 3
 SMALLEST_FRAME = 4  # pixels a side: one patch of the first convolution
 VectorEnvFactory = Callable[[int, int], VectorEnv]
 """Makes a vector environment from (number of environments, seed of everything fixed for the run)."""
+
+
+class BatchController(Protocol):
+    """What acts in B environments at once."""
+
+    def reset(self) -> None:
+        """Start new episodes in all environments."""
+
+    def act(self, observations: Array | NDArray[np.uint8]) -> Array:
+        """Actions (B, M) for observations (B, ...)."""
+        ...
 
 
 class SpaceError(ValueError):
@@ -63,7 +75,7 @@ def _has_frames(space: spaces.Box) -> bool:
 
 
 def collect_episodes(
-    envs: VectorEnv, agent: VectorAgent, seed: int, variance: float = 0.0, record: bool = True
+    envs: VectorEnv, agent: BatchController, seed: int, record: bool = True
 ) -> list[Episode]:
     """Run every environment from a reset to the end of its first episode.
 
@@ -74,7 +86,6 @@ def collect_episodes(
         envs: B environments.
         agent: For B environments.
         seed: Passed to `envs.reset`.
-        variance: sigma^2 of the exploration noise.
         record: Keep the observations; off, the episodes hold none, which is enough for their costs.
 
     Returns:
@@ -90,7 +101,7 @@ def collect_episodes(
     length = np.zeros(envs.num_envs, dtype=np.int64)
     running = np.ones(envs.num_envs, dtype=bool)
     while running.any():
-        action = agent.act(observation if frames else np.asarray(observation, dtype=np.float64), variance)
+        action = agent.act(observation if frames else np.asarray(observation, dtype=np.float64))
         observations.append(np.array(observation if record else observation[:, :0], dtype=kept))
         actions.append(action.astype(np.float32))
         observation, reward, terminated, truncated, _ = envs.step(action.astype(dtype))

@@ -43,6 +43,8 @@ def flatten(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 class TrainingConfig:
     """Hyper-parameters of one run (Alg. 8); published values unless docs/training.md says otherwise."""
 
+    name: str = "deepkoco"
+    """Which agent this is."""
     model: ModelConfig = field(default_factory=ModelConfig)
     """Sizes of the latent model."""
     planner: PlannerConfig = field(default_factory=PlannerConfig)

@@ -13,34 +13,34 @@ class OrnsteinUhlenbeck:
     more and learns better. Noise is added to the increment in the action's unit.
     """
 
-    def __init__(self, count: int, action_size: int, correlation: float, generator: torch.Generator) -> None:
+    def __init__(
+        self, count: int, action_size: int, correlation: float, variance: float, generator: torch.Generator
+    ) -> None:
         """Start at zero.
 
         Args:
             count: Environments in the batch.
             action_size: M.
             correlation: lambda, per step.
+            variance: sigma^2 of the innovation.
             generator: Source of every draw.
         """
         self._noise = torch.zeros(count, action_size, dtype=torch.float64)
-        self._correlation = correlation
+        self._correlation, self._deviation = correlation, variance**0.5
         self._generator = generator
 
     def reset(self) -> None:
         """Return to zero at the start of an episode."""
         self._noise.zero_()
 
-    def step(self, variance: float) -> Tensor:
+    def step(self) -> Tensor:
         """Draw the next noise.
-
-        Args:
-            variance: sigma^2 of the innovation.
 
         Returns:
             Noise (B, M), float64.
         """
         innovation = torch.randn(self._noise.shape, generator=self._generator, dtype=torch.float64)
-        self._noise = self._correlation * self._noise + variance**0.5 * innovation
+        self._noise = self._correlation * self._noise + self._deviation * innovation
         return self._noise
 
 

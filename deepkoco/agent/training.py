@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.model import KoopmanModel
@@ -62,10 +63,6 @@ class Progress:
     iteration_updates: int = 0
     updates: int = 0
     seconds: float = 0.0
-
-
-Report = Callable[[Progress, int, Row], None]
-"""Called with (progress, planned updates of this iteration, last metrics row)."""
 
 
 class Trainer:
@@ -166,9 +163,12 @@ class Trainer:
                 if self.progress.iteration_updates % self.config.checkpoint_updates == 0:
                     self._save(started)
                 if report is not None and self.progress.iteration_updates % 50 == 0:
-                    report(self.progress, planned, self._collected)
+                    report(self._standing(planned))
+            standing = self._standing(planned)
             self._finish_iteration(planned, started)
             self._save(started)
+            if report is not None:
+                report(replace(standing, row=self.metrics.rows[-1]))
         for envs in self._pool.values():
             envs.close()
         self._pool.clear()
@@ -176,6 +176,10 @@ class Trainer:
         if not (self.folder / MODEL_FOLDER).exists():
             self._export()
         return self.metrics.rows[-1]
+
+    def _standing(self, planned: int) -> Standing:
+        text = f"iteration {self.progress.iteration + 1}, training cost {self._collected['train/cost']:.0f}"
+        return Standing(self.progress.iteration_updates, planned, text)
 
     def _envs(self, count: int, make: VectorEnvFactory) -> VectorEnv:
         """Environments of one kind and batch size, made once."""
@@ -188,12 +192,12 @@ class Trainer:
         first = self.progress.iteration == 0
         count = config.first_episodes if first else config.iteration_episodes
         count = min(count, config.total_episodes - done)
-        noise = OrnsteinUhlenbeck(count, self._low.size, config.noise_correlation, self._noise)
+        variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
+        noise = OrnsteinUhlenbeck(count, self._low.size, config.noise_correlation, variance, self._noise)
         model = None if first else export_model(self.averaged_model)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
         agent = VectorAgent(model, config.planner, self._low, self._high, count, noise, seed)
-        variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
-        episodes = collect_episodes(self._envs(count, self._make_envs), agent, seed, variance)
+        episodes = collect_episodes(self._envs(count, self._make_envs), agent, seed)
         self._buffer.add(episodes)
         self._buffer.check_windows(config.horizon)
         write_replay(self.folder, self.progress.iteration, episodes)

@@ -81,13 +81,14 @@ def run_episodes(
     Returns:
         B episodes.
     """
-    noise, variance = None, 0.0
+    noise = None
     if noise_variance > 0.0:
         generator = torch.Generator().manual_seed(seed)
-        noise = OrnsteinUhlenbeck(envs.num_envs, run.action_low.size, NOISE_CORRELATION, generator)
-        variance = noise_variance
+        noise = OrnsteinUhlenbeck(
+            envs.num_envs, run.action_low.size, NOISE_CORRELATION, noise_variance, generator
+        )
     agent = VectorAgent(model, run.planner, run.action_low, run.action_high, envs.num_envs, noise)
-    return collect_episodes(envs, agent, seed, variance)
+    return collect_episodes(envs, agent, seed)
 
 
 def run_exploring(run: TrainedRun, count: int, seed: int) -> list[Episode]:

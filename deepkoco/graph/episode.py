@@ -139,9 +139,7 @@ def common_part(graph: Graph, episode: Episode) -> Episode:
     )
 
 
-def _drop_what_saw_later(
-    graph: Graph, episode: Episode, count: dict[str, int], sent: dict[str, int]
-) -> None:
+def _drop_what_saw_later(graph: Graph, episode: Episode, count: dict[str, int], sent: dict[str, int]) -> None:
     """Shorten `count` and `sent` by the steps that saw a message beyond `sent`.
 
     Without delay a node answers the supervisor at the very instant of the cut; that answer belongs to the

@@ -41,13 +41,13 @@ def test_many_environments_act_as_one_by_one(model):
 
 
 def test_noise_moves_the_increment_and_the_action_is_clipped():
-    noise = OrnsteinUhlenbeck(2, 1, 0.85, torch.Generator().manual_seed(3))
-    twin = OrnsteinUhlenbeck(2, 1, 0.85, torch.Generator().manual_seed(3))
+    noise = OrnsteinUhlenbeck(2, 1, 0.85, 0.85, torch.Generator().manual_seed(3))
+    twin = OrnsteinUhlenbeck(2, 1, 0.85, 0.85, torch.Generator().manual_seed(3))
     agent = VectorAgent(None, CONFIG, LOW, HIGH, 2, noise)
     expected = np.zeros((2, 1))
     for _ in range(30):
-        np.testing.assert_allclose(agent.act(np.zeros((2, 3)), 0.85), expected)
-        expected = np.clip(expected + twin.step(0.85).numpy(), -2.0, 2.0)
+        np.testing.assert_allclose(agent.act(np.zeros((2, 3))), expected)
+        expected = np.clip(expected + twin.step().numpy(), -2.0, 2.0)
 
 
 def test_reset_starts_again_from_action_zero(model):

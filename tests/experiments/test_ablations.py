@@ -11,8 +11,9 @@ from omegaconf import OmegaConf
 
 from experiments.ablation_differences import differences, paired_interval
 from experiments.ablations import available, main, with_references
+from experiments.agents import register
 from experiments.commands import CONFIGS
-from experiments.settings import ExperimentError, TrainRunConfig, register
+from experiments.settings import ExperimentError, TrainRunConfig
 
 
 def read(*overrides: str) -> TrainRunConfig:

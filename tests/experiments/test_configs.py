@@ -7,9 +7,10 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
+from experiments.agents import register
 from experiments.commands import CONFIGS
 from experiments.environments import make_factory
-from experiments.settings import TrainRunConfig, register
+from experiments.settings import TrainRunConfig
 
 OWN = sorted({path.stem for path in (CONFIGS / "task").glob("*.yaml")} - {"gymnasium"})
 

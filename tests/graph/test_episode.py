@@ -75,7 +75,9 @@ def shortened(graph, episode: Episode, lost: dict[str, int]) -> Episode:
 
 @settings(max_examples=30, deadline=None)
 @given(graph=graphs(), random=st.randoms(use_true_random=False))
-@example(graph=random_graph(Random(379722482), False), random=Random(23))  # an answer at the cut's own instant
+@example(
+    graph=random_graph(Random(379722482), False), random=Random(23)
+)  # an answer at the cut's own instant
 def test_the_common_part_of_what_nodes_have_written_replays_bitwise(graph, random):
     _, initial, episodes, _ = recorded(graph, 8)
     lost = {node.name: random.randrange(5) for node in graph.nodes}

@@ -1,0 +1,125 @@
+"""The agents that can be trained: a new one is its package, one line here and a file of configs/agent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+from hydra.core.config_store import ConfigStore
+
+from deepkoco.agent.collection import BatchController, VectorEnvFactory
+from deepkoco.agent.metrics import MetricsLog, Row
+from deepkoco.agent.standing import Report
+from deepkoco.envs.task_factory import TaskConfig
+from experiments.settings import EvaluateConfig, ExperimentError, TrainRunConfig
+
+
+class AgentSettings(Protocol):
+    """What the settings of every agent have."""
+
+    name: str
+    total_episodes: int
+
+    def check(self) -> None:
+        """Raise an error of the agent's own if a value is out of range."""
+
+
+class Trainer(Protocol):
+    """One training run in one folder, continued where its checkpoint stands."""
+
+    metrics: MetricsLog
+
+    def run(self, report: Report | None = None) -> Row:
+        """Train to the end, write the folder `model` and return the last row of metrics."""
+        ...
+
+
+class Controller(BatchController, Protocol):
+    """A trained agent without exploration, in B environments at once."""
+
+    @property
+    def failures(self) -> int:
+        """Decisions that could not be made."""
+        ...
+
+
+MakeTrainer = Callable[
+    [VectorEnvFactory, Any, int, Path, VectorEnvFactory | None, Mapping[str, Any] | None], Trainer
+]
+
+
+@dataclass(frozen=True)
+class AgentKind:
+    """How an agent is set, trained and used; modules are imported when they are asked for.
+
+    Attributes:
+        settings: "module:class" of its settings.
+        trainer: "module:class" of its `Trainer`.
+        controller: "module:function" from (folder of a run, B) to its `Controller`.
+    """
+
+    settings: str
+    trainer: str
+    controller: str
+
+
+AGENTS = {
+    "deepkoco": AgentKind(
+        "deepkoco.agent.config:TrainingConfig",
+        "deepkoco.agent.training:Trainer",
+        "deepkoco.agent.agent:load_agent",
+    ),
+}
+
+
+def agent_kind(name: str) -> AgentKind:
+    """Look an agent up.
+
+    Args:
+        name: As in configs/agent.
+
+    Raises:
+        ExperimentError: There is no such agent.
+    """
+    if name not in AGENTS:
+        raise ExperimentError(f'agent.name = "{name}"; choose one of {", ".join(AGENTS)}')
+    return AGENTS[name]
+
+
+def settings_class(name: str) -> type[Any]:
+    """The dataclass of an agent's settings; see `agent_kind`."""
+    return _found(agent_kind(name).settings)
+
+
+def trainer_class(name: str) -> MakeTrainer:
+    """What makes an agent's trainer; see `agent_kind`."""
+    return _found(agent_kind(name).trainer)
+
+
+def load_controller(name: str, run: Path, count: int) -> Controller:
+    """Load a trained agent.
+
+    Args:
+        name: Of the agent.
+        run: Folder of a finished run.
+        count: B, environments that it acts in at once.
+    """
+    return _found(agent_kind(name).controller)(run, count)
+
+
+def register() -> None:
+    """Make the schemas of all settings known to Hydra."""
+    store = ConfigStore.instance()
+    store.store(name="train_schema", node=TrainRunConfig)
+    store.store(name="evaluate_schema", node=EvaluateConfig)
+    store.store(group="task", name="task_schema", node=TaskConfig)
+    for name in AGENTS:
+        store.store(group="agent", name=f"{name}_schema", node=settings_class(name))
+
+
+def _found(place: str) -> Any:
+    module, name = place.split(":")
+    return getattr(import_module(module), name)
