@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from deepkoco.identify.fit import Fit, FitProblem, Trial
-from deepkoco.identify.noise import Noise, quantum_of, residual_noise
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
+from deepkoco.identify.sharpen import sharpen_noise
 from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem, JointSystem
 from deepkoco.systems.effects import EFFECTS
@@ -67,20 +67,6 @@ def refit(start: Start, windows: Windows, free: tuple[str, ...] | None = None) -
     guess = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
     return problem.fit([Trial("refit", names, start.prior, first.values, state, first.zero)])[0]
-
-
-def sharpen_noise(windows: Windows, fit: Fit) -> tuple[Noise, ...]:
-    """Noise of each channel from the residuals of a fit, where that is below what the windows hold."""
-    result = []
-    for c, noise in enumerate(windows.noise):
-        valid = windows.valid[:, c].numpy()
-        if valid.sum() < 40:
-            result.append(noise)
-            continue
-        residual = (fit.residual[:, c] * noise.sd).numpy()
-        quantum = quantum_of(windows.value[:, c][windows.valid[:, c]].numpy())
-        result.append(residual_noise(windows.t[:, c].numpy(), residual, valid, quantum, noise))
-    return tuple(result)
 
 
 def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:

@@ -74,22 +74,32 @@ def predict(
     parameters: Mapping[str, Tensor],
     initial: Tensor,
     push: Tensor | None = None,
+    delays: Mapping[int, Tensor] | None = None,
 ) -> Tensor:
     """Noise-free measurements (L, W, N, M) at the windows' own time stamps.
 
     Between the integration nodes the state follows the cubic through its values and derivatives. The
     derivative at a step's end is the last stage of the step, since a command may jump at the node.
 
-    Args and Source: as :func:`trajectories`.
+    Args:
+        system, windows, parameters, initial, push: As for :func:`trajectories`, with its source.
+        delays: Channel -> (L,) time [s] that its measurements lag behind their stamps. Samples stamped
+            earlier after the window's start than that are extrapolated: leave them out of the windows.
     """
     states, left, right = trajectories(system, windows, parameters, initial, push)
     per_sample = {n: v[:, None, None] if v.ndim else v for n, v in parameters.items()}
     lanes, count, channels, samples = initial.shape[0], len(windows), windows.t.shape[1], windows.t.shape[2]
     result = torch.empty(lanes, count, channels, samples, dtype=torch.float64)
     measured: Tensor | None = None
+    stamped = 0  # channel at whose stamps `measured` is
     for c in range(channels):
-        shared = c > 0 and torch.equal(windows.t[:, c], windows.t[:, c - 1])
-        if not shared or measured is None:
+        if delays is not None and c in delays:
+            at = windows.t[:, c] - delays[c][:, None, None]
+            state = _between_each(states, left, right, at, windows.step)
+            result[:, :, c] = system.measure(state, per_sample)[..., c]
+            continue
+        if measured is None or not torch.equal(windows.t[:, c], windows.t[:, stamped]):
+            stamped = c
             state = _between(states, left, right, windows.t[:, c], windows.step)
             measured = system.measure(state, per_sample)
         result[:, :, c] = measured[..., c]
@@ -105,3 +115,14 @@ def _between(states: Tensor, left: Tensor, right: Tensor, t: Tensor, h: float) -
     d0, d1 = left[cell, :, window] * h, right[cell, :, window] * h
     value = x0 + s * (d0 + s * (3.0 * (x1 - x0) - 2.0 * d0 - d1 + s * (2.0 * (x0 - x1) + d0 + d1)))
     return value.permute(2, 0, 1, 3)
+
+
+def _between_each(states: Tensor, left: Tensor, right: Tensor, t: Tensor, h: float) -> Tensor:
+    """As :func:`_between`, at times t (L, W, M) of each lane's own -> (L, W, M, S)."""
+    cell = (t / h).floor().long().clamp(0, left.shape[0] - 1)
+    s = (t / h - cell)[..., None]
+    lane = torch.arange(t.shape[0])[:, None, None]
+    window = torch.arange(t.shape[1])[None, :, None]
+    x0, x1 = states[cell, lane, window], states[cell + 1, lane, window]
+    d0, d1 = left[cell, lane, window] * h, right[cell, lane, window] * h
+    return x0 + s * (d0 + s * (3.0 * (x1 - x0) - 2.0 * d0 - d1 + s * (2.0 * (x0 - x1) + d0 + d1)))
