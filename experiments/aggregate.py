@@ -46,7 +46,8 @@ def finished_runs(folder: Path) -> list[Path]:
     found = sorted(path.parent for path in folder.rglob("metrics.csv"))
     runs = [run for run in found if is_finished(run) or _has_all_episodes(run)]
     if len(runs) < len(found):
-        logger.warning("%s: left out %d runs that are not finished", folder, len(found) - len(runs))
+        names = ", ".join(str(run.relative_to(folder)) for run in found if run not in runs)
+        logger.warning("%s: left out what is not finished: %s", folder, names)
     if not runs:
         raise ExperimentError(f"{folder}: no finished run below it; give a folder that holds training runs")
     return runs

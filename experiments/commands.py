@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable
@@ -61,6 +62,28 @@ def _check_form(arguments: list[str]) -> None:
             raise ExperimentError(f"{argument}: settings are given as NAME=VALUE, such as run={argument}")
 
 
+def _check_choices(arguments: list[str]) -> None:
+    """Refuse a file that no group of configs/ has, before Hydra says so over twenty lines.
+
+    Args:
+        arguments: Of the command, without its name.
+
+    Raises:
+        ExperimentError: Names the group and its files.
+    """
+    for argument in arguments:
+        group, _, chosen = argument.lstrip("+").partition("=")
+        # Other forms than a name or a list of names, such as glob(*), are for Hydra to read.
+        if not re.fullmatch(r"\w+", group) or not re.fullmatch(r"\w+(,\w+)*", chosen):
+            continue
+        known = sorted(path.stem for path in (CONFIGS / group).glob("*.yaml"))
+        for name in chosen.split(",") if known else []:
+            if name not in known:
+                raise ExperimentError(
+                    f"{group}={name}: no such file in configs/{group}; choose from {', '.join(known)}"
+                )
+
+
 @dataclass
 class _Outcome:
     """How far a command came.
@@ -83,6 +106,7 @@ def run_command(name: str, task: Callable[[Any], None]) -> None:
     outcome = _Outcome()
     try:
         _check_form(sys.argv[1:])
+        _check_choices(sys.argv[1:])
         check_launcher(sys.argv)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -66,7 +66,7 @@ def test_unfinished_runs_are_left_out_with_a_warning(make_run, tmp_path, caplog)
     make_run(tmp_path / "a", seed=0)
     make_run(tmp_path / "b", seed=1, finished=False)
     assert set(read_runs(tmp_path)["seed"]) == {0}
-    assert "left out 1 runs that are not finished" in caplog.text
+    assert "left out what is not finished: b" in caplog.text
     with pytest.raises(ExperimentError, match="no finished run"):
         read_runs(tmp_path / "b")
 
