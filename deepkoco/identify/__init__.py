@@ -1,21 +1,38 @@
-"""Parameters and states of a system from recorded logs."""
+"""Parameters, delays and states of a system from recorded logs."""
 
-from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.identifiability import Direction, unidentified
+from deepkoco.identify.identification import Convergence, Estimate, Identification
+from deepkoco.identify.identify import fit
+from deepkoco.identify.methods import METHODS, CmaEs, LevenbergMarquardt
 from deepkoco.identify.noise import Noise, estimate_noise
 from deepkoco.identify.prior import Prior
+from deepkoco.identify.question import FitError
+from deepkoco.identify.search import MissingExtraError, Search, cma_es
+from deepkoco.identify.trial import Fit, Trial
 from deepkoco.identify.windows import Windows, cut_windows, moving, window_length
 
 __all__ = [
+    "METHODS",
+    "CmaEs",
+    "Convergence",
     "Direction",
+    "Estimate",
     "Fit",
+    "FitError",
     "FitProblem",
+    "Identification",
+    "LevenbergMarquardt",
+    "MissingExtraError",
     "Noise",
     "Prior",
+    "Search",
     "Trial",
     "Windows",
+    "cma_es",
     "cut_windows",
     "estimate_noise",
+    "fit",
     "moving",
     "unidentified",
     "window_length",

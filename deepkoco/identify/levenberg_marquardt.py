@@ -173,6 +173,7 @@ class Batch:
             normal.chi2,
             normal.cost - normal.chi2,
             normal.residual,
+            full,
             self.history[k],
             bool(self.converged[k]),
         )

@@ -47,6 +47,7 @@ class Fit:
         chi2: Sum of squared residuals in noise standard deviations.
         penalty: Prior's share of the cost.
         residual: (W, N, M) measured minus predicted, in noise standard deviations, 0 where padded.
+        curvature: (p + z, p + z) of the cost over free parameters and the z free encoder zeros, priors included.
         history: Cost after every iteration.
         converged: Whether the last step was below the tolerance.
     """
@@ -61,6 +62,7 @@ class Fit:
     chi2: float
     penalty: float
     residual: Tensor
+    curvature: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     history: list[float] = field(default_factory=list)
     converged: bool = False
 

@@ -1,0 +1,170 @@
+"""Parameters of a system from recordings, in one call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from deepkoco.graph.recording import Recording
+from deepkoco.identify.dispersion import dispersion
+from deepkoco.identify.identifiability import unidentified
+from deepkoco.identify.identification import Convergence, Estimate, Identification, interval
+from deepkoco.identify.methods import Answer, LevenbergMarquardt, Method, Progress, held
+from deepkoco.identify.prior import Prior
+from deepkoco.identify.question import FitError, Question, ask
+from deepkoco.identify.threads import one_thread
+from deepkoco.identify.trial import Fit
+from deepkoco.systems import ExtendedSystem, JointSystem
+
+
+def fit(
+    recordings: Sequence[Recording],
+    system: str | JointSystem,
+    parameters: Sequence[str],
+    *,
+    method: Method | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    prior: Prior | None = None,
+    start: Mapping[str, float] | None = None,
+    window: float | None = None,
+    zero_sd: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Identification:
+    """Find parameters of a system from recordings of it.
+
+    The logs are cut into windows, each simulated from an initial state of its own under the logged commands; the
+    parameters are those under which the simulations are closest to the measurements, in noise standard
+    deviations. Found besides, per log and window: initial states, and the encoder's zero where it is unknown.
+
+    Args:
+        recordings: Logs of one unit.
+        system: Name of the system, or a system.
+        parameters: What to find: the system's own parameters (``mass``), those of effects
+            (``actuation_delay.delay``, ``coulomb.torque``), or the delay of one channel (``theta.delay``).
+        method: Levenberg-Marquardt unless given.
+        bounds: Parameter -> lowest and highest value; those declared where not given.
+        prior: Gaussian prior over some of the parameters; very wide over the others.
+        start: Parameter -> value at the start, also of parameters that are not found but known.
+        window: Length of a window [s]; None takes about one period of the system.
+        zero_sd: Spread of the angle sensor's zero from log to log [rad]; None takes the system's, 0 is a known
+            zero.
+        seed: Seed of the method's draws.
+        progress: Called with stage, iteration, most iterations and cost.
+
+    Raises:
+        FitError: A parameter is unknown, its bounds or start are wrong, there is too little motion, or the
+            simulation diverges at the start.
+        LogError: A log lacks a channel.
+        UnknownSystemError: There is no such system.
+        JointCountError: It has more joints than one.
+    """
+    began = time.perf_counter()
+    method = LevenbergMarquardt() if method is None else method
+    with one_thread():
+        question = ask(
+            recordings,
+            system,
+            parameters,
+            bounds=bounds,
+            prior=prior,
+            start=start,
+            window=window,
+            zero_sd=zero_sd,
+        )
+        try:
+            answer = method.answer(question, np.random.default_rng(seed), progress or _quiet)
+        except FloatingPointError as error:
+            raise FitError(
+                "the simulation diverges at the start values; give others, or shorter windows"
+            ) from error
+        before = held(answer.question, question.start, answer.fit.state, answer.fit.zero)
+    convergence = Convergence(
+        method.name,
+        answer.converged,
+        answer.reason,
+        answer.stages,
+        answer.simulations,
+        time.perf_counter() - began,
+    )
+    logs = tuple(r.path.name if r.path else None for r in recordings)
+    return _identification(answer, before, convergence, logs, seed)
+
+
+def _quiet(stage: str, iteration: int, most: int, cost: float) -> None:
+    pass
+
+
+def _identification(
+    answer: Answer, before: Fit, convergence: Convergence, logs: tuple[str | None, ...], seed: int
+) -> Identification:
+    found, question = answer.fit, answer.question
+    spread = dispersion(found, question.windows)
+    count = len(question.free)
+    joint, information = _inverted(question, found)
+    joint = joint * spread.deflation
+    covariance = joint[:count, :count]
+    estimates = {}
+    for i, declared in enumerate(question.declared):
+        sd, bounds = float(np.sqrt(max(covariance[i, i], 0.0))), (declared.low, declared.high)
+        value = found.values[declared.name]
+        estimates[declared.name] = Estimate(
+            declared.name,
+            value,
+            *interval(value, sd, bounds),
+            sd,
+            declared.unit,
+            question.start[declared.name],
+            bounds,
+        )
+    return Identification(
+        _fitted(question, found.values),
+        estimates,
+        _zeros(answer, joint[count:, count:]),
+        covariance,
+        unidentified(replace(found, information=information), question.prior),
+        spread,
+        convergence,
+        question,
+        found,
+        before,
+        logs,
+        seed,
+    )
+
+
+def _fitted(question: Question, values: Mapping[str, float]) -> ExtendedSystem:
+    own = question.system
+    names = tuple(e.name for e in own.effects)
+    return ExtendedSystem(own.base, names, {p.name: values[p.name] for p in own.parameters})
+
+
+def _inverted(question: Question, found: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of parameters and encoder zeros, and what the data alone say about the parameters.
+
+    In units of the priors' standard deviations: parameters of unlike size are inverted to full precision.
+    """
+    count, full = len(question.free), found.curvature
+    index = [question.prior.names.index(n) for n in question.free]
+    sd = np.sqrt(np.diag(question.prior.covariance))[index]
+    sd = np.concatenate([sd, np.full(len(full) - count, question.zero_sd)])
+    values, vectors = np.linalg.eigh(full * np.outer(sd, sd))
+    # The prior alone gives eigenvalues near 1 or above; less is rounding.
+    inverse = (vectors / values.clip(1e-3)) @ vectors.T
+    information = full[:count, :count] - question.prior.precision(question.free)
+    if len(full) > count:
+        across = full[:count, count:]
+        information = information - across @ np.linalg.solve(full[count:, count:], across.T)
+    return inverse * np.outer(sd, sd), information
+
+
+def _zeros(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
+    result = []
+    for log in range(len(covariance)):
+        value, sd = float(answer.fit.zero[log]), float(np.sqrt(covariance[log, log]))
+        low, high = interval(value, sd, (-np.inf, np.inf))
+        result.append(Estimate(f"zero of log {log + 1}", value, low, high, sd, "rad", 0.0, (-np.inf, np.inf)))
+    return tuple(result)

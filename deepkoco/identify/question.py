@@ -1,0 +1,186 @@
+"""What a user asks a fit for, put in the terms of the fit: free parameters, bounds, prior, windows."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepkoco.graph.recording import Recording
+from deepkoco.identify.fit import FitProblem, channel_delays
+from deepkoco.identify.prior import Prior
+from deepkoco.identify.push import Push
+from deepkoco.identify.windows import Windows, cut_windows, moving, window_length
+from deepkoco.systems import ExtendedSystem, JointSystem, Parameter, one_joint
+from deepkoco.systems.effects import EFFECTS
+
+FEWEST_WINDOWS = 2
+
+
+class FitError(ValueError):
+    """A fit cannot be run as asked: an unknown parameter, bounds the wrong way round, too little motion."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One fit to run.
+
+    Attributes:
+        system: System with all the effects that are asked for; its bounds are those of the fit.
+        windows: Windows in which the joint moves.
+        free: Parameters to find.
+        late: Channels among whose delays some are to be found.
+        start: Value of every parameter at the start.
+        prior: Over the free parameters.
+        zero_sd: Spread of encoder zeros from log to log [rad].
+        resting: Windows left out because the joint rests in them.
+    """
+
+    system: ExtendedSystem
+    windows: Windows
+    free: tuple[str, ...]
+    late: tuple[str, ...]
+    start: dict[str, float]
+    prior: Prior
+    zero_sd: float
+    resting: int
+
+    @property
+    def declared(self) -> tuple[Parameter, ...]:
+        """Declarations of the free parameters, in their order."""
+        known = {p.name: p for p in (*self.system.parameters, *channel_delays(self.late))}
+        return tuple(known[name] for name in self.free)
+
+    def problem(self, windows: Windows | None = None) -> FitProblem:
+        """The problem on these windows, or on others of the same system."""
+        windows = self.windows if windows is None else windows
+        if self.late:
+            windows = _without_start(windows, self.late, self.system)
+        problem = FitProblem(self.system, windows, self.late)
+        problem.zero_sd = self.zero_sd
+        return problem
+
+
+def known_parameters(system: JointSystem) -> tuple[Parameter, ...]:
+    """All that can be fitted: the system's own parameters, those of every effect, one delay per channel."""
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    full = ExtendedSystem(base, tuple(EFFECTS), {p.name: p.value for p in system.parameters})
+    return (*full.parameters, *channel_delays([c.name for c in system.measurements]))
+
+
+def ask(
+    recordings: Sequence[Recording],
+    system: str | JointSystem,
+    parameters: Sequence[str],
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    prior: Prior | None = None,
+    start: Mapping[str, float] | None = None,
+    window: float | None = None,
+    zero_sd: float | None = None,
+) -> Question:
+    """Check what a user wants and cut the logs. Args and Raises as :func:`deepkoco.identify.fit`."""
+    base = one_joint(system)
+    known = {p.name: p for p in known_parameters(base)}
+    free = tuple(dict.fromkeys(parameters))
+    if not free:
+        raise FitError(f"no parameter to fit; {base.name} has: {', '.join(p.name for p in base.parameters)}")
+    for what in (free, bounds or (), start or (), prior.names if prior else ()):
+        _check_names(what, known, base)
+    late = tuple(c.name for c in base.measurements if f"{c.name}.delay" in free)
+    extended = _extended(base, (*free, *(start or ())), late)
+    extended.parameters = tuple(
+        _bounded(p, bounds or {}, start or {}, p.name in free) for p in extended.parameters
+    )
+    delays = {p.name: _bounded(p, bounds or {}, start or {}, True) for p in channel_delays(late)}
+    if any(bounds and name in bounds for name in delays):
+        raise FitError("bounds: the delay of a channel has fixed bounds, 0 to 0.1 s; leave it out")
+    values = {p.name: p.value for p in (*extended.parameters, *delays.values())}
+    windows = cut_windows(recordings, base, window_length(base) if window is None else window)
+    moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
+    if moves.sum() < FEWEST_WINDOWS:
+        raise FitError(
+            f"only {int(moves.sum())} windows of {windows.length:.2g} s in which the joint moves; at least "
+            f"{FEWEST_WINDOWS} are needed: record more motion, or give a shorter window"
+        )
+    kept = windows.take(moves)
+    kept = _without_start(kept, late, base) if late else kept
+    values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
+    found = {p.name: p for p in (*extended.parameters, *delays.values())}
+    chosen = _completed(prior, [found[name] for name in free])
+    spread = [c.zero_sd for c in base.measurements if c.angle]
+    zeros = (spread[0] if spread else 0.0) if zero_sd is None else zero_sd
+    return Question(extended, kept, free, late, values, chosen, zeros, int((~moves).sum()))
+
+
+def wide(parameters: Iterable[Parameter]) -> Prior:
+    """Prior that says little: half the distance between the bounds as standard deviation."""
+    return Prior.of([replace(p, prior_sd=0.5 * (p.high - p.low)) for p in parameters])
+
+
+def _completed(prior: Prior | None, free: Sequence[Parameter]) -> Prior:
+    """A prior over all free parameters, wide in those that ``prior`` does not cover."""
+    rest = [p for p in free if prior is None or p.name not in prior.names]
+    if prior is None:
+        return wide(rest)
+    index = [prior.names.index(p.name) for p in free if p.name in prior.names]
+    added = wide(rest)
+    size, count = len(index), len(rest)
+    covariance = np.zeros((size + count, size + count))
+    covariance[:size, :size] = prior.covariance[np.ix_(index, index)]
+    covariance[size:, size:] = added.covariance
+    names = tuple(prior.names[i] for i in index) + added.names
+    return Prior(names, np.concatenate([prior.centre[index], added.centre]), covariance)
+
+
+def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: JointSystem) -> None:
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+            close += [k for k in known if k.startswith(f"{name}.") or k.endswith(f".{name}")]
+            said = f"; did you mean {' or '.join(dict.fromkeys(close))}?" if close else ""
+            own = ", ".join(p.name for p in system.parameters)
+            raise FitError(
+                f'{system.name} has no parameter "{name}"{said} Its own are {own}; those of effects are '
+                'listed by "deepkoco systems --effects"'
+            )
+
+
+def _extended(base: JointSystem, names: Iterable[str], late: Sequence[str]) -> ExtendedSystem:
+    had = tuple(e.name for e in base.effects) if isinstance(base, ExtendedSystem) else ()
+    delays = {f"{c}.delay" for c in late}
+    asked = tuple(name.split(".")[0] for name in names if "." in name and name not in delays)
+    plain = base.base if isinstance(base, ExtendedSystem) else base
+    return ExtendedSystem(plain, (*had, *asked), {p.name: p.value for p in base.parameters})
+
+
+def _bounded(
+    parameter: Parameter,
+    bounds: Mapping[str, tuple[float, float]],
+    start: Mapping[str, float],
+    free: bool,
+) -> Parameter:
+    low, high = bounds.get(parameter.name, (parameter.low, parameter.high))
+    where = f"{parameter.name}: bounds {low:g} to {high:g} {parameter.unit}"
+    if not low < high:
+        raise FitError(f"{where}: the lower one must be below the upper one")
+    if low < parameter.low or high > parameter.high:
+        raise FitError(f"{where} leave what is admissible, {parameter.low:g} to {parameter.high:g}")
+    if parameter.name not in start:
+        return replace(parameter, low=low, high=high, value=float(np.clip(parameter.value, low, high)))
+    value = float(start[parameter.name])
+    if not low <= value <= high:
+        raise FitError(f"{parameter.name}: start {value:g} {parameter.unit} is outside {low:g} to {high:g}")
+    return replace(parameter, low=low, high=high, value=value)
+
+
+def _without_start(windows: Windows, late: Sequence[str], system: JointSystem) -> Windows:
+    """Leave out samples of late channels that may show a state from before their window."""
+    valid = windows.valid.clone()
+    for c, channel in enumerate(system.measurements):
+        if channel.name in late:
+            longest = channel_delays([channel.name])[0].high
+            valid[:, c] &= windows.t[:, c] >= longest
+    return replace(windows, valid=valid)
