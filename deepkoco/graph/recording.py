@@ -1,7 +1,6 @@
 """Measured logs: time-stamped channels of one unit, read from and written to files."""
 
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,12 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from deepkoco.graph.log_table import column_values, read_table
+from deepkoco.graph.log_checks import Span, check_content, check_units, unknown_stretches
+from deepkoco.graph.log_files import LogFile, open_log
+from deepkoco.graph.log_files.log_file import HEADER, LogError
+from deepkoco.graph.log_series import ChannelReader, Series
 from deepkoco.graph.sidecar import (
     KINDS,
     ChannelColumn,
     Column,
-    LogError,
     Sidecar,
     dump_sidecar,
     load_sidecar,
@@ -29,39 +30,6 @@ FILLS = ("drop", "hold")
 
 
 @dataclass(frozen=True)
-class Series:
-    """One channel: samples with their own time stamps.
-
-    Attributes:
-        t: (n,) float64 time stamps [s], strictly increasing; a command holds from its stamp to the next.
-        value: (n,) float64 samples in `unit`.
-        unit: SI unit, for example "rad/s".
-        kind: "command" or "measurement".
-    """
-
-    t: np.ndarray
-    value: np.ndarray
-    unit: str
-    kind: str
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "t", np.ascontiguousarray(self.t, dtype=np.float64))
-        object.__setattr__(self, "value", np.ascontiguousarray(self.value, dtype=np.float64))
-        if self.t.ndim != 1 or self.t.shape != self.value.shape:
-            raise ValueError(f"t {self.t.shape} and value {self.value.shape} are not vectors of one length")
-        if self.kind not in KINDS:
-            raise ValueError(f'kind "{self.kind}" is none of {", ".join(KINDS)}')
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    def hold(self, t: np.ndarray) -> np.ndarray:
-        """Sample the series at times `t` [s] by zero-order hold; before the first sample the first holds."""
-        index = np.searchsorted(self.t, t, side="right") - 1
-        return self.value[np.maximum(index, 0)]
-
-
-@dataclass(frozen=True)
 class Recording:
     """A measured log in SI units.
 
@@ -70,12 +38,16 @@ class Recording:
         path: file it was read from, None if it never was in a file.
         system: name of the system that was measured, None if the log does not say.
         meta: anything else the sidecar says.
+        unknown: stretches (start, stop) [s] in which a command is not known or a measurement was filled in.
+        warnings: what reading had to assume or doubts.
     """
 
     channels: dict[str, Series]
     path: Path | None = None
     system: str | None = None
     meta: dict[str, Any] = field(default_factory=dict)
+    unknown: tuple[Span, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def names(self, kind: str) -> tuple[str, ...]:
         """Return the names of the channels of one kind, "command" or "measurement"."""
@@ -114,15 +86,18 @@ def read_log(
     min_samples: int = 20,
     min_seconds: float = 1.0,
     allow_constant_command: bool = False,
+    allow_implausible: bool = False,
 ) -> Recording:
-    """Read a measured log (CSV or Parquet) with its sidecar and check it.
+    """Read a measured log with its sidecar and check it.
 
     Values are converted to SI units, stamps to seconds. A row in which both a channel and its time stamp
     are empty carries no sample of it. A command with a time column of its own may repeat a sample
-    (same stamp, same value) on later rows: the repetitions are dropped.
+    (same stamp, same value) on later rows: the repetitions are dropped. Stamps of files with topics count
+    from the file's first message.
 
     Args:
-        path: the log, `.csv` (comma, semicolon or tab; one header row) or `.parquet`.
+        path: the log: `.csv` (comma, semicolon, tab or bar; one header row), `.parquet`, `.mcap`, `.bag` of ROS 1,
+            `.db3` or folder of a ROS 2 bag.
         mapping: content or path of the sidecar; None takes `path` with the suffix `.yaml`.
         system: name that the log must belong to; None takes what the sidecar says.
         channels: (name, unit, kind) of every channel that the system has; None accepts any channel.
@@ -132,6 +107,7 @@ def read_log(
         min_samples: fewest samples of a measurement.
         min_seconds: shortest duration of a log [s].
         allow_constant_command: accept a log in which a command never changes (a free swing).
+        allow_implausible: accept channels that contradict each other and values far from all others.
 
     Raises:
         LogError: the log cannot be used; the message says which file and column and what to do.
@@ -139,22 +115,49 @@ def read_log(
     path = Path(path)
     if fill is not None and fill not in FILLS:
         raise LogError(f'fill "{fill}" is none of {", ".join(FILLS)}')
-    if path.is_dir():
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise LogError(f"{path}: is a folder; give the log file in it")
-    if not path.is_file():
+    if not path.exists():
         raise LogError(f"{path}: no such file")
     sidecar = load_sidecar(path, mapping)
     name = _check_system(sidecar, system, systems)
     specs = None if channels is None else {channel: (unit, kind) for channel, unit, kind in channels}
     targets = _target_units(sidecar, specs)
-    table = read_table(path)
+    readers = _readers(path, sidecar, fill)
+    if allow_implausible:
+        sidecar = replace(
+            sidecar, channels={n: replace(c, checked=True) for n, c in sidecar.channels.items()}
+        )
     series = {
-        channel: _read_series(path, table, column, targets[channel], fill, column.time != sidecar.time)
+        channel: readers[column.file].read(column, targets[channel], column.time != sidecar.time)
         for channel, column in sidecar.channels.items()
     }
-    recording = Recording(series, path, name, sidecar.meta)
-    _check_content(path, recording, min_samples, min_seconds, allow_constant_command)
-    return recording
+    check_content(path, series, min_samples, min_seconds, allow_constant_command)
+    notes = [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
+    doubts = check_units(path, series, sidecar.channels)
+    return Recording(series, path, name, sidecar.meta, unknown_stretches(series), (*notes, *doubts))
+
+
+def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None, ChannelReader]:
+    """One reader for each file that the channels are in; times count from the origin of the first."""
+    files: dict[str | None, dict[str, set[str]]] = {}
+    for column in sidecar.channels.values():
+        time = {HEADER} if column.time is None else {HEADER, column.time.name}
+        wanted = files.setdefault(column.file, {}).setdefault(column.topic, set())
+        wanted |= {column.value.name, *time, *sidecar.where}
+    logs = {
+        file: open_log(path if file is None else path.parent / file, topics) for file, topics in files.items()
+    }
+    origin = next(iter(logs.values())).origin_ns
+    _check_where(path, sidecar, logs.values())
+    return {file: ChannelReader(log, sidecar.where, origin, fill) for file, log in logs.items()}
+
+
+def _check_where(path: Path, sidecar: Sidecar, logs: Iterable[LogFile]) -> None:
+    there = {str(name) for log in logs for table in log.tables.values() for name in table.frame.columns}
+    for name in sidecar.where:
+        if name not in there:
+            raise LogError(f'{sidecar.source}: where: no column "{name}" in {path}; correct the mapping')
 
 
 def write_log(path: str | Path, recording: Recording) -> Path:
@@ -248,97 +251,3 @@ def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None)
             wanted = ", ".join(name for name, spec in specs.items() if spec[1] == kind)
             raise LogError(f"{sidecar.source}: no {kind} channel is mapped; map at least one of: {wanted}")
     return targets
-
-
-def _read_series(
-    path: Path, table: pd.DataFrame, column: ChannelColumn, target: str, fill: str | None, own_time: bool
-) -> Series:
-    for part in (column.value, column.time):
-        _check_header(path, part)
-    time = column_values(path, table, column.time.name) * factor_between(column.time.unit, "s")
-    value = column_values(path, table, column.value.name) * factor_between(column.value.unit, target)
-    row = np.flatnonzero(~(np.isnan(time) & np.isnan(value)))
-    time, value = time[row], value[row]
-    _refuse(path, column.time.name, row, ~np.isfinite(time), "without a time stamp", "drop those rows")
-    value, kept = _fill(value, fill)
-    time, row = time[kept], row[kept]
-    advice = 'drop those rows or fill them (fill "drop" or "hold")'
-    _refuse(path, column.value.name, row, ~np.isfinite(value), "NaN or infinite", advice)
-    if column.kind == "command" and own_time:
-        repeated = np.append(False, (np.diff(time) == 0) & (np.diff(value) == 0))
-        time, value, row = time[~repeated], value[~repeated], row[~repeated]
-    step = np.append(np.inf, np.diff(time))
-    _refuse(path, column.time.name, row, step < 0, "earlier than the row before", "sort or split the log")
-    _refuse(path, column.time.name, row, step == 0, "with a duplicate time stamp", "keep one row per stamp")
-    return Series(time, value, target, column.kind)
-
-
-def _check_header(path: Path, column: Column) -> None:
-    header = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.name)
-    if header is None:
-        return
-    try:
-        stated = parse_unit(header.group(1))
-    except UnitError:
-        return  # brackets in a header need not hold a unit
-    if stated != parse_unit(column.unit):
-        raise LogError(
-            f'{path}: column "{column.name}": mixed units, the header says {header.group(1)}, the '
-            f"mapping says {column.unit}; correct the mapping"
-        )
-
-
-def _fill(value: np.ndarray, fill: str | None) -> tuple[np.ndarray, np.ndarray]:
-    missing = ~np.isfinite(value)
-    if fill is None or not missing.any():
-        return value, np.arange(len(value))
-    good = np.flatnonzero(~missing)
-    if fill == "drop" or len(good) == 0:
-        return value[good], good
-    last = np.searchsorted(good, np.arange(len(value)), side="right") - 1
-    kept = np.flatnonzero(last >= 0)
-    return value[good[last[kept]]], kept
-
-
-def _refuse(path: Path, column: str, row: np.ndarray, bad: np.ndarray, what: str, advice: str) -> None:
-    if not bad.any():
-        return
-    rows = row[bad] + 1
-    listed = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
-    raise LogError(
-        f'{path}: column "{column}": {len(rows)} sample{"s" * (len(rows) > 1)} {what}, at data row '
-        f"{listed} (the first row below the header is 1); {advice}"
-    )
-
-
-def _check_content(
-    path: Path, recording: Recording, min_samples: int, min_seconds: float, allow_constant_command: bool
-) -> None:
-    for name, series in recording.channels.items():
-        wanted = min_samples if series.kind == "measurement" else 1
-        if len(series) < wanted:
-            raise LogError(
-                f'{path}: channel "{name}" is too short: {len(series)} samples, at least {wanted} needed; '
-                "record for longer"
-            )
-        if series.kind == "command" and not allow_constant_command and np.ptp(series.value) == 0:
-            raise LogError(
-                f'{path}: command "{name}" is constant ({series.value[0]:g} {series.unit}) and teaches '
-                "nothing; record with an excitation (chirp, steps, prbs)"
-            )
-    if not recording.names("measurement"):
-        return
-    seconds = recording.stop - recording.start
-    if seconds < min_seconds:
-        raise LogError(
-            f"{path}: too short: the measurements cover {max(seconds, 0.0):.3g} s together, at least "
-            f"{min_seconds:g} s needed; if the log is longer, check the unit of the time column"
-        )
-    for name in recording.names("command"):
-        series = recording.channels[name]
-        if series.t[0] > recording.stop or series.t[-1] < recording.start - max(seconds, 0.0):
-            raise LogError(
-                f'{path}: command "{name}" ({series.t[0]:.6g} to {series.t[-1]:.6g} s) lies outside '
-                f"the measurements ({recording.start:.6g} to {recording.stop:.6g} s); check the units of the "
-                "time columns"
-            )

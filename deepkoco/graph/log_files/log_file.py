@@ -1,0 +1,170 @@
+"""What every reader of a log file gives: tables of columns, one for each topic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+RECEIVED = "received"
+"""Column of a topic: when each message was recorded [s since the file began]."""
+HEADER = "header.stamp"
+"""Column of a topic: when each message says it was made [s, as `RECEIVED`]."""
+
+
+class LogError(ValueError):
+    """A log or its sidecar cannot be used; the message names file, column and what to do."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """The columns of one topic, or of a whole file that has no topics.
+
+    Attributes:
+        frame: one row per message or line of the file.
+        kind: type of the messages, empty for a file of columns.
+        times: columns that are known to be times [s].
+        absent: by column, True in the rows whose message has no such field (another joint's message).
+        left_out: fields that were not read, with the reason.
+    """
+
+    frame: pd.DataFrame
+    kind: str = ""
+    times: tuple[str, ...] = ()
+    absent: dict[str, np.ndarray] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LogFile:
+    """A log file as it is stored, before anything says what its columns mean.
+
+    Attributes:
+        path: of the file.
+        form: name of its format.
+        tables: by topic; a file of columns has one table, of the topic "".
+        skipped: topics that cannot be read, with the reason.
+        origin_ns: what the times of the tables count from [ns since 1970]; 0 for a file of columns.
+        row_name: what a row of a table is called in a message to the user.
+        notes: what reading had to assume.
+    """
+
+    path: Path
+    form: str
+    tables: dict[str, Table]
+    skipped: dict[str, str] = field(default_factory=dict)
+    origin_ns: int = 0
+    row_name: str = "message"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def has_topics(self) -> bool:
+        """Whether columns are found by topic and field."""
+        return "" not in self.tables
+
+    def table(self, topic: str) -> Table:
+        """Return the table of a topic.
+
+        Raises:
+            LogError: there is no such topic, or it cannot be read.
+        """
+        if topic in self.tables:
+            return self.tables[topic]
+        if topic in self.skipped:
+            raise LogError(f'{self.path}: topic "{topic}" cannot be read: {self.skipped[topic]}')
+        if not self.has_topics:
+            raise LogError(
+                f'{self.path}: is a {self.form} file, which has columns and no topics; write "column: NAME" in the '
+                f'place of topic "{topic}"'
+            )
+        there = ", ".join(self.tables) or "no readable one"
+        if not topic:
+            raise LogError(
+                f'{self.path}: is a {self.form} file; say the topic and the field of each channel, "topic: '
+                f'/joint_states, field: position[0]"; its topics are {there}'
+            )
+        raise LogError(f'{self.path}: has no topic "{topic}"; it has {there}; correct the mapping')
+
+    def values(self, topic: str, column: str) -> np.ndarray:
+        """Return one column as float64, an empty cell as NaN.
+
+        Raises:
+            LogError: the topic or the column is missing, or the column holds text.
+        """
+        table = self.table(topic)
+        if column not in table.frame.columns:
+            raise LogError(
+                f"{self._where(topic, column)} is missing; {self._has(topic)}; correct the mapping"
+            )
+        return self._numbers(topic, column, table.frame[column])
+
+    def _has(self, topic: str) -> str:
+        names = [str(name) for name in self.tables[topic].frame.columns]
+        listed = ", ".join(names[:40]) + (f" and {len(names) - 40} more" if len(names) > 40 else "")
+        return f"the {'topic' if self.has_topics else 'file'} has {listed}"
+
+    def _where(self, topic: str, column: str) -> str:
+        return (
+            f'{self.path}: topic "{topic}": field "{column}"' if topic else f'{self.path}: column "{column}"'
+        )
+
+    def _numbers(self, topic: str, column: str, cells: pd.Series) -> np.ndarray:
+        if pd.api.types.is_datetime64_any_dtype(cells.dtype):
+            return _seconds(cells)
+        if pd.api.types.is_complex_dtype(cells.dtype) or pd.api.types.is_timedelta64_dtype(cells.dtype):
+            raise LogError(f"{self._where(topic, column)} is of type {cells.dtype}; write plain numbers")
+        if pd.api.types.is_numeric_dtype(cells.dtype):
+            return cells.to_numpy(dtype=np.float64, na_value=np.nan)
+        objects = cells.astype(object).where(cells.notna(), np.nan).to_numpy(dtype=object)
+        try:
+            return objects.astype(np.float64)
+        except (TypeError, ValueError, OverflowError):
+            pass
+        wrong = [row for row, cell in enumerate(objects) if not _is_number(cell)]
+        shown = " ".join(str(objects[wrong[0]]).split())[:60]
+        raise LogError(
+            f'{self._where(topic, column)}: "{shown}" at {self.row_name} {wrong[0] + 1} is no number '
+            f"({len(wrong)} such cells); write plain numbers in one unit, and the unit in the sidecar"
+        )
+
+
+def iso_seconds(log: LogFile, topic: str, column: str) -> np.ndarray:
+    """Return a column of dates (2024-05-01T12:00:00.125, with or without zone) in seconds since 1970, empty as NaN.
+
+    Raises:
+        LogError: the column is missing, or a cell is no date.
+    """
+    table = log.table(topic)
+    if column not in table.frame.columns:
+        return log.values(topic, column)
+    cells = table.frame[column]
+    if pd.api.types.is_datetime64_any_dtype(cells.dtype):
+        return _seconds(cells)
+    try:
+        dates = pd.Series(pd.to_datetime(cells, utc=True, format="ISO8601", errors="coerce"))
+    except (TypeError, ValueError, OverflowError):
+        dates = pd.Series(pd.NaT, index=cells.index, dtype="datetime64[ns, UTC]")
+    wrong = np.flatnonzero((dates.isna() & cells.notna()).to_numpy())
+    if len(wrong):
+        raise LogError(
+            f'{log.path}: column "{column}": "{str(cells.iloc[wrong[0]])[:60]}" at {log.row_name} {wrong[0] + 1} is no '
+            "date like 2024-05-01T12:00:00.125; if the column holds numbers, give their unit"
+        )
+    return _seconds(dates)
+
+
+def _seconds(cells: pd.Series) -> np.ndarray:
+    stamps = cells.dt.tz_convert("UTC").dt.tz_localize(None) if cells.dt.tz is not None else cells
+    nanoseconds = stamps.to_numpy(dtype="datetime64[ns]")
+    seconds = nanoseconds.astype(np.int64) / 1e9
+    return np.where(np.isnat(nanoseconds), np.nan, seconds)
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(cell)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return True
