@@ -99,7 +99,7 @@ def check_units(
 
 
 def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:
-    """Measured channels of which the second should be the derivative of the first, by unit and by number of the joint."""
+    """Pairs of measured channels whose second should be the derivative of the first: by unit and number of the joint."""
     pairs = []
     measured = {name: series for name, series in channels.items() if series.kind == "measurement"}
     for first, series in measured.items():
@@ -179,7 +179,7 @@ def unknown_stretches(channels: Mapping[str, Series]) -> tuple[Span, ...]:
 
 
 def lost_commands(series: Series) -> list[Span]:
-    """Gaps in a command that is sampled regularly and changes over them; one that is logged at changes only has none."""
+    """Gaps in a command that is sampled regularly and changes over them; one logged at changes only has none."""
     if len(series) < 20:
         return []
     step = np.diff(series.t)

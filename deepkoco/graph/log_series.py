@@ -193,7 +193,7 @@ class ChannelReader:
         if name is None:
             return ""
         first = self.log.values(topic, name)[0]
-        return f'; the column "{name}" counts its parts: write "where: {{{name}: {first:g}}}" in the sidecar to read one'
+        return f'; the column "{name}" counts its parts: write "where: {{{name}: {first:g}}}" in the sidecar for one'
 
     def _refuse(self, column: Column, row: np.ndarray, bad: np.ndarray, what: str, advice: str) -> None:
         if not bad.any():

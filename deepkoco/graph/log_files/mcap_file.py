@@ -54,8 +54,8 @@ def _records(path: Path) -> Iterator[McapRecord]:
             except _DAMAGE as damage:
                 reason = " ".join(str(damage).split()) or type(damage).__name__
                 raise LogError(
-                    f"{path}: is cut off or damaged after {count} messages ({reason[:160]}); copy it again, or repair it "
-                    'with "mcap recover"'
+                    f"{path}: is cut off or damaged after {count} messages ({reason[:160]}); copy it again, or "
+                    'repair it with "mcap recover"'
                 ) from damage
             count += isinstance(record, Message)
             yield record
@@ -114,7 +114,7 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decoder:
         return json.loads
     if channel.message_encoding not in ("cdr", "ros1"):
         raise LogError(
-            f'its encoding "{channel.message_encoding}" is not known (json, cdr and ros1 are); convert it to one of them'
+            f'its encoding "{channel.message_encoding}" is not known (json, cdr and ros1 are); convert it'
         )
     if schema is None:
         raise LogError("its messages have no schema, so nothing says what their bytes mean")

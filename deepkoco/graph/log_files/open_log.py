@@ -59,8 +59,8 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             raise LogError(
-                f"{path}: is a folder; give the log file in it (only the folder of a ROS 2 bag, with its metadata.yaml, "
-                "is a log)"
+                f"{path}: is a folder; give the log file in it (only the folder of a ROS 2 bag, with its "
+                "metadata.yaml, is a log)"
             )
         reader = _bag
     elif not path.is_file():
@@ -69,7 +69,8 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
         found = FORMATS.get(path.suffix.lower())
         if found is None:
             raise LogError(
-                f'{path}: format "{path.suffix}" is not known; known: {", ".join(FORMATS)} and the folder of a ROS 2 bag'
+                f'{path}: format "{path.suffix}" is not known; known: {", ".join(FORMATS)} and the folder of '
+                "a ROS 2 bag"
             )
         reader = found
     try:
