@@ -1,5 +1,6 @@
 """Parameters, delays and states of a system from recorded logs."""
 
+from deepkoco.identify.estimator import DelayedEstimator, Memory, system_derivative
 from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.identifiability import Direction, unidentified
 from deepkoco.identify.identification import Convergence, Estimate, Identification
@@ -10,23 +11,29 @@ from deepkoco.identify.prior import Prior
 from deepkoco.identify.question import FitError
 from deepkoco.identify.search import MissingExtraError, Search, cma_es
 from deepkoco.identify.trial import Fit, Trial
+from deepkoco.identify.unscented import Belief, FilterError, SigmaPoints
 from deepkoco.identify.windows import Windows, cut_windows, moving, window_length
 
 __all__ = [
     "METHODS",
+    "Belief",
     "CmaEs",
     "Convergence",
+    "DelayedEstimator",
     "Direction",
     "Estimate",
+    "FilterError",
     "Fit",
     "FitError",
     "FitProblem",
     "Identification",
     "LevenbergMarquardt",
+    "Memory",
     "MissingExtraError",
     "Noise",
     "Prior",
     "Search",
+    "SigmaPoints",
     "Trial",
     "Windows",
     "cma_es",
@@ -34,6 +41,7 @@ __all__ = [
     "estimate_noise",
     "fit",
     "moving",
+    "system_derivative",
     "unidentified",
     "window_length",
 ]

@@ -48,7 +48,10 @@ class Answer:
 class Method(Protocol):
     """Answers questions."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Name that results carry."""
+        ...
 
     def answer(self, question: Question, generator: np.random.Generator, progress: Progress) -> Answer:
         """Fit; every draw comes from the generator."""

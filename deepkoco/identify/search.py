@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -118,7 +119,7 @@ def cma_es(
     )
 
 
-def _library():  # noqa: ANN202 - an optional module
+def _library() -> Any:
     try:
         return import_module("cma")
     except ImportError as error:

@@ -1,0 +1,169 @@
+"""The unscented Kalman filter in square-root form, batched over environments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+Map = Callable[[Tensor], Tensor]
+
+
+class FilterError(ValueError):
+    """A filter is set up wrongly."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Normal distribution over the states of B environments.
+
+    Attributes:
+        mean: (B, S).
+        root: (B, S, S) lower triangular L; the covariance is L L^T.
+    """
+
+    mean: Tensor
+    root: Tensor
+
+    @property
+    def covariance(self) -> Tensor:
+        """(B, S, S), symmetric and positive semidefinite by construction."""
+        return self.root @ self.root.mT
+
+    def where(self, mask: Tensor, other: Belief) -> Belief:
+        """This belief in the environments of the mask (B,), the other one elsewhere."""
+        return Belief(
+            torch.where(mask[:, None], self.mean, other.mean),
+            torch.where(mask[:, None, None], self.root, other.root),
+        )
+
+
+@dataclass(frozen=True)
+class SigmaPoints:
+    """Scaled unscented transform of S dimensions with 2 S + 1 points.
+
+    Points: mean and mean +- sqrt(S + lambda) times the columns of the root, lambda = alpha^2 (S + kappa) - S.
+    Weights of the mean point: lambda / (S + lambda) for the mean, plus 1 - alpha^2 + beta for the covariance;
+    the others 1 / (2 (S + lambda)). The square-root form asks for weights of the covariance that are not
+    negative, which also keeps every covariance positive; the defaults give the cubature rule, exact for
+    polynomials of degree three.
+
+    Source: van der Merwe, Wan, The square-root unscented Kalman filter (2001); Arasaratnam, Haykin, Cubature
+        Kalman filters (2009).
+    """
+
+    alpha: float = 1.0
+    beta: float = 0.0
+    kappa: float = 0.0
+
+    def spread(self, size: int) -> float:
+        """S + lambda."""
+        return self.alpha**2 * (size + self.kappa)
+
+    def weights(self, size: int) -> tuple[Tensor, Tensor]:
+        """Weights (2 S + 1,) of mean and covariance.
+
+        Raises:
+            FilterError: The mean point's weight in the covariance is negative.
+        """
+        spread = self.spread(size)
+        if spread <= 0:
+            raise FilterError(f"sigma points: S + kappa = {size + self.kappa:g} must be positive")
+        mean = torch.full((2 * size + 1,), 0.5 / spread, dtype=torch.float64)
+        covariance = mean.clone()
+        mean[0] = 1.0 - size / spread
+        covariance[0] = mean[0] + 1.0 - self.alpha**2 + self.beta
+        if covariance[0] < -1e-12:
+            raise FilterError(
+                f"sigma points: alpha {self.alpha:g}, beta {self.beta:g}, kappa {self.kappa:g} give the mean point the "
+                f"weight {float(covariance[0]):.3g} in a covariance of {size} states; it must not be negative"
+            )
+        return mean, covariance.clamp_min(0.0)
+
+    def of(self, belief: Belief) -> Tensor:
+        """Points (B, 2 S + 1, S) of a belief."""
+        step = math.sqrt(self.spread(belief.mean.shape[1])) * belief.root.mT
+        centre = belief.mean[:, None]
+        return torch.cat([centre, centre + step, centre - step], 1)
+
+
+def predict(belief: Belief, transition: Map, noise_root: Tensor, points: SigmaPoints) -> Belief:
+    """Belief after a transition with additive noise.
+
+    Args:
+        belief: Before.
+        transition: (B, K, S) -> (B, K, S).
+        noise_root: Root of the noise's covariance, (S, S) or (B, S, S), lower triangular.
+        points: The rule.
+    """
+    size = belief.mean.shape[1]
+    mean_weight, weight = points.weights(size)
+    moved = transition(points.of(belief))
+    mean = torch.einsum("k,bks->bs", mean_weight, moved)
+    deviation = (moved - mean[:, None]) * weight.sqrt()[:, None]
+    rows = torch.cat([deviation, noise_root.mT.expand(len(mean), size, size)], 1)
+    return Belief(mean, _lower_root(rows))
+
+
+def update(
+    belief: Belief,
+    measure: Map,
+    measured: Tensor,
+    noise_sd: Tensor,
+    points: SigmaPoints,
+    angle: Tensor | None = None,
+) -> tuple[Belief, Tensor]:
+    """Belief after a measurement; what is not a number was not measured.
+
+    One orthogonal triangularisation of [predicted measurements; states] gives the innovation's root, the gain
+    and the new root at once: nothing is subtracted, so the covariance cannot lose its sign. A missing channel
+    is given no gain and no part in the likelihood.
+
+    Args:
+        belief: Before.
+        measure: States (B, K, S) -> measurements (B, K, N).
+        measured: (B, N).
+        noise_sd: Standard deviations of the sensors, (N,) or (B, N).
+        points: The rule.
+        angle: (N,) True where a sensor wraps: the innovation is taken into (-pi, pi].
+
+    Returns:
+        The belief, and log likelihoods (B,) of the measurements.
+
+    Source: Kailath, Sayed, Hassibi, Linear Estimation, ch. 12 (array algorithms).
+    """
+    size, channels = belief.mean.shape[1], measured.shape[1]
+    mean_weight, weight = points.weights(size)
+    sigma = points.of(belief)
+    shown = measure(sigma)
+    expected = torch.einsum("k,bkn->bn", mean_weight, shown)
+    there = torch.isfinite(measured)
+    innovation = torch.where(there, measured - expected, 0.0)
+    if angle is not None:
+        wrapped = torch.remainder(innovation + math.pi, 2.0 * math.pi) - math.pi
+        innovation = torch.where(angle, wrapped, innovation)
+    scale = weight.sqrt()[:, None]
+    of_shown = torch.where(there[:, None], shown - expected[:, None], 0.0) * scale
+    of_state = (sigma - belief.mean[:, None]) * scale
+    # A channel that is missing keeps a row of its own with unit noise, uncorrelated with everything.
+    noise = torch.diag_embed(torch.where(there, noise_sd.expand_as(measured), 1.0))
+    zero = torch.zeros(len(measured), channels, size, dtype=measured.dtype)
+    rows = torch.cat([torch.cat([of_shown, of_state], 2), torch.cat([noise, zero], 2)], 1)
+    root = _lower_root(rows)
+    own, across = root[:, :channels, :channels], root[:, channels:, :channels]
+    whitened = torch.linalg.solve_triangular(own, innovation[..., None], upper=False)[..., 0]
+    mean = belief.mean + torch.einsum("bsn,bn->bs", across, whitened)
+    diagonal = torch.diagonal(own, dim1=-2, dim2=-1).abs().log()
+    count = there.sum(-1)
+    likelihood = -0.5 * (whitened**2).sum(-1) - diagonal.sum(-1) - 0.5 * math.log(2.0 * math.pi) * count
+    return Belief(mean, root[:, channels:, channels:]), likelihood
+
+
+def _lower_root(rows: Tensor) -> Tensor:
+    """Lower triangular L (B, n, n) with L L^T = rows^T rows, its diagonal not negative; rows (B, m, n)."""
+    upper = torch.linalg.qr(rows, mode="r").R
+    sign = torch.where(torch.diagonal(upper, dim1=-2, dim2=-1) < 0, -1.0, 1.0)
+    return (upper * sign[..., None]).mT
