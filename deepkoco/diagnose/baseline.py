@@ -9,8 +9,8 @@ from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
 from deepkoco.identify.sharpen import sharpen_noise
 from deepkoco.identify.windows import Windows, halved
-from deepkoco.systems import ExtendedSystem, JointSystem
-from deepkoco.systems.effects import EFFECTS
+from deepkoco.systems import ExtendedSystem, System
+from deepkoco.systems.effects import effects_of
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Start:
     effects: tuple[str, ...] = ()
 
 
-def catalogue_system(system: JointSystem) -> ExtendedSystem:
+def catalogue_system(system: System) -> ExtendedSystem:
     """The system with every effect: those that it does not have yet are at their null values."""
     base = system.base if isinstance(system, ExtendedSystem) else system
-    return ExtendedSystem(base, tuple(EFFECTS), {p.name: p.value for p in system.parameters})
+    return ExtendedSystem(base, tuple(effects_of(base)), {p.name: p.value for p in system.parameters})
 
 
-def start_from(system: JointSystem, windows: Windows) -> Start:
+def start_from(system: System, windows: Windows) -> Start:
     """Start of a diagnosis that knows nothing but the system's declared parameters and priors."""
     extended = catalogue_system(system)
     values = {p.name: p.value for p in extended.parameters}

@@ -13,7 +13,7 @@ from deepkoco.command_line import InputError
 
 if TYPE_CHECKING:
     from deepkoco.graph.recording import Recording
-    from deepkoco.systems import JointSystem
+    from deepkoco.systems import System
 
 DESCRIPTION = """\
 Compare logs of a robot with its simulation, name what the simulation gets wrong, and write a report, the
@@ -107,8 +107,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read(
-    args: argparse.Namespace, paths: Sequence[Path], system: JointSystem | None
-) -> tuple[JointSystem, list[Recording]]:
+    args: argparse.Namespace, paths: Sequence[Path], system: System | None
+) -> tuple[System, list[Recording]]:
     from deepkoco.graph.recording import read_log
     from deepkoco.systems import SYSTEMS
 
@@ -124,7 +124,7 @@ def _read(
                     f"{path}: the sidecar names no system; give --system, one of {', '.join(SYSTEMS)}"
                 )
             system = _system(said)
-        channels = [(c.name, c.unit, c.kind) for c in (system.command, *system.measurements)]
+        channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
         recordings.append(
             read_log(path, args.map, system.name, channels=channels, systems=tuple(SYSTEMS), fill=args.fill)
         )
@@ -132,10 +132,10 @@ def _read(
     return system, recordings  # type: ignore[return-value]
 
 
-def _system(name: str) -> JointSystem:
-    from deepkoco.systems import JointCountError, ModelFileError, UnknownSystemError, load_model, one_joint
+def _system(name: str) -> System:
+    from deepkoco.systems import ModelFileError, UnknownSystemError, load_model, make_system
 
     try:
-        return load_model(name) if name.endswith((".yaml", ".yml")) else one_joint(name)
-    except (ModelFileError, UnknownSystemError, JointCountError) as error:
+        return load_model(name) if name.endswith((".yaml", ".yml")) else make_system(name)
+    except (ModelFileError, UnknownSystemError) as error:
         raise InputError(f"--system: {error}") from error

@@ -11,14 +11,15 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
-from deepkoco.diagnose.causes import CAUSES, Cause
+from deepkoco.diagnose.causes import CAUSES, Cause, kind_of
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
 from deepkoco.diagnose.findings import advice_for, estimates, evidence_for, finding, localise, motion_of
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.diagnose.hints import hint_for
+from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
+from deepkoco.diagnose.scattered import scatter_findings
 from deepkoco.diagnose.selection import (
     DETECTION,
     FURTHER,
@@ -34,7 +35,7 @@ from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.identifiability import unidentified
 from deepkoco.identify.threads import one_thread
 from deepkoco.identify.windows import Windows, cut_windows, estimate_channels, moving, window_length
-from deepkoco.systems import ExtendedSystem, JointSystem, one_joint
+from deepkoco.systems import ExtendedSystem, System, any_system
 
 FEWEST_WINDOWS = 4
 HELD_OUT = 4  # without hold-out logs, one window in four is kept back
@@ -54,7 +55,7 @@ class _Data:
 
 def diagnose(
     recordings: Sequence[Recording],
-    system: str | JointSystem,
+    system: str | System,
     healthy: Sequence[Recording] = (),
     holdout: Sequence[Recording] = (),
     seed: int = 0,
@@ -81,10 +82,9 @@ def diagnose(
     Raises:
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
-        JointCountError: It has more joints than one.
     """
     began = time.perf_counter()
-    base = one_joint(system)
+    base = any_system(system)
     length = window_length(base) if window is None else window
     with one_thread():
         data = _cut(recordings, holdout, base, length)
@@ -97,7 +97,7 @@ def diagnose(
 class _Study:
     """One diagnosis under way."""
 
-    def __init__(self, system: JointSystem, start: Start, data: _Data, detection: float) -> None:
+    def __init__(self, system: System, start: Start, data: _Data, detection: float) -> None:
         self.system, self.start, self.detection = system, start, detection
         train, self.reference = refit_sharply(start, data.train)
         held = None if data.held is None else replace(data.held, noise=train.noise)
@@ -111,6 +111,7 @@ class _Study:
         reference = self.reference
         missing = missing_torque(problem, reference)
         first, final = self._select(reference, missing)
+        scattered = scatter_findings(self.start.system, data.train, final, self.detection)
         chi2 = [fit.chi2 / data.train.samples for fit in (reference, final)]
         after = dispersion(final, data.train)
         missing = missing_torque(problem, reference, after.deflation)
@@ -118,13 +119,16 @@ class _Study:
         structure = chi2[1] > limit or after.lag_one > 5.0 / np.sqrt(data.train.samples)
         verdict = self._verdict(reference, final, limit, structure)
         named = self._named(missing) if verdict in ("cause", "ambiguous") else ()
-        if verdict not in ("cause", "ambiguous"):
+        if scattered and verdict in ("nothing", "cause", "ambiguous"):
+            verdict, named = ("cause" if verdict == "nothing" else verdict), (*named, *scattered)
+        if not self.accepted or verdict not in ("cause", "ambiguous"):
             final = reference
         gain = self._gain(reference, final, seed)
         left = describe(missing if final is reference else missing_torque(problem, final), after)
         if verdict == "unknown":
             named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
         candidates = tuple(finding(problem, c, first) for c in first.candidates)
+        candidates = tuple(sorted((*candidates, *scattered), key=lambda c: -c.delta_bic))
         loose = unidentified(reference, start.prior)
         return Diagnosis(
             verdict=verdict,
@@ -137,7 +141,7 @@ class _Study:
             windows=len(data.train),
             window_s=length,
             localisation=localise(missing),
-            advice=advice_for(named, data.train, self.system.command.unit),
+            advice=advice_for(named, data.train, self.system),
             data=describe_data(recordings, data),
             refit=estimates(problem, reference, reference.free, first.deflation),
             model=self._model(final),
@@ -149,14 +153,14 @@ class _Study:
             details=self._details(reference, final, missing),
         )
 
-    def _details(self, reference: Fit, final: Fit, missing: MissingTorque) -> Details:
+    def _details(self, reference: Fit, final: Fit, missing: Sequence[MissingTorque]) -> Details:
         prior = self.start.prior
         held = self.data.held is not None and len(self.data.held) > 0
         spread = np.sqrt(np.diag(prior.covariance))
         return Details(
             system=self.start.system,
             channels=tuple((c.name, c.unit) for c in self.system.measurements),
-            command_unit=self.system.command.unit,
+            command_units=tuple(c.unit for c in self.system.commands),
             priors={
                 n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)
             },
@@ -164,27 +168,31 @@ class _Study:
             nominal=None if held else self.problem.evaluate(self.start.values, "baseline", reference.state),
             refit=reference,
             final=final,
-            missing=missing,
+            missing=tuple(missing),
             inflation=dispersion(final, self.data.train).deflation,
         )
 
-    def _select(self, reference: Fit, missing: MissingTorque) -> tuple[Ranking, Fit]:
+    def _select(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Fit]:
         """Forward selection: the first ranking (over the whole catalogue) and the last fit."""
         problem, start = self.problem, self.start
-        hint = hint_for(start.system, self.data.train, pushes_from(missing))
-        ranking = rank(problem, start, reference, (), hint)
+        hints = self._hints(reference, missing)
+        ranking = rank(problem, start, reference, (), hints)
         first, final = ranking, reference
         while ranking.candidates and ranking.best.delta_bic > (FURTHER if self.accepted else self.detection):
-            ranking = without_events_first(problem, start, ranking, self.accepted, hint, self.detection)
+            ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
             members = equivalent(problem, start, ranking, tuple(self.accepted))
             self.steps.append((ranking, members))
             self.accepted.append(ranking.best.cause)
             final = ranking.best.fit
             if len(self.accepted) == MOST_CAUSES:
                 break
-            hint = hint_for(start.system, self.data.train, pushes_from(missing_torque(problem, final)))
-            ranking = rank(problem, start, final, self.accepted, hint)
+            hints = self._hints(final, missing_torque(problem, final))
+            ranking = rank(problem, start, final, self.accepted, hints)
         return first, final
+
+    def _hints(self, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
+        chi2 = fit.chi2 / self.data.train.samples
+        return Hints(self.start.system, self.data.train, pushes_from(missing), chi2)
 
     def _verdict(self, before: Fit, after: Fit, limit: float, structure: bool) -> Verdict:
         train = self.data.train
@@ -193,16 +201,17 @@ class _Study:
         share = explained_share(before, after, train, self.start.floor)
         if structure and after.chi2 / train.samples > limit and share < EXPLAINED:
             return "unknown"
-        families = {CAUSES[name].family for name in self.steps[0][1]}
+        families = {CAUSES[kind_of(name)].family for name in self.steps[0][1]}
         return "ambiguous" if len(families) > 1 else "cause"
 
-    def _named(self, missing: MissingTorque) -> tuple[Finding, ...]:
-        motion = motion_of(self.data.train, missing)
+    def _named(self, missing: Sequence[MissingTorque]) -> tuple[Finding, ...]:
         places = SLOTS * len(self.data.train)
         result = []
         for ranking, members in self.steps:
             best: Candidate = ranking.best
-            evidence = evidence_for(best.cause, best, ranking, motion, missing, places)
+            own = missing[best.cause.joint or 0]
+            motion = motion_of(self.data.train, own, self.system)
+            evidence = evidence_for(best.cause, best, ranking, motion, own, places)
             result.append(finding(self.problem, best, ranking, members, evidence))
         return tuple(result)
 
@@ -231,7 +240,7 @@ class _Study:
 
 
 def _cut(
-    recordings: Sequence[Recording], holdout: Sequence[Recording], system: JointSystem, length: float
+    recordings: Sequence[Recording], holdout: Sequence[Recording], system: System, length: float
 ) -> _Data:
     noise = estimate_channels(recordings, system)
     # With logs of their own to test on, windows may overlap: nothing that is fitted is tested.
@@ -249,7 +258,7 @@ def _cut(
 
 
 def _insufficient(
-    data: _Data, system: JointSystem, recordings: Sequence[Recording], length: float, seed: int, began: float
+    data: _Data, system: System, recordings: Sequence[Recording], length: float, seed: int, began: float
 ) -> Diagnosis:
     found = len(data.train)
     advice = (

@@ -11,7 +11,7 @@ from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.identify.fit import Fit
 from deepkoco.identify.windows import Windows
-from deepkoco.systems import ExtendedSystem, JointSystem
+from deepkoco.systems import ExtendedSystem, System
 
 SCHEMA = 1
 Verdict = Literal["cause", "nothing", "unknown", "ambiguous", "insufficient"]
@@ -81,25 +81,25 @@ class Details:
     Attributes:
         system: The system with every effect.
         channels: (name, unit) of each measurement.
-        command_unit: Unit of the command.
+        command_units: Unit of each command.
         priors: Baseline parameter -> (mean, standard deviation) of its prior.
         windows: Training windows.
         nominal: The system as given on them; None where there are held-out windows to show.
         refit: The refitted baseline.
         final: With the named causes; the refit itself where none is named.
-        missing: Torque that the refitted baseline misses.
+        missing: Load on each joint that the refitted baseline misses.
         inflation: Variance of what the final model leaves, in noise variances.
     """
 
     system: ExtendedSystem
     channels: tuple[tuple[str, str], ...]
-    command_unit: str
+    command_units: tuple[str, ...]
     priors: dict[str, tuple[float, float]]
     windows: Windows
     nominal: Fit | None
     refit: Fit
     final: Fit
-    missing: MissingTorque
+    missing: tuple[MissingTorque, ...]
     inflation: float
 
 
@@ -144,7 +144,7 @@ class Diagnosis:
     advice: tuple[str, ...]
     data: dict[str, Any]
     refit: dict[str, Estimate]
-    model: JointSystem
+    model: System
     seed: int
     versions: dict[str, str]
     seconds: float

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deepkoco.diagnose.causes import CAUSES
+from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
 from deepkoco.diagnose.findings import motion_of
 from deepkoco.diagnose.missing_curve import expected_missing_torque
@@ -97,29 +97,36 @@ def replay(diagnosis: Diagnosis, details: Details) -> Picture:
 
 def missing_torque(diagnosis: Diagnosis, details: Details) -> Picture:
     """Torque that the refitted baseline misses, against speed, angle, command and time."""
-    missing = details.missing
-    motion = motion_of(details.windows, missing)
+    missing = details.missing[_joint_shown(details)]
+    system = details.system
+    motion = motion_of(details.windows, missing, system)
+    of_joint = f", joint {missing.joint + 1}" if system.joints > 1 else ""
+    position, speed = system.state_units[missing.joint], system.state_units[system.joints + missing.joint]
+    turning = position == "rad"
+    command_unit = details.command_units[min(missing.joint, len(details.command_units) - 1)]
     torque = missing.torque.ravel()
     named = diagnosis.verdict in ("cause", "ambiguous") and details.final is not details.refit
-    curve = expected_missing_torque(details).ravel() if named else None
+    curve = expected_missing_torque(details, missing.joint).ravel() if named else None
     axes_of = {
-        "speed [rad/s]": motion.omega,
-        "angle, one turn [rad]": (motion.theta + np.pi) % (2 * np.pi) - np.pi,
-        f"command [{details.command_unit}]": motion.command,
+        f"speed{of_joint} [{speed}]": motion.omega,
+        f"angle{of_joint}, one turn [rad]" if turning else f"position [{position}]": (
+            (motion.theta + np.pi) % (2 * np.pi) - np.pi if turning else motion.theta
+        ),
+        f"command{of_joint} [{command_unit}]": motion.command,
         "time [s]": motion.time,
     }
     figure = Figure(figsize=(9.0, 5.6))
     grid = figure.subplots(2, 2, sharey=True).ravel()
     reach = float(np.quantile(np.abs(torque), 0.99)) * 1.3 + 1e-12
     for axis, (label, x) in zip(grid, axes_of.items(), strict=True):
-        axis.plot(x, torque, ".", color=COLOURS["refit"], markersize=3, alpha=0.3, label="missing torque")
+        axis.plot(x, torque, ".", color=COLOURS["refit"], markersize=3, alpha=0.3, label="missing load")
         if curve is not None:
             _binned(axis, x, curve, COLOURS["extended"], "what the named cause would leave")
         _binned(axis, x, torque, COLOURS["refit"], "mean of the dots")
         axis.set_xlabel(label)
         axis.set_ylim(-reach, reach)
     for axis in (grid[0], grid[2]):
-        axis.set_ylabel("missing torque [N m]")
+        axis.set_ylabel(f"missing load [{missing.unit}]")
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3)
     table = pd.DataFrame(
@@ -140,6 +147,12 @@ def missing_torque(diagnosis: Diagnosis, details: Details) -> Picture:
     if curve is not None:
         caption += f" The line is what {_title(diagnosis)} alone would leave behind."
     return Picture("missing_torque", "What the refitted simulation misses", caption, figure, table)
+
+
+def _joint_shown(details: Details) -> int:
+    """Joint at which the named cause, or else the most of what is missing, shows."""
+    changed = [float(((m.torque / m.sd) ** 2).mean()) for m in details.missing]
+    return int(np.argmax(changed))
 
 
 def _binned(axis: Axes, x: np.ndarray, y: np.ndarray, colour: str, label: str, bins: int = 20) -> None:
@@ -268,4 +281,4 @@ def parameters(diagnosis: Diagnosis, details: Details) -> Picture:
 
 def _title(diagnosis: Diagnosis) -> str:
     names = [n.replace("_", " ") for n in diagnosis.names]
-    return " and ".join(names) if all(n.replace(" ", "_") in CAUSES for n in names) else "the cause"
+    return " and ".join(names) if all(kind_of(n.replace(" ", "_")) in CAUSES for n in names) else "the cause"

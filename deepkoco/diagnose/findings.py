@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.causes import CAUSES, Cause, Motion
+from deepkoco.diagnose.causes import CAUSES, Cause, Motion, kind_of
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
 from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.diagnose.selection import DETECTION, Candidate, Ranking, declared, penalty
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.windows import Windows
+from deepkoco.systems import System
 
 LOUD = 5.0  # standard deviations from which a missing torque is worth pointing at
 
@@ -46,20 +47,29 @@ def finding(
         members or (cause.name,),
         candidate.delta_bic,
         ranking.probabilities()[cause.name],
-        estimates(problem, candidate.fit, cause.free, ranking.deflation),
+        estimates(problem, candidate.fit, _shown(problem, cause), ranking.deflation),
         evidence,
     )
 
 
-def motion_of(windows: Windows, missing: MissingTorque) -> Motion:
-    """What the unit did at the slots of a missing torque, flattened over windows."""
+def _shown(problem: FitProblem, cause: Cause) -> tuple[str, ...]:
+    """Parameters of a cause, those included that were chosen and not fitted."""
+    if cause.effect == "event":
+        return cause.free
+    return tuple(p.name for p in problem.system.parameters if p.name.split(".")[0] == cause.effect)
+
+
+def motion_of(windows: Windows, missing: MissingTorque, system: System) -> Motion:
+    """What a joint did at the slots of its missing load, flattened over windows."""
+    driven = system.command_joints
+    index = driven.index(missing.joint) if missing.joint in driven else 0
     command = np.empty_like(missing.time)
     rate = np.empty_like(missing.time)
     for w, log in enumerate(missing.log):
         series = windows.commands[log]
         edges = np.append(missing.time[w] - 0.5 * missing.slot, missing.time[w, -1] + 0.5 * missing.slot)
         fine = np.linspace(edges[0], edges[-1], 10 * len(missing.time[w]) + 1)
-        held = series.value[np.clip(np.searchsorted(series.t, fine, side="right") - 1, 0, None)]
+        held = series.column(index)[np.clip(np.searchsorted(series.t, fine, side="right") - 1, 0, None)]
         command[w] = held[:-1].reshape(len(missing.time[w]), 10).mean(1)
         rate[w] = (held[10::10] - held[:-1:10]) / missing.slot
     return Motion(
@@ -98,8 +108,15 @@ def evidence_for(
     return tuple(result)
 
 
-def localise(missing: MissingTorque, most: int = 5) -> tuple[Localisation, ...]:
-    """Stretches of time with the largest missing torque, most significant first."""
+def localise(missing: Sequence[MissingTorque], most: int = 5) -> tuple[Localisation, ...]:
+    """Stretches of time with the largest missing load on any joint, most significant first."""
+    found = [place for joint in missing for place in _loud(joint, len(missing) > 1)]
+    found.sort(key=lambda item: -item[0])
+    return tuple(place for _, place in found[:most])
+
+
+def _loud(missing: MissingTorque, several: bool) -> list[tuple[float, Localisation]]:
+    channel = f"load on joint {missing.joint + 1}" if several else "torque"
     loud = np.abs(missing.torque) > LOUD * missing.sd
     found = []
     for w in range(len(missing.time)):
@@ -118,30 +135,31 @@ def localise(missing: MissingTorque, most: int = 5) -> tuple[Localisation, ...]:
             place = Localisation(
                 float(missing.time[w, k] - 0.5 * missing.slot),
                 float(missing.time[w, end] + 0.5 * missing.slot),
-                "torque",
+                channel,
                 size,
-                "N m",
+                missing.unit,
                 int(missing.log[w]),
             )
             found.append((significance, place))
             k = end + 1
-    found.sort(key=lambda item: -item[0])
-    return tuple(place for _, place in found[:most])
+    return found
 
 
-def advice_for(findings: Sequence[Finding], windows: Windows, unit: str) -> tuple[str, ...]:
+def advice_for(findings: Sequence[Finding], windows: Windows, system: System) -> tuple[str, ...]:
     """Experiments that would tell apart what these data do not."""
     advice = []
     for found in findings:
         if len(found.members) > 1:
             names = ", ".join(found.members)
-            hints = dict.fromkeys(CAUSES[n].advice for n in found.members if n in CAUSES)
+            kinds = [kind_of(n) for n in found.members]
+            hints = dict.fromkeys(CAUSES[n].advice for n in kinds if n in CAUSES)
             advice.append(f"To tell apart {names}: " + " ".join(hints))
-    command = np.concatenate([c.value for c in windows.commands]) if windows.commands else np.zeros(0)
-    levels = np.unique(np.round(command / max(np.ptp(command), 1e-12), 2)) if len(command) else command
-    if 0 < len(levels) <= 3:
-        advice.append(
-            f"The commands take only {len(levels)} levels ({unit}): gain, payload, dead zone and saturation look "
-            "alike then. Record steps of many levels or a chirp."
-        )
+    for k, channel in enumerate(system.commands):
+        command = np.concatenate([c.column(k) for c in windows.commands]) if windows.commands else np.zeros(0)
+        levels = np.unique(np.round(command / max(np.ptp(command), 1e-12), 2)) if len(command) else command
+        if 0 < len(levels) <= 3:
+            advice.append(
+                f"The commands of {channel.name} take only {len(levels)} levels ({channel.unit}): gain, payload, dead "
+                "zone and saturation look alike then. Record steps of many levels or a chirp."
+            )
     return tuple(advice)

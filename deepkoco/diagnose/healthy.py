@@ -8,21 +8,21 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.baseline import Start, refit, refit_sharply, start_from
-from deepkoco.diagnose.causes import CAUSES
-from deepkoco.diagnose.hints import hint_for
+from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.residuals import dispersion, missing_torque
 from deepkoco.diagnose.selection import DETECTION, prior_with, pushes_from, rank
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import cut_windows, moving
-from deepkoco.systems import JointSystem
+from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.
 LARGEST_EXTENSION = 4
 
 
-def learn_baseline(recordings: Sequence[Recording], system: JointSystem, length: float) -> Start:
+def learn_baseline(recordings: Sequence[Recording], system: System, length: float) -> Start:
     """Refit, and where needed extend, the baseline on logs in which nothing is wrong.
 
     Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would be taken for
@@ -40,16 +40,17 @@ def learn_baseline(recordings: Sequence[Recording], system: JointSystem, length:
     start = start_from(system, windows)
     windows, fit = refit_sharply(start, windows)
     problem = FitProblem(start.system, windows)
-    accepted: list[str] = []
+    accepted: list[Cause] = []
+    causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
     for _ in range(LARGEST_EXTENSION):
-        hint = hint_for(start.system, windows, pushes_from(missing_torque(problem, fit)))
-        causes = [c for c in CAUSES.values() if c.effect != "event"]
-        ranking = rank(problem, start, fit, [CAUSES[n] for n in accepted], hint, causes)
+        pushes = pushes_from(missing_torque(problem, fit))
+        hints = Hints(start.system, windows, pushes, fit.chi2 / windows.samples)
+        ranking = rank(problem, start, fit, accepted, hints, causes)
         if ranking.best.delta_bic < DETECTION:
             break
         fit = ranking.best.fit
-        accepted.append(ranking.best.cause.name)
-    prior = prior_with(problem, start, [CAUSES[n] for n in accepted], fit.values)
+        accepted.append(ranking.best.cause)
+    prior = prior_with(problem, start, accepted, fit.values)
     centre = np.array([fit.values[n] for n in prior.names])
     spread = dispersion(fit, windows)
     covariance = fit.covariance * spread.deflation + _run_to_run(recordings, system, length, start, fit)
@@ -58,12 +59,12 @@ def learn_baseline(recordings: Sequence[Recording], system: JointSystem, length:
         values=dict(fit.values),
         prior=Prior(prior.names, centre, covariance),
         floor=max(1.0, spread.chi2_per_sample),
-        effects=tuple(dict.fromkeys(CAUSES[n].effect for n in accepted)),
+        effects=tuple(dict.fromkeys(c.effect for c in accepted)),
     )
 
 
 def _run_to_run(
-    recordings: Sequence[Recording], system: JointSystem, length: float, start: Start, pooled: Fit
+    recordings: Sequence[Recording], system: System, length: float, start: Start, pooled: Fit
 ) -> np.ndarray:
     """Covariance (diagonal) of the baseline's parameters between logs, 0 for a single log."""
     size = len(pooled.free)

@@ -6,20 +6,45 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deepkoco.diagnose.causes import Hint
+from deepkoco.diagnose.causes import Cause, Hint
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import System
 
 
-def hint_for(system: System, windows: Windows, pushes: tuple[Mapping[str, float], ...]) -> Hint:
-    """Commands, speeds and candidate pushes of some windows."""
-    command = np.concatenate([c.value for c in windows.commands])
-    speed = np.array([], dtype=float)
-    if windows.value.shape[1] > 1 and bool(windows.valid[:, 1].any()):
-        speed = windows.value[:, 1][windows.valid[:, 1]].numpy()
-    elif len(windows):
-        valid = windows.valid[:, 0]
+class Hints:
+    """Hints for every cause, from the windows to be fitted.
+
+    Args:
+        system: The system.
+        windows: Training windows.
+        pushes: Where an outside load would help most, over all joints.
+        chi2: What the refitted baseline leaves, per sample.
+    """
+
+    def __init__(
+        self, system: System, windows: Windows, pushes: tuple[Mapping[str, float], ...], chi2: float
+    ) -> None:
+        self.system, self.windows, self.pushes, self.chi2 = system, windows, pushes, chi2
+        self.seconds = float(sum(c.t[-1] - c.t[0] for c in windows.commands))
+
+    def for_cause(self, cause: Cause) -> Hint:
+        """What one cause sees: commands and speeds of its own joint."""
+        joint = cause.joint or 0
+        driven = self.system.command_joints
+        command = driven.index(joint) if joint in driven else 0
+        values = np.concatenate([c.column(command) for c in self.windows.commands])
+        pushes = tuple(p for p in self.pushes if p["joint"] == joint)
+        return Hint(self.system, joint, values, self._speeds(joint), pushes, self.seconds, self.chi2)
+
+    def _speeds(self, joint: int) -> np.ndarray:
+        windows, shows = self.windows, list(self.windows.shows)
+        speed_state = self.system.joints + joint
+        if speed_state in shows:
+            c = shows.index(speed_state)
+            if bool(windows.valid[:, c].any()):
+                return windows.value[:, c][windows.valid[:, c]].numpy()
+        c = shows.index(joint) if joint in shows else 0
+        valid = windows.valid[:, c]
         pairs = valid[:, 1:] & valid[:, :-1]
-        gap = (windows.t[:, 0, 1:] - windows.t[:, 0, :-1])[pairs]
-        speed = ((windows.value[:, 0, 1:] - windows.value[:, 0, :-1])[pairs] / gap).numpy()
-    return Hint(system, command, speed, pushes)
+        gap = (windows.t[:, c, 1:] - windows.t[:, c, :-1])[pairs]
+        return ((windows.value[:, c, 1:] - windows.value[:, c, :-1])[pairs] / gap).numpy()

@@ -13,7 +13,7 @@ from pathlib import Path
 import jinja2
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from deepkoco.diagnose.causes import CAUSES
+from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.figures import draw_all
 from deepkoco.diagnose.words import headline, lead
@@ -113,7 +113,7 @@ def _page(diagnosis: Diagnosis, pictures: list[Picture], images: dict[str, bytes
         causes=[
             {
                 "name": c.name,
-                "summary": CAUSES[c.name].summary if c.name in CAUSES else "",
+                "summary": CAUSES[kind_of(c.name)].summary if kind_of(c.name) in CAUSES else "",
                 "parameters": c.parameters,
                 "evidence": c.evidence,
             }

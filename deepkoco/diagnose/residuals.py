@@ -44,9 +44,11 @@ def white_limit(windows: Windows) -> float:
 
 @dataclass(frozen=True)
 class MissingTorque:
-    """The outside torque that would make a model follow the measurements.
+    """The outside load on one joint that would make a model follow the measurements.
 
     Attributes:
+        joint: Which joint.
+        unit: Unit of the load, N m or N; "torque" below stands for it.
         time: (W, K) middle of each slot, log time [s].
         log: (W,) log of each window.
         torque: (W, K) [N m].
@@ -57,6 +59,8 @@ class MissingTorque:
         single: (W, K) the torque of that lone push [N m].
     """
 
+    joint: int
+    unit: str
     time: np.ndarray
     log: np.ndarray
     torque: np.ndarray
@@ -72,37 +76,45 @@ class MissingTorque:
         return float(self.time[0, 1] - self.time[0, 0])
 
 
-def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> MissingTorque:
-    """Deconvolve the residuals of a fit into a torque that is constant over slots of the windows.
+def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tuple[MissingTorque, ...]:
+    """Deconvolve the residuals of a fit into loads on the joints, constant over slots of the windows.
 
-    The response of every window to a unit torque in every slot is simulated; the torques are the
-    posterior mean under a smooth normal prior whose spread maximises the marginal likelihood.
+    The response of every window to a unit load in every slot is simulated; the loads are the posterior mean
+    under a smooth normal prior whose spread maximises the marginal likelihood.
 
     Args:
         problem: Windows.
         fit: Model whose residuals are explained.
         inflation: Factor by which the residuals' variance exceeds that of the sensors.
+
+    Returns:
+        One for each joint.
     """
-    windows = problem.windows
+    windows, system = problem.windows, problem.system
+    joints, states = system.joints, fit.state.shape[1]
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)
-    unit = 1e-4 * problem.system.load_scale
-    push = torch.zeros(SLOTS + 1, len(windows), windows.steps, dtype=torch.float64)
-    for k in range(SLOTS):
-        push[k + 1, :, edges[k] : edges[k + 1]] = unit
-    states = fit.state.shape[1]
-    lanes = fit.state[None].repeat(SLOTS + 1 + states, 1, 1)
+    units = [1e-4 * scale for scale in system.load_scales]
+    pulses = joints * SLOTS
+    lanes = 1 + pulses + states
+    push = torch.zeros(joints, lanes, len(windows), windows.steps, dtype=torch.float64)
+    for j in range(joints):
+        for k in range(SLOTS):
+            push[j, 1 + j * SLOTS + k, :, edges[k] : edges[k + 1]] = units[j]
+    initial = fit.state[None].repeat(lanes, 1, 1)
     tiny = 1e-6
     for s in range(states):
-        lanes[SLOTS + 1 + s, :, s] += tiny
-    push = torch.cat([push, torch.zeros(states, *push.shape[1:], dtype=torch.float64)])
+        initial[1 + pulses + s, :, s] += tiny
     theta = np.array([fit.values[n] for n in problem.names])
-    base = ExtendedSystem(problem.system.base, tuple(e.name for e in problem.system.effects))
-    named = {n: torch.tensor(v, dtype=torch.float64) for n, v in fit.values.items() if n not in Push.NAMES}
-    zero = push_of(problem, theta)
-    predicted = predict(base, windows, named, lanes, push if zero is None else push + zero)
-    slope = ((predicted[1:] - predicted[0]) * problem.weight).reshape(SLOTS + states, len(windows), -1)
-    response = (slope[:SLOTS] / unit).permute(1, 2, 0)  # (W, NM, K)
-    own = (slope[SLOTS:] / tiny).permute(1, 2, 0)  # (W, NM, S)
+    named = {
+        n: torch.tensor(fit.values[n], dtype=torch.float64) for n in problem.names if n not in Push.NAMES
+    }
+    base = acting_system(problem, fit)
+    had = push_of(problem, theta)
+    predicted = predict(base, windows, named, initial, push if had is None else push + had)
+    slope = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
+    scale = torch.tensor(units, dtype=torch.float64).repeat_interleave(SLOTS)
+    response = (slope[:pulses] / scale[:, None, None]).permute(1, 2, 0)  # (W, NM, J K)
+    own = (slope[pulses:] / tiny).permute(1, 2, 0)  # (W, NM, S)
     basis, _ = torch.linalg.qr(own)
     response = response - basis @ (basis.mT @ response)
     residual = fit.residual.reshape(len(windows), -1, 1)
@@ -111,28 +123,44 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> Mis
     match = (response * residual).sum(1)
     distance = torch.arange(SLOTS, dtype=torch.float64)
     kernel = torch.exp(-0.5 * ((distance[:, None] - distance) / REACH) ** 2)
+    root = torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS))
     torque, sd = _posterior(
         response / inflation**0.5,
         residual / inflation**0.5,
-        torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS)),
+        torch.block_diag(*(root * scale for scale in system.load_scales)),
     )
     at = (edges[:-1] + edges[1:]) // 2
     path = _path(problem, base, named, fit.state)
-    return MissingTorque(
-        windows.t0[:, None] + windows.step * (edges[:-1] + edges[1:]) / 2.0,
-        windows.log,
-        torque,
-        sd,
-        path[at, :, 0].T,
-        path[at, :, 1].T,
-        (match**2 / energy.clamp_min(1e-300)).numpy(),
-        (match / energy.clamp_min(1e-300)).numpy(),
-    )
+    result = []
+    for j in range(joints):
+        mine = slice(j * SLOTS, (j + 1) * SLOTS)
+        found = MissingTorque(
+            j,
+            system.load_units[j],
+            windows.t0[:, None] + windows.step * (edges[:-1] + edges[1:]) / 2.0,
+            windows.log,
+            torque[:, mine],
+            sd[:, mine],
+            path[at, :, j].T,
+            path[at, :, joints + j].T,
+            (match**2 / energy.clamp_min(1e-300)).numpy()[:, mine],
+            (match / energy.clamp_min(1e-300)).numpy()[:, mine],
+        )
+        result.append(found)
+    return tuple(result)
+
+
+def acting_system(problem: FitProblem, fit: Fit) -> ExtendedSystem:
+    """The base with the effects that a fit does not leave at their null values."""
+    full = ExtendedSystem(problem.system.base, tuple(e.name for e in problem.system.effects))
+    null = {p.name: p.value for p in full.parameters}
+    moved = {n.split(".")[0] for n in null if "." in n and fit.values[n] != null[n]}
+    return ExtendedSystem(problem.system.base, tuple(moved))
 
 
 def push_of(problem: FitProblem, theta: np.ndarray) -> Tensor | None:
-    """Torque (1, W, n) of the push in a parameter vector (P,), None if there is none."""
-    return push_torque(problem.windows, theta[None, -len(Push.NAMES) :])
+    """Load (J, 1, W, n) of the push in a parameter vector (P,), None if there is none."""
+    return push_torque(problem.windows, theta[None, -len(Push.NAMES) :], problem.system.joints)
 
 
 def _path(problem: FitProblem, system: ExtendedSystem, named: dict[str, Tensor], state: Tensor) -> np.ndarray:

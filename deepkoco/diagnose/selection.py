@@ -10,8 +10,11 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Start
-from deepkoco.diagnose.causes import CAUSES, Cause, Hint
+from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.residuals import SLOTS, Dispersion, MissingTorque, dispersion
+from deepkoco.diagnose.screening import Start as Promise
+from deepkoco.diagnose.screening import screen
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
@@ -25,6 +28,10 @@ SCOUTING = 4  # iterations after which only the best start of each cause goes on
 HOPE = 0.3  # share of the best start's gain that a candidate must have by then to go on
 ITERATIONS = 14
 PATIENCE = 40  # further iterations for a winner that has not converged
+WORTH = 8.0  # fall of the cost, to first order, from which a cause is worth a fit of its own
+SHARE = 0.08  # or this share of what the most promising one offers
+ABREAST = 0.3  # share of a cause's best promise that its further starts must have
+STARTS = 3  # of one cause, at most
 FAR = 25.0  # prior penalty of a refit that a strong cause has driven away
 
 
@@ -72,6 +79,7 @@ def penalty(cause: Cause, samples: float, places: int) -> float:
     charge = cause.size * math.log(max(samples, 2.0))
     # Once for the places that were tried, and once more because any one window may be spoiled by model
     # error, which a push can mend and which the other windows do not speak against.
+    charge += 2.0 * math.log(cause.choices)
     return charge + (4.0 * math.log(max(places, 1)) if cause.searched else 0.0)
 
 
@@ -87,7 +95,9 @@ def prior_with(
     """The baseline's prior, widened by what the causes free."""
     prior = start.prior
     for cause in causes:
-        centre = {n: values[n] if n in Push.NAMES[1:3] else start.values[n] for n in cause.free}
+        # What only chooses a shape or a place has no null: its prior is around where the search found it.
+        shapes = {*Push.NAMES[1:3], f"{cause.effect}.frequency"}
+        centre = {n: values[n] if n in shapes else start.values[n] for n in cause.free}
         prior = prior.widened(declared(problem, cause.free), centre)
     return prior
 
@@ -97,36 +107,68 @@ def rank(
     start: Start,
     reference: Fit,
     accepted: Sequence[Cause],
-    hint: Hint,
+    hints: Hints,
     causes: Sequence[Cause] | None = None,
 ) -> Ranking:
-    """Fit each cause on top of a reference and rank them by the BIC.
+    """Fit each promising cause on top of a reference and rank them by the BIC.
 
     Args:
         problem: Training windows.
         start: The baseline.
         reference: Fit of the baseline with the causes accepted so far.
         accepted: Those causes.
-        hint: What causes look at for their start values.
+        hints: What causes look at for their start values.
         causes: Causes to try; None tries the whole catalogue.
     """
-    tried = [c for c in (causes or CAUSES.values()) if c not in accepted]
-    starts = [(cause, place) for cause in tried for place in cause.starts(hint)]
+    everything = catalogue(problem.system.base).values() if causes is None else causes
+    names = {c.name for c in accepted}
+    tried = [c for c in everything if c.name not in names and c.scatter is None]
+    listed = [(cause, place) for cause in tried for place in cause.starts(hints.for_cause(cause))]
+    slips = [(cause, place) for cause, place in listed if not cause.free]
+    prior = prior_with(problem, start, accepted, reference.values)
+    promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free])
+    promising = _promising(promises)
     trials = [
-        _trial(problem, start, accepted, cause, {**reference.values, **place}, reference.state, reference)
-        for cause, place in starts
+        _trial(
+            problem,
+            start,
+            accepted,
+            p.cause,
+            {**reference.values, **p.values},
+            reference.state,
+            reference,
+        )
+        for p in promising
     ]
+    trials += _slipped(problem, start, accepted, reference, slips)
     if reference.penalty > FAR:
         # A strong cause drives the refit far from the truth, into a valley that leads back slowly. The
         # baseline's values before the refit are a second foothold, with states that suit each start.
         before = {n: start.values[n] for n in start.prior.names}
-        values = [{**reference.values, **before, **place} for _, place in starts]
-        states, costs = problem.fit_states_each(values, reference.state.repeat(len(starts), 1, 1))
+        values = [{**reference.values, **before, **p.values} for p in promising]
+        states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
         trials += [
-            _trial(problem, start, accepted, cause, values[k], states[k], reference)
-            for k, (cause, _) in enumerate(starts)
+            _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
+            for k, p in enumerate(promising)
             if bool(torch.isfinite(costs[k]).all())
         ]
+    fits = _fit_best(problem, trials, reference)
+    ranking = _ranked(problem, start, reference, tried, fits, _best(promises))
+    name = ranking.best.cause.name if ranking.candidates else ""
+    if name in fits and not fits[name].converged:
+        # What is left of a winner that has not converged would pass for a further cause.
+        fit = fits[name]
+        first = next(t for t in trials if t.name == name)
+        trial = replace(first, values=fit.values, state=fit.state, zero=fit.zero)
+        fits[name] = problem.fit([trial], PATIENCE)[0]
+        ranking = _ranked(problem, start, reference, tried, fits, _best(promises))
+    return ranking
+
+
+def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> dict[str, Fit]:
+    """Fit of each name: a few iterations of every trial, then the better half of the way of the best ones."""
+    if not trials:
+        return {}
     scouts = problem.fit(trials, SCOUTING)
     best: dict[str, tuple[Fit, Trial]] = {}
     for trial, scout in zip(trials, scouts, strict=True):
@@ -140,16 +182,53 @@ def rank(
             running.append(name)
             longer.append(replace(trial, values=scout.values, state=scout.state, zero=scout.zero))
     longer = problem.fit(longer, ITERATIONS)
-    fits = {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
-    ranking = _ranked(problem, start, reference, tried, fits)
-    name = ranking.best.cause.name if ranking.candidates else ""
-    if name in fits and not fits[name].converged:
-        # What is left of a winner that has not converged would pass for a further cause.
-        fit = fits[name]
-        trial = replace(best[name][1], values=fit.values, state=fit.state, zero=fit.zero)
-        fits[name] = problem.fit([trial], PATIENCE)[0]
-        ranking = _ranked(problem, start, reference, tried, fits)
-    return ranking
+    return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
+
+
+def _best(promises: Sequence[Promise]) -> dict[str, float]:
+    """Best promise of each cause."""
+    result: dict[str, float] = {}
+    for p in promises:
+        result[p.cause.name] = max(result.get(p.cause.name, 0.0), p.promise)
+    return result
+
+
+def _promising(promises: Sequence[Promise]) -> list[Promise]:
+    """Starts that are worth a fit: of the causes that promise much, those that promise it."""
+    best = _best(promises)
+    bar = max(WORTH, SHARE * max(best.values(), default=0.0))
+    kept: dict[str, list[Promise]] = {}
+    for p in sorted(promises, key=lambda p: -p.promise):
+        own = kept.setdefault(p.cause.name, [])
+        enough = best[p.cause.name] >= bar and p.promise >= ABREAST * best[p.cause.name]
+        if enough and len(own) < STARTS:
+            own.append(p)
+    return [p for own in kept.values() for p in own]
+
+
+def _slipped(
+    problem: FitProblem,
+    start: Start,
+    accepted: Sequence[Cause],
+    reference: Fit,
+    slips: Sequence[tuple[Cause, Mapping[str, float]]],
+) -> list[Trial]:
+    """Trials of constants between units: far from the refit, with the baseline as it was before."""
+    before = {n: start.values[n] for n in start.prior.names}
+    trials = []
+    for cause, place in slips:
+        values = {**reference.values, **before, **place}
+        state = problem.windows.state.clone()
+        if cause.kind == "channel_slip":
+            state[:, problem.windows.shows[cause.index]] /= next(iter(place.values()))
+        fitted, costs = problem.fit_states(values, state)
+        if bool(torch.isfinite(costs).all()):
+            trials.append(
+                (float(costs.sum()), _trial(problem, start, accepted, cause, values, fitted, reference))
+            )
+    # Of many constants only the few that come near the data are worth a fit.
+    trials.sort(key=lambda t: t[0])
+    return [trial for _, trial in trials[:4]]
 
 
 def _trial(
@@ -170,7 +249,7 @@ def without_events_first(
     start: Start,
     ranking: Ranking,
     accepted: Sequence[Cause],
-    hint: Hint,
+    hints: Hints,
     detection: float,
 ) -> Ranking:
     """Put a lasting cause before an event, if it shows where the event is not.
@@ -202,7 +281,7 @@ def without_events_first(
     )
     reference = rest.fit([before])[0]
     lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event"]
-    there = rank(rest, start, reference, accepted, hint, lasting)
+    there = rank(rest, start, reference, accepted, hints, lasting)
     if not there.candidates or there.best.delta_bic <= detection:
         return ranking
     name = there.best.cause.name
@@ -216,7 +295,12 @@ def without_events_first(
 
 
 def _ranked(
-    problem: FitProblem, start: Start, reference: Fit, tried: Sequence[Cause], fits: Mapping[str, Fit]
+    problem: FitProblem,
+    start: Start,
+    reference: Fit,
+    tried: Sequence[Cause],
+    fits: Mapping[str, Fit],
+    promises: Mapping[str, float],
 ) -> Ranking:
     lowest = min([reference, *fits.values()], key=lambda fit: fit.cost)
     spread = dispersion(lowest, problem.windows)
@@ -225,10 +309,9 @@ def _ranked(
     places = SLOTS * len(problem.windows)
     candidates = []
     for cause in tried:
-        if cause.name not in fits:
-            continue
-        fit = fits[cause.name]
-        ratio = reference.cost - fit.cost
+        # What promised little was not fitted and stands with its promise, which is below every fit's.
+        fit = fits.get(cause.name, reference)
+        ratio = reference.cost - fit.cost if cause.name in fits else promises.get(cause.name, 0.0)
         if ratio < 0.0:
             # The null value is one of its values: where no start finds better, it stays there.
             fit, ratio = reference, 0.0
@@ -238,18 +321,20 @@ def _ranked(
     return Ranking(reference, tuple(candidates), spread, deflation, samples)
 
 
-def pushes_from(missing: MissingTorque) -> tuple[dict[str, float], ...]:
-    """Starts of a push: the slots (and runs of slots) where an outside torque would help most."""
+def pushes_from(missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...]:
+    """Starts of a push: the slots (and runs of slots) where an outside load would help most, for each joint."""
     found = []
-    for width in (1, 3):
-        score = np.lib.stride_tricks.sliding_window_view(missing.score, width, axis=1).sum(-1)
-        w, k = np.unravel_index(int(np.argmax(score)), score.shape)
-        found.append(
-            {
-                "event.torque": float(missing.single[w, k : k + width].mean()) / width,
-                "event.start": float(missing.time[w, k] - 0.5 * missing.slot),
-                "event.duration": width * missing.slot,
-                "event.log": float(missing.log[w]),
-            }
-        )
+    for joint in missing:
+        for width in (1, 3):
+            score = np.lib.stride_tricks.sliding_window_view(joint.score, width, axis=1).sum(-1)
+            w, k = np.unravel_index(int(np.argmax(score)), score.shape)
+            found.append(
+                {
+                    "torque": float(joint.single[w, k : k + width].mean()) / width,
+                    "start": float(joint.time[w, k] - 0.5 * joint.slot),
+                    "duration": width * joint.slot,
+                    "log": float(joint.log[w]),
+                    "joint": float(joint.joint),
+                }
+            )
     return tuple(found)

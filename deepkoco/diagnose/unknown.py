@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ def explained_share(before: Fit, after: Fit, windows: Windows, floor: float) -> 
     return max(shares, default=0.0)
 
 
-def describe(missing: MissingTorque, spread: Dispersion) -> dict[str, Any]:
+def describe(missing: Sequence[MissingTorque], spread: Dispersion) -> dict[str, Any]:
     """Signatures of what remains, for the report.
 
     Returns:
@@ -46,10 +47,12 @@ def describe(missing: MissingTorque, spread: Dispersion) -> dict[str, Any]:
         missing torque (0 if normal; large for a few pushes), ``correlations`` of it with simple terms in
         angle and speed, and ``worst`` (time, angle, speed where it is largest).
     """
-    torque = missing.torque.ravel()
+    # Of several joints the one is described at which most is missing against what is uncertain.
+    loudest = max(missing, key=lambda m: float(((m.torque / m.sd) ** 2).mean()))
+    torque = loudest.torque.ravel()
     centred = torque - torque.mean()
     power = float((centred**2).mean())
-    theta, omega = missing.theta.ravel(), missing.omega.ravel()
+    theta, omega = loudest.theta.ravel(), loudest.omega.ravel()
     at = int(np.argmax(np.abs(torque)))
     return {
         "chi2_per_sample": spread.chi2_per_sample,
@@ -59,10 +62,11 @@ def describe(missing: MissingTorque, spread: Dispersion) -> dict[str, Any]:
             name: _correlation(torque, term(theta, omega)) for name, term in TERMS.items() if name != "1"
         },
         "worst": {
-            "time_s": float(missing.time.ravel()[at]),
+            "time_s": float(loudest.time.ravel()[at]),
             "theta_rad": float(theta[at]),
             "omega_rad_s": float(omega[at]),
             "torque_nm": float(torque[at]),
+            "joint": loudest.joint + 1,
         },
     }
 

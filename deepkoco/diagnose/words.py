@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from rich.table import Table
 
-from deepkoco.diagnose.causes import CAUSES
+from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Diagnosis, Finding
 
 
 def spoken(name: str) -> str:
     """Name of a cause as it is written in a sentence."""
-    return name.replace("_", " ")
+    return name.replace("_", " ").replace("(", " (")
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -40,7 +40,7 @@ def lead(diagnosis: Diagnosis) -> str:
             f"The best candidate ({spoken(diagnosis.candidates[0].name)}) explains too little of that to be named. "
             "The pictures show where it is missing torque."
         )
-    text = " ".join(CAUSES[c.name].summary for c in diagnosis.causes)
+    text = " ".join(CAUSES[kind_of(c.name)].summary for c in diagnosis.causes)
     for cause in diagnosis.causes:
         others = [spoken(n) for n in cause.members[1:]]
         if others:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import torch
 from scipy.signal import lfilter
@@ -10,93 +12,125 @@ from torch import Tensor
 from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import System
 
-CELL = 1e-3  # grid on which commands are averaged and filtered [s]
+CELL = 1e-3  # grid on which commands are averaged [s]
+FINE_CELL = 2.5e-4  # the same before a lag, which a coarse grid would take for a delay [s]
 
 
 def step_efforts(
-    system: System, windows: Windows, parameters: dict[str, Tensor], lanes: int
+    system: System, windows: Windows, parameters: Mapping[str, Tensor], lanes: int
 ) -> tuple[Tensor, Tensor]:
-    """Effort at the start and the slope of the effort over every integration step of every window.
+    """As :func:`command_efforts` for a system of one command, lanes first: (L, W, n)."""
+    start, slope = command_efforts(system, windows, parameters, lanes, 0)
+    return start.permute(2, 1, 0), slope.permute(2, 1, 0)
 
-    Memoryless effects act on the command's values, then the actuator's lag, then the delays. A delayed
+
+def command_efforts(
+    system: System, windows: Windows, parameters: Mapping[str, Tensor], lanes: int, index: int
+) -> tuple[Tensor, Tensor]:
+    """Effort of one command at the start, and its slope, over every integration step of every window.
+
+    Effects of the actuator act on the log of the command, then its lags, then the delays. A delayed
     command jumps inside a step; the effort a + b s over the step is chosen so that its integral and its
     double integral over the step equal those of the true effort, so that speed and angle after the step
     are right to the order of the integrator and depend smoothly on the delay. A sensing delay acts as one
-    more delay of the command: the window's state is then the state that the sensor shows.
+    more delay of the command: the window's state is then the state that the sensor shows. Where the clock
+    of the measurements runs faster than that of the commands, the delay falls in proportion to the time
+    since the log's first command.
 
     Args:
-        system: Gives ``actuate`` and ``timing``.
+        system: Gives ``shape_command`` and ``command_timing``.
         windows: W windows of n steps.
         parameters: Named values, each (L,) or scalar.
         lanes: L.
+        index: Which command.
 
     Returns:
-        a (L, W, n) in the command's unit and b (L, W, n) per second.
+        a (n, W, L) in the command's unit and b (n, W, L) per second.
     """
-    timing = system.timing(parameters)
-    delay = (timing.actuation_delay + timing.sensing_delay).expand(lanes).numpy()
-    lag = timing.lag.expand(lanes).numpy()
-    start = torch.empty(lanes, len(windows), windows.steps, dtype=torch.float64)
+    timing = system.command_timing(index, parameters)
+    delay, skew = timing.delay.expand(lanes).numpy(), timing.skew.expand(lanes).numpy()
+    lags = [lag.expand(lanes).numpy() for lag in timing.lag]
+    slow = any(lag.any() for lag in lags)
+    start = torch.empty(windows.steps, len(windows), lanes, dtype=torch.float64)
     slope = torch.empty_like(start)
-    for index, command in enumerate(windows.commands):
-        own = np.flatnonzero(windows.log == index)
+    for number, command in enumerate(windows.commands):
+        own = np.flatnonzero(windows.log == number)
         if len(own) == 0:
             continue
-        value = torch.from_numpy(command.value)[:, None]
-        shaped = system.actuate(value, parameters).expand(len(value), lanes).numpy().T  # (L, n)
-        edges, first = windows.t0[own], windows.t0[own].min() - delay.max() - 2.0 * CELL
-        first = max(first, command.t[0] - delay.max() - 2.0 * CELL) if not lag.any() else command.t[0] - 1.0
-        last = edges.max() + windows.length
-        # Lanes with the same efforts share one series, lanes with the same series and delay one result.
-        key = np.column_stack([shaped[:, _probe(command)], lag])
-        _, distinct, member = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        series = _Integrals(command, shaped[distinct], lag[distinct], first, last)
-        _, distinct, group = np.unique(
-            np.column_stack([member.ravel(), delay]), axis=0, return_index=True, return_inverse=True
+        given = torch.from_numpy(np.ascontiguousarray(command.column(index)))[:, None]
+        shaped = system.shape_command(index, given, torch.from_numpy(command.t), parameters)
+        shaped = shaped.expand(len(given), lanes).numpy().T  # (L, n)
+        edges = windows.t0[own]
+        early = np.abs(skew).max() * (edges.max() + windows.length - command.t[0])
+        first = edges.min() - delay.max() - early - 2.0 * CELL
+        first = (
+            max(first, command.t[0] - delay.max() - early - 2.0 * CELL) if not slow else command.t[0] - 1.0
         )
-        a, b = series.steps(member.ravel()[distinct], delay[distinct], edges, windows.step, windows.steps)
-        where = torch.as_tensor(own)
-        lane = torch.as_tensor(group.ravel())
-        start[:, where] = torch.from_numpy(a)[lane]
-        slope[:, where] = torch.from_numpy(b)[lane]
+        last = edges.max() + windows.length + early
+        # Lanes with the same efforts share one series, lanes with the same series and delay one result.
+        key = np.column_stack([shaped[:, _probe(command, index)], *lags])
+        _, distinct, member = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        cell = FINE_CELL if slow else CELL
+        series = _Integrals(command, shaped[distinct], [lag[distinct] for lag in lags], (first, last), cell)
+        late = np.column_stack([member.ravel(), delay, skew])
+        _, distinct, group = np.unique(late, axis=0, return_index=True, return_inverse=True)
+        a, b = series.steps(
+            member.ravel()[distinct],
+            delay[distinct, None] - skew[distinct, None] * (edges - command.t[0]),
+            edges,
+            windows.step,
+            windows.steps,
+        )
+        where, lane = torch.as_tensor(own), torch.as_tensor(group.ravel())
+        start[:, where] = torch.from_numpy(a).permute(2, 1, 0)[..., lane]
+        slope[:, where] = torch.from_numpy(b).permute(2, 1, 0)[..., lane]
     return start, slope
 
 
-def _probe(command: CommandSeries) -> np.ndarray:
-    """A few samples that tell two memoryless effects apart: spread over the sorted command values."""
-    order = np.argsort(command.value, kind="stable")
-    return order[np.unique(np.linspace(0, len(order) - 1, 65).astype(int))]
+def _probe(command: CommandSeries, index: int) -> np.ndarray:
+    """A few samples that tell two effects apart: spread over the sorted command values and over time."""
+    order = np.argsort(command.column(index), kind="stable")
+    spread = np.linspace(0, len(order) - 1, 65).astype(int)
+    return np.unique(np.concatenate([order[spread], spread]))
 
 
 class _Integrals:
     """First and second integral over time of efforts (U, n), averaged on a regular grid."""
 
     def __init__(
-        self, command: CommandSeries, effort: np.ndarray, lag: np.ndarray, first: float, last: float
+        self,
+        command: CommandSeries,
+        effort: np.ndarray,
+        lags: Sequence[np.ndarray],
+        span: tuple[float, float],
+        cell: float,
     ) -> None:
-        cells = int(np.ceil((last - first) / CELL)) + 2
-        grid = first + CELL * np.arange(cells + 1)
+        first, last = span
+        cells = int(np.ceil((last - first) / cell)) + 2
+        grid = first + cell * np.arange(cells + 1)
         area = np.zeros_like(effort)
         np.cumsum(effort[:, :-1] * np.diff(command.t), axis=1, out=area[:, 1:])
         held = np.clip(np.searchsorted(command.t, grid, side="right") - 1, 0, None)
         integral = area[:, held] + effort[:, held] * (grid - command.t[held])
         self.first = first
-        self.mean = np.diff(integral, axis=1) / CELL
-        for row in np.flatnonzero(lag > 0):
-            self.mean[row] = _lagged(self.mean[row], lag[row])
+        self.cell = cell
+        self.mean = np.diff(integral, axis=1) / cell
+        for lag in lags:
+            for row in np.flatnonzero(lag > 0):
+                self.mean[row] = _lagged(self.mean[row], lag[row], cell)
         zero = np.zeros((len(effort), 1))
-        self.once = np.concatenate([zero, np.cumsum(self.mean, axis=1) * CELL], axis=1)
-        twice = np.cumsum(self.once[:, :-1] * CELL + self.mean * (0.5 * CELL**2), axis=1)
+        self.once = np.concatenate([zero, np.cumsum(self.mean, axis=1) * cell], axis=1)
+        twice = np.cumsum(self.once[:, :-1] * cell + self.mean * (0.5 * cell**2), axis=1)
         self.twice = np.concatenate([zero, twice], axis=1)
 
     def steps(
         self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """a, b (R, W, n) for rows of this series, each with a delay [s]."""
+        """a, b (R, W, n) for rows of this series, each with a delay (R, W) [s]."""
         node = t0[:, None] + step * np.arange(steps + 1)
-        at = (node[None] - delay[:, None, None] - self.first) / CELL
+        at = (node[None] - delay[..., None] - self.first) / self.cell
         cell = np.clip(at.astype(int), 0, self.mean.shape[1] - 1)
-        inside = (at - cell) * CELL
+        inside = (at - cell) * self.cell
         lane = row[:, None, None]
         mean, before = self.mean[lane, cell], self.once[lane, cell]
         once = before + mean * inside
@@ -107,10 +141,10 @@ class _Integrals:
         return first / step - 0.5 * step * b, b
 
 
-def _lagged(mean: np.ndarray, time_constant: float) -> np.ndarray:
+def _lagged(mean: np.ndarray, time_constant: float, cell: float) -> np.ndarray:
     """Cell averages of a first-order lag driven by cell averages, exact for inputs constant in a cell."""
-    alpha = np.exp(-CELL / time_constant)
+    alpha = np.exp(-cell / time_constant)
     # State of the lag at the start of each cell: z[i + 1] = alpha z[i] + (1 - alpha) u[i].
     after, _ = lfilter([1.0 - alpha], [1.0, -alpha], mean, zi=[alpha * mean[0]])
     before = np.concatenate([[mean[0]], after[:-1]])
-    return mean - (mean - before) * (time_constant / CELL) * (1.0 - alpha)
+    return mean - (mean - before) * (time_constant / cell) * (1.0 - alpha)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.identify.levenberg_marquardt import STATE_STEP, TOLERANCE, Batch
+from deepkoco.identify.levenberg_marquardt import TOLERANCE, Batch, state_steps
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push, push_torque
 from deepkoco.identify.simulate import predict
@@ -54,47 +54,54 @@ class FitProblem:
         zero_sd = [c.zero_sd for c in system.measurements if c.angle]
         self.zero_sd = zero_sd[0] if zero_sd else 0.0
         self.logs = len(windows.commands)
+        self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
 
     def predict(self, theta: np.ndarray, initial: Tensor, zero: Tensor) -> Tensor:
         """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), zeros (L, logs)."""
-        values = torch.from_numpy(self._without_null_limits(theta))
-        parameters: dict[str, Tensor] = {}
-        active = set()
         own = len(self.system.parameters)
-        for j, name in enumerate(self.names[:own]):
-            column = values[:, j]
-            same = bool((column == column[0]).all())
-            parameters[name] = column[0] if same else column.contiguous()
-            if "." in name and not (same and float(column[0]) in (self._null(name), np.inf)):
-                active.add(name.split(".")[0])
+        nulls = self._null_values()
+        values = theta[:, :own].copy()
+        for j in self._limits:
+            # A saturation at its null value cuts no command, but beside a gain or a bias it would cut efforts.
+            values[:, j] = np.where(values[:, j] >= nulls[j], np.inf, values[:, j])
+        given = (theta[:, :own] != nulls).T
+        lanes: dict[str, slice] = {}
+        for effect, columns in self._columns.items():
+            acting = np.flatnonzero(given[columns].any(0))
+            if len(acting):
+                lanes[effect] = slice(int(acting[0]), int(acting[-1]) + 1)
         # Effects that no lane uses are left out of the equations: they cost time and change nothing.
-        system = ExtendedSystem(self.system.base, tuple(active))
-        named = {n: v for n, v in parameters.items() if "." not in n or n.split(".")[0] in active}
-        push = push_torque(self.windows, theta[:, -len(Push.NAMES) :])
-        delays = {c: values[:, own + k] for k, c in enumerate(self.late)}
-        result = predict(system, self.windows, named, initial, push, delays)
+        system = self._extended(tuple(lanes))
+        same = (values == values[:1]).all(0)
+        named = {
+            n: torch.tensor(values[0, j]) if same[j] else torch.from_numpy(np.ascontiguousarray(values[:, j]))
+            for j, n in enumerate(self.names[:own])
+            if "." not in n or n.split(".")[0] in lanes
+        }
+        push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system.joints)
+        delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
+        result = predict(system, self.windows, named, initial, push, delays, lanes)
         if self.zero_sd > 0:
             result[:, :, 0] += zero[:, self.windows.log][..., None]
         return result
 
-    def _without_null_limits(self, theta: np.ndarray) -> np.ndarray:
-        """Lift a saturation that is at its null value, the largest command.
-
-        It cuts no command, but in one batch with a gain or a bias it would cut their efforts.
-        """
-        if "saturation.limit" not in self.names:
-            return theta
-        column = self.names.index("saturation.limit")
-        lifted = theta.copy()
-        null = self._null("saturation.limit")
-        lifted[:, column] = np.where(theta[:, column] >= null, np.inf, theta[:, column])
-        return lifted
-
-    def _null(self, name: str) -> float:
+    def _null_values(self) -> np.ndarray:
+        """Values at which the effects change nothing; NaN for the parameters of the base."""
         if not hasattr(self, "_nulls"):
             bare = ExtendedSystem(self.system.base, tuple(e.name for e in self.system.effects))
-            self._nulls = {p.name: p.value for p in bare.parameters}
-        return self._nulls[name]
+            self._nulls = np.array([p.value if "." in p.name else np.nan for p in bare.parameters])
+            self._limits = [j for j, p in enumerate(bare.parameters) if p.name.endswith(".limit")]
+            self._columns: dict[str, list[int]] = {}
+            for j, p in enumerate(bare.parameters):
+                if "." in p.name:
+                    self._columns.setdefault(p.name.split(".")[0], []).append(j)
+        return self._nulls
+
+    def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:
+        """The base with these effects only; systems are kept, since a fit asks for few."""
+        if effects not in self._kept:
+            self._kept[effects] = ExtendedSystem(self.system.base, effects)
+        return self._kept[effects]
 
     def fit(self, trials: Sequence[Trial], iterations: int = 25, tolerance: float = TOLERANCE) -> list[Fit]:
         """Run all trials; every iteration simulates all that have not converged in one batch.
@@ -148,6 +155,7 @@ class FitProblem:
             States (K, W, S), costs (K, W).
         """
         sets, count, size = state.shape
+        nudge = state_steps(size)
         theta = np.array([[float(v[n]) for n in self.names] for v in values])
         theta = np.tile(theta, (1 + size, 1))
         zero = torch.zeros(sets, self.logs, dtype=torch.float64) if zero is None else zero
@@ -157,11 +165,11 @@ class FitProblem:
         damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
         hessian = torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1)
         gradient = torch.zeros(sets, count, size, dtype=torch.float64)
-        step = torch.tensor(STATE_STEP[:size], dtype=torch.float64)[:, None, None, None, None]
+        step = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
         for _ in range(iterations):
             lanes = trial.repeat(1 + size, 1, 1, 1)
             for s in range(size):
-                lanes[1 + s, :, :, s] += STATE_STEP[s]
+                lanes[1 + s, :, :, s] += nudge[s]
             predicted = self.predict(theta, lanes.flatten(0, 1), zero).unflatten(0, (1 + size, sets))
             residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
             slope = ((predicted[1:] - predicted[0]) / step * self.weight).flatten(3)

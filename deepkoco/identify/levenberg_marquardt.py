@@ -16,9 +16,14 @@ if TYPE_CHECKING:
     from deepkoco.identify.fit import FitProblem
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers chi2 by less
-STATE_STEP = (1e-6, 1e-5)  # finite differences of the initial angle [rad] and speed [rad/s]
+POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
 PARAMETER_STEP = 1e-5  # finite difference of a parameter, in its scale
 LARGEST_DAMPING = 1e8
+
+
+def state_steps(states: int) -> tuple[float, ...]:
+    """Finite differences of an initial state: positions first, then speeds."""
+    return (POSITION_STEP,) * (states // 2) + (SPEED_STEP,) * (states // 2)
 
 
 class Batch:
@@ -84,6 +89,7 @@ class Batch:
         """Simulate base and perturbed lanes of the active trials at once; form their normal equations."""
         problem = self.problem
         states = initial.shape[-1]
+        nudge = state_steps(states)
         lane_theta, lane_initial, lane_trial = [], [], []
         steps: list[np.ndarray] = []
         for k in active:
@@ -96,7 +102,7 @@ class Batch:
             block[1 + np.arange(len(columns)), columns] += step
             start = initial[k][None].repeat(count, 1, 1)
             for s in range(states):
-                start[1 + len(columns) + s, :, s] += STATE_STEP[s]
+                start[1 + len(columns) + s, :, s] += nudge[s]
             lane_theta.append(block)
             lane_initial.append(start)
             lane_trial += [k] * count
@@ -106,9 +112,7 @@ class Batch:
             p = len(self.columns[k])
             lanes = predicted[at : at + 1 + p + states]
             at += 1 + p + states
-            difference = torch.cat(
-                [torch.from_numpy(steps[i]), torch.tensor(STATE_STEP[:states], dtype=torch.float64)]
-            )
+            difference = torch.cat([torch.from_numpy(steps[i]), torch.tensor(nudge, dtype=torch.float64)])
             slopes = (lanes[1:] - lanes[0]) / difference[:, None, None, None] * problem.weight
             residual = (problem.windows.value - lanes[0]) * problem.weight
             prior = self.precision[k, :p, :p]

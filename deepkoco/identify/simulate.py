@@ -3,20 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.identify.effort import step_efforts
+from deepkoco.identify.effort import command_efforts
+from deepkoco.identify.sensor_filter import filtered
 from deepkoco.identify.windows import Windows
-from deepkoco.systems import System
+from deepkoco.systems import ExtendedSystem, Motion, System
 
 # The sign of dry friction is smoothed over at least SHARPEST [rad/s], and over as much speed as the joint
 # gains in CROSSING steps. A fast reversal inside one step would otherwise see the sign at the four stages
 # only; spread over the step it gives the right impulse, since the smoothed sign is odd about the reversal.
 SHARPEST = 0.03
 CROSSING = 0.3
-SMOOTHED = ("coulomb_smoothing", "coulomb.smoothing", "stribeck.smoothing")
+
+
+class Nodes(NamedTuple):
+    """States at the n + 1 nodes of the steps and their derivatives; lanes are the last axis.
+
+    Attributes:
+        value: Per state (n + 1, W, L).
+        left: Per state (n, W, L), derivative at the start of each step.
+        right: Per state (n, W, L), derivative at its end: a command may jump at the node.
+    """
+
+    value: tuple[Tensor, ...]
+    left: tuple[Tensor, ...]
+    right: tuple[Tensor, ...]
 
 
 def trajectories(
@@ -33,39 +49,79 @@ def trajectories(
         windows: W windows of n steps.
         parameters: Named values, each (L,) or scalar.
         initial: (L, W, S) states at the start of the windows.
-        push: (L, W, n) extra torque on the joint over each step [N m]; None for none.
+        push: (J, L, W, n) extra load on each joint over each step [N m or N]; None for none.
 
     Returns:
         States (n + 1, L, W, S), derivative at the start and at the end of each step (n, L, W, S).
 
     Source: classical Runge-Kutta with an effort that is linear in time within the step.
     """
-    lanes = initial.shape[0]
-    start, slope = step_efforts(system, windows, dict(parameters), lanes)
-    h = windows.step
-    named = {name: value[:, None] if value.ndim else value for name, value in parameters.items()}
-    state = initial
-    states = torch.empty(windows.steps + 1, *initial.shape, dtype=torch.float64)
-    left = torch.empty(windows.steps, *initial.shape, dtype=torch.float64)
-    right = torch.empty_like(left)
-    states[0] = state
-    start, slope = start.movedim(2, 0).contiguous(), slope.movedim(2, 0).contiguous()
-    pushes = None if push is None else push.movedim(2, 0).contiguous()
-    width = torch.full((), SHARPEST, dtype=torch.float64)
-    for i in range(windows.steps):
-        for name in SMOOTHED:
-            named[name] = width
-        if pushes is not None:
-            named["external_torque"] = pushes[i]
-        middle = start[i] + 0.5 * h * slope[i]
-        k1 = system.derivative(state, start[i], named)
-        k2 = system.derivative(state + 0.5 * h * k1, middle, named)
-        k3 = system.derivative(state + 0.5 * h * k2, middle, named)
-        k4 = system.derivative(state + h * k3, start[i] + h * slope[i], named)
-        state = state + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-        states[i + 1], left[i], right[i] = state, k1, k4
-        width = (CROSSING * h * k4[..., -1].abs()).clamp_min(SHARPEST)
+    nodes = integrate(system, windows, parameters, initial, push)
+    states, left, right = (torch.stack(part, -1).transpose(1, 2) for part in nodes)
     return states, left, right
+
+
+def integrate(
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    initial: Tensor,
+    push: Tensor | None = None,
+    lanes: Mapping[str, slice] | None = None,
+) -> Nodes:
+    """As :func:`trajectories`; ``lanes`` says which lanes each effect concerns (None: all)."""
+    h, joints, count = windows.step, system.joints, initial.shape[0]
+    if isinstance(system, ExtendedSystem):
+        law = system.accelerations(parameters, lanes)
+    else:
+        law = system.accelerations(parameters)
+    start, slope = zip(
+        *(command_efforts(system, windows, parameters, count, k) for k in range(len(system.commands))),
+        strict=True,
+    )
+    pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
+    parts = initial.permute(2, 1, 0).contiguous().unbind(0)
+    angle, speed = list(parts[:joints]), list(parts[joints:])
+    angles, speeds = [angle], [speed]
+    firsts, lasts = [], []
+    width: tuple[Tensor, ...] = (torch.full((), SHARPEST, dtype=torch.float64),) * joints
+    time = torch.from_numpy(windows.t0)[:, None]
+    half = 0.5 * h
+    for i in range(windows.steps):
+        loads = None if pushes is None else tuple(pushes[i].unbind(0))
+        at = time + i * h
+        begin = tuple(a[i] for a in start)
+        middle = tuple(torch.add(a[i], b[i], alpha=half) for a, b in zip(start, slope, strict=True))
+        end = tuple(torch.add(a[i], b[i], alpha=h) for a, b in zip(start, slope, strict=True))
+        a1 = law(Motion(tuple(angle), tuple(speed), begin, loads, at, width))
+        q2, v2 = _moved(angle, speed, half), _moved(speed, a1, half)
+        a2 = law(Motion(q2, v2, middle, loads, at + half, width))
+        q3, v3 = _moved(angle, v2, half), _moved(speed, a2, half)
+        a3 = law(Motion(q3, v3, middle, loads, at + half, width))
+        q4, v4 = _moved(angle, v3, h), _moved(speed, a3, h)
+        a4 = law(Motion(q4, v4, end, loads, at + h, width))
+        angle = [
+            torch.add(q, s + 2.0 * (x2 + x3) + x4, alpha=h / 6.0)
+            for q, s, x2, x3, x4 in zip(angle, speed, v2, v3, v4, strict=True)
+        ]
+        speed = [
+            torch.add(s, y1 + 2.0 * (y2 + y3) + y4, alpha=h / 6.0)
+            for s, y1, y2, y3, y4 in zip(speed, a1, a2, a3, a4, strict=True)
+        ]
+        angles.append(angle)
+        speeds.append(speed)
+        firsts.append(a1)
+        lasts.append(a4)
+        width = tuple((CROSSING * h * a.abs()).clamp_min(SHARPEST) for a in a4)
+    value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
+    first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
+    last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
+    fast = value[joints:]
+    return Nodes(value, (*(v[:-1] for v in fast), *first), (*(v[1:] for v in fast), *last))
+
+
+def _moved(x: list[Tensor] | tuple[Tensor, ...], rate: tuple[Tensor, ...] | list[Tensor], h: float) -> tuple:
+    return tuple(torch.add(a, b, alpha=h) for a, b in zip(x, rate, strict=True))
 
 
 def predict(
@@ -75,6 +131,7 @@ def predict(
     initial: Tensor,
     push: Tensor | None = None,
     delays: Mapping[int, Tensor] | None = None,
+    lanes: Mapping[str, slice] | None = None,
 ) -> Tensor:
     """Noise-free measurements (L, W, N, M) at the windows' own time stamps.
 
@@ -85,44 +142,74 @@ def predict(
         system, windows, parameters, initial, push: As for :func:`trajectories`, with its source.
         delays: Channel -> (L,) time [s] that its measurements lag behind their stamps. Samples stamped
             earlier after the window's start than that are extrapolated: leave them out of the windows.
+        lanes: Effect -> lanes that it concerns; None for all.
     """
-    states, left, right = trajectories(system, windows, parameters, initial, push)
-    per_sample = {n: v[:, None, None] if v.ndim else v for n, v in parameters.items()}
-    lanes, count, channels, samples = initial.shape[0], len(windows), windows.t.shape[1], windows.t.shape[2]
-    result = torch.empty(lanes, count, channels, samples, dtype=torch.float64)
+    nodes = integrate(system, windows, parameters, initial, push, lanes)
+    slow = system.sensor_filter(parameters)
+    nodes = nodes if not bool((slow > 0.0).any()) else filtered(nodes, slow, windows.step)
+    count, channels, samples = len(windows), windows.t.shape[1], windows.t.shape[2]
+    result = torch.empty(count, channels, samples, initial.shape[0], dtype=torch.float64)
+    began = torch.from_numpy(windows.t0 - _log_starts(windows))[:, None, None]
     measured: Tensor | None = None
     stamped = 0  # channel at whose stamps `measured` is
     for c in range(channels):
+        time = windows.t[:, c, :, None]
         if delays is not None and c in delays:
-            at = windows.t[:, c] - delays[c][:, None, None]
-            state = _between_each(states, left, right, at, windows.step)
-            result[:, :, c] = system.measure(state, per_sample)[..., c]
+            late = time - delays[c]
+            state = _between_each(nodes, late, windows.step)
+            result[:, c] = system.measure_at(state, began + late, parameters)[..., c]
             continue
         if measured is None or not torch.equal(windows.t[:, c], windows.t[:, stamped]):
             stamped = c
-            state = _between(states, left, right, windows.t[:, c], windows.step)
-            measured = system.measure(state, per_sample)
-        result[:, :, c] = measured[..., c]
-    return result
+            state = _between(nodes, windows.t[:, c], windows.step)
+            measured = system.measure_at(state, began + time, parameters)
+        result[:, c] = measured[..., c]
+    return result.permute(3, 0, 1, 2)
 
 
-def _between(states: Tensor, left: Tensor, right: Tensor, t: Tensor, h: float) -> Tensor:
-    """Hermite interpolation: states (n + 1, L, W, S) at times t (W, M) -> (L, W, M, S)."""
-    cell = (t / h).floor().long().clamp(0, left.shape[0] - 1)
-    s = (t / h - cell)[..., None, None]
-    window = torch.arange(t.shape[0])[:, None]
-    x0, x1 = states[cell, :, window], states[cell + 1, :, window]  # (W, M, L, S)
-    d0, d1 = left[cell, :, window] * h, right[cell, :, window] * h
-    value = x0 + s * (d0 + s * (3.0 * (x1 - x0) - 2.0 * d0 - d1 + s * (2.0 * (x0 - x1) + d0 + d1)))
-    return value.permute(2, 0, 1, 3)
+def _log_starts(windows: Windows) -> np.ndarray:
+    """(W,) first command of each window's log [s]."""
+    return np.array([windows.commands[log].t[0] for log in windows.log])
 
 
-def _between_each(states: Tensor, left: Tensor, right: Tensor, t: Tensor, h: float) -> Tensor:
-    """As :func:`_between`, at times t (L, W, M) of each lane's own -> (L, W, M, S)."""
-    cell = (t / h).floor().long().clamp(0, left.shape[0] - 1)
+def _between(nodes: Nodes, t: Tensor, h: float) -> Tensor:
+    """Hermite interpolation at times t (W, M) -> (W, M, L, S)."""
+    steps, count = nodes.left[0].shape[:2]
+    cell = (t / h).floor().long().clamp(0, steps - 1)
     s = (t / h - cell)[..., None]
-    lane = torch.arange(t.shape[0])[:, None, None]
-    window = torch.arange(t.shape[1])[None, :, None]
-    x0, x1 = states[cell, lane, window], states[cell + 1, lane, window]
-    d0, d1 = left[cell, lane, window] * h, right[cell, lane, window] * h
-    return x0 + s * (d0 + s * (3.0 * (x1 - x0) - 2.0 * d0 - d1 + s * (2.0 * (x0 - x1) + d0 + d1)))
+    row = (cell * count + torch.arange(count)[:, None]).flatten()
+    weights = _hermite(s, h)
+    shape = (*t.shape, -1)
+    parts = []
+    for value, left, right in zip(*nodes, strict=True):
+        flat = value.flatten(0, 1)
+        pieces = (flat, left.flatten(0, 1), flat, right.flatten(0, 1))
+        rows = (row, row, row + count, row)
+        total = None
+        for w, piece, at in zip(weights, pieces, rows, strict=True):
+            picked = piece.index_select(0, at).view(shape)
+            total = w * picked if total is None else total.addcmul_(w, picked)
+        parts.append(total)
+    return torch.stack(parts, -1)
+
+
+def _between_each(nodes: Nodes, t: Tensor, h: float) -> Tensor:
+    """As :func:`_between`, at times t (W, M, L) of each lane's own."""
+    steps, count, lanes = nodes.left[0].shape
+    cell = (t / h).floor().long().clamp(0, steps - 1)
+    s = t / h - cell
+    window, lane = torch.arange(count)[:, None, None], torch.arange(lanes)[None, None, :]
+    w0, w1, w2, w3 = _hermite(s, h)
+    parts = []
+    for value, left, right in zip(*nodes, strict=True):
+        before, after = value[cell, window, lane], value[cell + 1, window, lane]
+        parts.append(
+            w0 * before + w1 * left[cell, window, lane] + w2 * after + w3 * right[cell, window, lane]
+        )
+    return torch.stack(parts, -1)
+
+
+def _hermite(s: Tensor, h: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Weights of the value and slope at the start and of the value and slope at the end of a step."""
+    r = 1.0 - s
+    return r * r * (1.0 + 2.0 * s), h * s * r * r, s * s * (3.0 - 2.0 * s), -h * s * s * r

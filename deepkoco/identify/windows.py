@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepkoco.graph.recording import LogError, Recording
 from deepkoco.identify.noise import Noise, estimate_noise
-from deepkoco.systems import JointSystem, one_joint
+from deepkoco.systems import Motion, System
 
 LONGEST_STEP = 0.01  # integration step [s]
 STEPS_PER_PERIOD = 100  # integration steps in a period of the system, at least
@@ -26,10 +26,19 @@ FEWEST = 4  # windows that leaving out rests must leave
 
 @dataclass(frozen=True)
 class CommandSeries:
-    """Zero-order-hold commands of one log: stamps (n,) [s] and values (n,) in the command's unit."""
+    """Zero-order-hold commands of one log.
+
+    Attributes:
+        t: (n,) stamps [s].
+        value: (n,), or (n, M) for M commands, in the commands' units.
+    """
 
     t: np.ndarray
     value: np.ndarray
+
+    def column(self, index: int) -> np.ndarray:
+        """(n,) values of one command."""
+        return self.value if self.value.ndim == 1 else self.value[:, index]
 
 
 @dataclass(frozen=True)
@@ -48,6 +57,7 @@ class Windows:
         noise: One per channel.
         state: (W, S) first guess of the initial states.
         rests: (W,) True where the joint rests for a while inside or across an end of the window.
+        shows: State that each channel shows.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -61,6 +71,7 @@ class Windows:
     noise: tuple[Noise, ...]
     state: Tensor
     rests: np.ndarray
+    shows: tuple[int, ...] = (0, 1)
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -95,7 +106,7 @@ class Windows:
         return replace(self, value=value)
 
 
-def window_length(system: JointSystem) -> float:
+def window_length(system: System) -> float:
     """About one period of the system's small motion, between 1 and 2 s.
 
     Shorter windows do not show slow effects; in longer ones unstable motion outgrows every fit.
@@ -103,21 +114,25 @@ def window_length(system: JointSystem) -> float:
     return float(np.clip(period(system), 1.0, 2.0))
 
 
-def period(system: JointSystem) -> float:
+def period(system: System) -> float:
     """Period of the system's fastest small motion at zero command [s]; 1.5 where it has none."""
-    parameters = system.default_parameters()
+    law = system.accelerations(system.default_parameters())
     eps = 1e-6
+    angles = torch.linspace(0.0, 2.0 * math.pi, 17, dtype=torch.float64)
+    rest = (torch.zeros_like(angles),) * system.joints
+    commands = (torch.zeros_like(angles),) * len(system.commands)
     stiffness = 0.0
-    for angle in np.linspace(0.0, 2.0 * math.pi, 17):
-        state = torch.tensor([[angle, 0.0], [angle + eps, 0.0]], dtype=torch.float64)
-        acceleration = system.derivative(state, torch.zeros(2, dtype=torch.float64), parameters)[:, 1]
-        stiffness = max(stiffness, float(acceleration[0] - acceleration[1]) / eps)
+    for j in range(system.joints):
+        shifted = tuple(angles + eps if i == j else angles for i in range(system.joints))
+        before = law(Motion((angles,) * system.joints, rest, commands))[j]
+        after = law(Motion(shifted, rest, commands))[j]
+        stiffness = max(stiffness, float((before - after).max()) / eps)
     return 2.0 * math.pi / math.sqrt(stiffness) if stiffness > 0 else 1.5
 
 
 def cut_windows(
     recordings: Sequence[Recording],
-    system: JointSystem,
+    system: System,
     length: float,
     noise: tuple[Noise, ...] | None = None,
     cover: bool = False,
@@ -133,9 +148,7 @@ def cut_windows(
 
     Raises:
         LogError: A log lacks the command or every measurement.
-        JointCountError: The system has more joints than one.
     """
-    system = one_joint(system)
     longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
     steps = math.ceil(length / longest - 1e-9)
     names = [channel.name for channel in system.measurements]
@@ -144,7 +157,7 @@ def cut_windows(
     for index, recording in enumerate(recordings):
         command, series = _channels(recording, system)
         commands.append(command)
-        still = _still(*series[names[0]], DWELL * length, REST * noise[0].sd) if names[0] in series else None
+        still = _resting(system, series, noise, length)
         history = 0.0 if cover else HISTORY
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
@@ -162,7 +175,9 @@ def cut_windows(
             t[w, c, : len(stamps)] = stamps - t0
             value[w, c, : len(stamps)] = values
             valid[w, c, : len(stamps)] = True
-    state = np.array([_first_state(t[w], value[w], valid[w]) for w in range(len(rows))]).reshape(-1, 2)
+    shows = system.measured_states
+    state = np.array([_first_state(t[w], value[w], valid[w], shows, system.joints) for w in range(len(rows))])
+    state = state.reshape(-1, 2 * system.joints)
     return Windows(
         tuple(commands),
         np.array([row[0] for row in rows], dtype=int),
@@ -175,13 +190,14 @@ def cut_windows(
         noise,
         torch.from_numpy(state),
         np.array([row[3] for row in rows], dtype=bool),
+        shows,
     )
 
 
 def halved(windows: Windows) -> Windows:
     """Each window as two of half the length, the first half of window w at 2 w."""
     steps = max(windows.steps // 2, 1)
-    half = 0.5 * windows.length
+    half, joints = 0.5 * windows.length, windows.state.shape[1] // 2
     parts = []
     for w in range(len(windows)):
         for k in (0, 1):
@@ -190,7 +206,7 @@ def halved(windows: Windows) -> Windows:
             # Samples of the other half stay in the row as padding, behind those of this half.
             order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
             pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
-            parts.append((*pick, _first_state(*(x.numpy() for x in pick))))
+            parts.append((*pick, _first_state(*(x.numpy() for x in pick), windows.shows, joints)))
     size = int(max((part[2].sum(-1).max() for part in parts), default=0))
     return replace(
         windows,
@@ -206,7 +222,7 @@ def halved(windows: Windows) -> Windows:
     )
 
 
-def estimate_channels(recordings: Sequence[Recording], system: JointSystem) -> tuple[Noise, ...]:
+def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[Noise, ...]:
     """Noise of each measurement channel over all logs, the longest log counting most."""
     result = []
     for channel in system.measurements:
@@ -264,25 +280,49 @@ def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray
     return start + length * np.arange(int(fit + 1e-9))
 
 
+def _resting(
+    system: System,
+    series: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    noise: tuple[Noise, ...],
+    length: float,
+) -> np.ndarray | None:
+    """Stamps at which a joint that can stick rests; None where no position is measured."""
+    if not system.dry_friction:
+        return None
+    found = []
+    for channel, state, own in zip(system.measurements, system.measured_states, noise, strict=True):
+        if state < system.joints and channel.name in series:
+            found.append(_still(*series[channel.name], DWELL * length, REST * own.sd))
+    return np.concatenate(found) if found else None
+
+
 def _channels(
-    recording: Recording, system: JointSystem
+    recording: Recording, system: System
 ) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
     where = recording.path or "the recording"
-    if system.command.name not in recording.channels:
-        raise LogError(
-            f'{where}: the command "{system.command.name}" of {system.name} is missing; map it in the sidecar'
-        )
-    command = recording.channels[system.command.name]
+    for command in system.commands:
+        if command.name not in recording.channels:
+            raise LogError(
+                f'{where}: the command "{command.name}" of {system.name} is missing; map it in the sidecar'
+            )
     series = {}
     for channel in system.measurements:
         if channel.name in recording.channels:
             measured = recording.channels[channel.name]
-            value = np.unwrap(measured.value) if channel.angle else measured.value
+            # What leaves one turn is not wrapped, and a wrong unit would be garbled by unwrapping.
+            wrapped = channel.angle and np.ptp(measured.value) <= 2.02 * math.pi
+            value = np.unwrap(measured.value) if wrapped else measured.value
             series[channel.name] = (measured.t, value)
     if not series:
         wanted = ", ".join(c.name for c in system.measurements)
         raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
-    return CommandSeries(command.t, command.value), series
+    logged = [recording.channels[command.name] for command in system.commands]
+    if len(logged) == 1:
+        return CommandSeries(logged[0].t, logged[0].value), series
+    # Each command holds until its next stamp: on the union of all stamps they are one series.
+    t = np.unique(np.concatenate([command.t for command in logged]))
+    t = t[t >= max(command.t[0] for command in logged)]
+    return CommandSeries(t, np.column_stack([command.hold(t) for command in logged])), series
 
 
 def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple[np.ndarray, np.ndarray]:
@@ -290,13 +330,18 @@ def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple
     return t[first:last], value[first:last]
 
 
-def _first_state(t: np.ndarray, value: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Angle and speed at the window's start by a parabola through the first angles (or the first speed)."""
-    angle, speed = 0.0, 0.0
-    n = min(int(valid[0].sum()), 7)
-    if n >= 3:
-        # The parabola's constant and slope.
-        _, speed, angle = np.polyfit(t[0, :n], value[0, :n], 2)
-    if len(value) > 1 and valid[1].any():
-        speed = float(value[1, : min(3, int(valid[1].sum()))].mean())
-    return np.array([angle, speed])
+def _first_state(
+    t: np.ndarray, value: np.ndarray, valid: np.ndarray, shows: tuple[int, ...], joints: int
+) -> np.ndarray:
+    """Positions and speeds at the window's start by parabolas through the first samples."""
+    state = np.zeros(2 * joints)
+    for c, s in enumerate(shows):
+        n = min(int(valid[c].sum()), 7)
+        if s < joints and n >= 3:
+            # The parabola's constant and slope.
+            _, state[joints + s], state[s] = np.polyfit(t[c, :n], value[c, :n], 2)
+    for c, s in enumerate(shows):
+        n = min(int(valid[c].sum()), 3)
+        if s >= joints and n:
+            state[s] = float(value[c, :n].mean())
+    return state

@@ -1,18 +1,28 @@
 """Dynamical systems with named parameters, and the effects that extend them."""
 
 from deepkoco.systems.circling_target import CirclingTarget
-from deepkoco.systems.extended import ExtendedSystem, ModelFileError, load_model, save_model
+from deepkoco.systems.extended import (
+    ExtendedSystem,
+    MemoryEffectError,
+    ModelFileError,
+    load_model,
+    save_model,
+)
 from deepkoco.systems.joint import JointSystem
+from deepkoco.systems.quadrotor_height import QuadrotorHeight
 from deepkoco.systems.registry import (
     JOINT_SYSTEMS,
     SYSTEMS,
     JointCountError,
     UnknownSystemError,
+    any_system,
     make_system,
     one_joint,
 )
 from deepkoco.systems.system import (
     Channel,
+    CommandTiming,
+    Motion,
     Parameter,
     ParameterError,
     Parameters,
@@ -27,17 +37,22 @@ __all__ = [
     "SYSTEMS",
     "Channel",
     "CirclingTarget",
+    "CommandTiming",
     "ExtendedSystem",
     "JointCountError",
     "JointSystem",
+    "MemoryEffectError",
     "ModelFileError",
+    "Motion",
     "Parameter",
     "ParameterError",
     "Parameters",
+    "QuadrotorHeight",
     "System",
     "Timing",
     "TwoLinkArm",
     "UnknownSystemError",
+    "any_system",
     "load_model",
     "make_system",
     "one_joint",

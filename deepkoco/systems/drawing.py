@@ -54,6 +54,18 @@ def draw_point_mass(image: np.ndarray, angle_from_up: float, reach: float = 0.38
     _disk(image, (centre, centre), 0.025 * size, INK)
 
 
+def draw_quadrotor(image: np.ndarray, height: float, span: float = 0.3, reach: float = 1.0) -> None:
+    """Draw a quadrotor from the side at a height [m]; ``reach`` [m] above and below the centre is in the picture."""
+    size = image.shape[0]
+    x, y = size / 2, size / 2 - REACH * size * float(np.clip(height / reach, -1.0, 1.0))
+    arm = 0.5 * span * size
+    _line(image, (x - arm, y), (x + arm, y), INK, max(1, round(0.02 * size)))
+    for side in (-arm, arm):
+        rotor = (x + side - 0.4 * arm, y - 0.03 * size), (x + side + 0.4 * arm, y - 0.03 * size)
+        _line(image, *rotor, ROD, max(1, round(0.012 * size)))
+    _disk(image, (x, y), 0.035 * size, MASS)
+
+
 def draw_command(image: np.ndarray, fraction: float) -> None:
     """Draw the command as an arc; ``fraction`` in [-1, 1] of the command's limit."""
     size = image.shape[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,19 @@ import torch
 import yaml
 from torch import Tensor
 
-from deepkoco.systems.effects import EFFECTS, Effect
-from deepkoco.systems.joint import JointSystem
-from deepkoco.systems.registry import one_joint
-from deepkoco.systems.system import ParameterError, Parameters, Timing
+from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
+from deepkoco.systems.joint import JointSystem, TorqueLaw
+from deepkoco.systems.registry import make_system
+from deepkoco.systems.system import (
+    Acceleration,
+    Channel,
+    CommandTiming,
+    Motion,
+    ParameterError,
+    Parameters,
+    System,
+    Timing,
+)
 
 MODEL_VERSION = 1
 
@@ -25,36 +35,47 @@ class ModelFileError(ValueError):
     """A model.yaml cannot be read."""
 
 
-class ExtendedSystem(JointSystem):
+class MemoryEffectError(ValueError):
+    """An effect that remembers the past is asked for in a simulation that keeps none."""
+
+
+class ExtendedSystem(System):
     """A base system plus effects; parameters of an effect are named ``effect.parameter``.
 
-    With every effect at its null value it computes what the base computes. The key
-    ``external_torque`` [N m], where a caller gives it, is one more load on the joint.
+    With every effect at its null value it computes what the base computes. Extending a system of one joint
+    gives a :class:`ExtendedJoint`.
 
     Args:
         base: System to extend.
-        effects: Names of the effects, in any order; they act in the order of the registry.
+        effects: Names of effects, with the joint or channel where there are several (``coulomb(joint 2)``), in any
+            order; they act in the order of the registry.
         values: New nominal values by full name; those not given keep the base's value or are null.
 
     Raises:
         ParameterError: An effect or a name in ``values`` is unknown, or a value is out of bounds.
     """
 
+    def __new__(cls, base: System | None = None, *_: Any, **__: Any) -> ExtendedSystem:
+        return object.__new__(ExtendedJoint if isinstance(base, JointSystem) else cls)
+
     def __init__(
-        self, base: JointSystem, effects: tuple[str, ...] = (), values: Mapping[str, float] | None = None
+        self, base: System, effects: tuple[str, ...] = (), values: Mapping[str, float] | None = None
     ) -> None:
-        unknown = [name for name in effects if name not in EFFECTS]
+        known = effects_of(base)
+        senseless = [n for n in effects if n in EFFECTS and n not in known]
+        unknown = [n for n in effects if n not in known and n not in senseless]
         if unknown:
-            raise ParameterError(f"unknown effect {', '.join(unknown)}; known: {', '.join(EFFECTS)}")
+            raise ParameterError(f"unknown effect {', '.join(unknown)}; known: {', '.join(known)}")
         self.base = base
         self.name = base.name
-        self.upright = base.upright
-        self.effects: tuple[Effect, ...] = tuple(e for name, e in EFFECTS.items() if name in effects)
+        self.joints = base.joints
+        self.state_names, self.state_units = base.state_names, base.state_units
+        self.dry_friction = base.dry_friction
+        self.effects: tuple[PlacedEffect, ...] = tuple(e for name, e in known.items() if name in effects)
         declared = list(base.parameters)
-        for effect in self.effects:
-            declared += [replace(p, name=f"{effect.name}.{p.name}") for p in effect.parameters(base)]
+        for placed in self.effects:
+            declared += [replace(p, name=f"{placed.name}.{p.name}") for p in placed.parameters(base)]
         self.parameters = tuple(declared)
-        self.command = base.command
         self.measurements = base.measurements
         if values:
             for name in values:
@@ -64,53 +85,202 @@ class ExtendedSystem(JointSystem):
             )
 
     @property
+    def commands(self) -> tuple[Channel, ...]:
+        return self.base.commands
+
+    @property
+    def command_joints(self) -> tuple[int, ...]:
+        return self.base.command_joints
+
+    @property
+    def measured_states(self) -> tuple[int, ...]:
+        return self.base.measured_states
+
+    @property
     def load_scale(self) -> float:
         return self.base.load_scale
 
-    def inertia(self, parameters: Parameters) -> Tensor:
-        return self.base.inertia(self._body(parameters))
+    @property
+    def load_scales(self) -> tuple[float, ...]:
+        return self.base.load_scales
 
-    def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
-        total = self.base.torque(theta, omega, effort, self._body(parameters))
-        for effect, own in self._at("load", parameters):
-            total = total + effect.apply(omega, own)
-        if "external_torque" in parameters:
-            total = total + parameters["external_torque"]
-        return total
+    def effort_of(self, commands: Tensor) -> Tensor:
+        return self.base.effort_of(commands)
+
+    def accelerations(self, parameters: Parameters, lanes: Mapping[str, slice] | None = None) -> Acceleration:
+        """As the base's, with the loads of the effects.
+
+        Args:
+            parameters: Named values.
+            lanes: Effect -> the part of the last axis on which it is not at its null value; elsewhere it is
+                not computed. None computes every effect everywhere.
+        """
+        law = self.base.accelerations(self._body(parameters))
+        loads = [(placed, _own(placed.name, parameters)) for placed in self._at("load")]
+        if not loads:
+            return law
+        parts = [_part(placed, p, None if lanes is None else lanes.get(placed.name)) for placed, p in loads]
+        driven = {joint: k for k, joint in enumerate(self.base.command_joints)}
+
+        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            total: list[Tensor | None] = [None] * self.joints if motion.loads is None else list(motion.loads)
+            for placed, p, part in parts:
+                j = placed.index
+                effort = motion.efforts[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
+                smoothing = None if motion.smoothing is None else motion.smoothing[j]
+                joint = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
+                if part is None:
+                    load = placed.effect.apply(joint, p)
+                    total[j] = load if total[j] is None else total[j] + load
+                    continue
+                sliced = JointState(*(_lanes(x, part) for x in joint))
+                if total[j] is None:
+                    total[j] = torch.zeros_like(motion.speeds[j])
+                total[j][..., part] += placed.effect.apply(sliced, p)
+            return law(motion._replace(loads=tuple(total)))
+
+        return acceleration
+
+    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        parts = state.unbind(-1)
+        speeds = parts[self.joints :]
+        efforts = (effort,) if len(self.commands) == 1 else effort.unbind(-1)
+        motion = Motion(parts[: self.joints], speeds, efforts)
+        accelerations = self.accelerations(parameters)(motion)
+        return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
         effort = self.base.actuate(command, parameters)
-        for effect, own in self._at("command", parameters):
-            effort = effect.apply(effort, own)
+        acting = [p for p in self.effects if p.effect.place in ("command", "series")]
+        for placed in acting:
+            if placed.effect.place == "series":
+                if self._at_null(placed, parameters):
+                    continue
+                raise MemoryEffectError(
+                    f"{placed.name} remembers earlier commands: it acts along a log (diagnosis, identification) and "
+                    "cannot be simulated one command at a time"
+                )
+            own = _own(placed.name, parameters)
+            if len(self.commands) == 1:
+                effort = placed.effect.apply(effort, own)
+            else:
+                parts = list(effort.unbind(-1))
+                parts[placed.index] = placed.effect.apply(parts[placed.index], own)
+                effort = torch.stack(torch.broadcast_tensors(*parts), -1)
+        return effort
+
+    def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
+        effort = self.base.shape_command(index, value, t, parameters)
+        for placed in self.effects:
+            if placed.index != index or placed.effect.place not in ("command", "series"):
+                continue
+            own = _own(placed.name, parameters)
+            if placed.effect.place == "series":
+                effort = placed.effect.apply(effort, t, own)
+            else:
+                effort = placed.effect.apply(effort, own)
         return effort
 
     def timing(self, parameters: Parameters) -> Timing:
         zero = torch.zeros((), dtype=torch.float64)
-        return Timing(
-            parameters.get("actuation_delay.delay", zero),
-            parameters.get("sensing_delay.delay", zero),
-            parameters.get("lag.time_constant", zero),
+        base = self.base.timing(parameters)
+        sensing = base.sensing_delay + parameters.get("sensing_delay.delay", zero)
+        names = [self._command_effect("actuation_delay", k) for k in range(len(self.commands))]
+        delays = [parameters.get(f"{name}.delay", zero) for name in names]
+        names = [self._command_effect("lag", k) for k in range(len(self.commands))]
+        lags = [parameters.get(f"{name}.time_constant", zero) for name in names]
+        if any(not torch.equal(x, y) for each in (delays, lags) for x, y in pairwise(each)):
+            raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
+        return Timing(base.actuation_delay + delays[0], sensing, base.lag + lags[0])
+
+    def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
+        base = self.base.command_timing(index, parameters)
+        zero = torch.zeros((), dtype=torch.float64)
+        delay = base.delay + parameters.get("sensing_delay.delay", zero)
+        delay = delay + parameters.get(f"{self._command_effect('actuation_delay', index)}.delay", zero)
+        lag = parameters.get(f"{self._command_effect('lag', index)}.time_constant")
+        skew = base.skew + parameters.get("clock_skew.rate", zero)
+        return CommandTiming(delay, base.lag if lag is None else (*base.lag, lag), skew)
+
+    def sensor_filter(self, parameters: Parameters) -> Tensor:
+        return self.base.sensor_filter(parameters) + parameters.get(
+            "low_pass.time_constant", torch.zeros((), dtype=torch.float64)
         )
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
-        measurement = self.base.measure(state, parameters)
-        for effect, own in self._at("sensor", parameters):
-            measurement = effect.apply(measurement, own)
-        return measurement
+        return self._sensed(self.base.measure(state, parameters), None, parameters)
+
+    def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
+        return self._sensed(self.base.measure_at(state, time, parameters), time, parameters)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
 
-    def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
-        self.base.draw_body(image, angle_from_upright)
+    def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
+        return self.base.with_length(factor, joint, parameters)
 
-    def _at(self, place: str, parameters: Parameters) -> list[tuple[Effect, dict[str, Tensor]]]:
-        return [(e, _own(e.name, parameters)) for e in self.effects if e.place == place]
+    def draw_on(
+        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
+    ) -> None:
+        self.base.draw_on(image, measurement, command)
+
+    def _sensed(self, measurement: Tensor, time: Tensor | None, parameters: Parameters) -> Tensor:
+        for placed in self._at("sensor"):
+            if placed.effect.site == "channel":
+                site = SensorSite((placed.index,), (), time)
+            else:
+                shown = list(enumerate(self.measured_states))
+                positions = tuple(c for c, s in shown if s == placed.index)
+                speeds = tuple(c for c, s in shown if s == placed.index + self.joints)
+                site = SensorSite(positions, speeds, time)
+            measurement = placed.effect.apply(measurement, site, _own(placed.name, parameters))
+        return measurement
+
+    def _at_null(self, placed: PlacedEffect, parameters: Parameters) -> bool:
+        own = _own(placed.name, parameters)
+        return all(bool((own[p.name] == p.value).all()) for p in placed.parameters(self.base))
+
+    def _command_effect(self, name: str, index: int) -> str:
+        return name if self.joints == 1 else f"{name}(joint {self.command_joints[index] + 1})"
+
+    def _at(self, where: str) -> list[PlacedEffect]:
+        return [placed for placed in self.effects if placed.effect.place == where]
 
     def _body(self, parameters: Parameters) -> Parameters:
-        for effect, own in self._at("body", parameters):
-            parameters = effect.apply(self.base, parameters, own)
+        for placed in self._at("body"):
+            own = _own(placed.name, parameters)
+            parameters = placed.effect.apply(self.base, placed.index, parameters, own)
         return parameters
+
+
+class ExtendedJoint(ExtendedSystem, JointSystem):
+    """An extended system of one joint, which is a system of one joint itself."""
+
+    base: JointSystem
+
+    def __init__(
+        self, base: JointSystem, effects: tuple[str, ...] = (), values: Mapping[str, float] | None = None
+    ) -> None:
+        super().__init__(base, effects, values)
+        self.command, self.upright = base.command, base.upright
+
+    def inertia(self, parameters: Parameters) -> Tensor:
+        return self.base.inertia(self._body(parameters))
+
+    def torque_law(self, parameters: Parameters) -> TorqueLaw:
+        law = self.base.torque_law(self._body(parameters))
+        loads = [(placed.effect, _own(placed.name, parameters)) for placed in self._at("load")]
+
+        def torque(theta: Tensor, omega: Tensor, effort: Tensor, smoothing: Tensor | None) -> Tensor:
+            total = law(theta, omega, effort, smoothing)
+            for effect, own in loads:
+                total = total + effect.apply(JointState(theta, omega, effort, None, smoothing), own)
+            return total
+
+        return torque
+
+    def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
+        self.base.draw_body(image, angle_from_upright)
 
 
 def _own(effect: str, parameters: Parameters) -> dict[str, Tensor]:
@@ -118,7 +288,17 @@ def _own(effect: str, parameters: Parameters) -> dict[str, Tensor]:
     return {name[len(prefix) :]: value for name, value in parameters.items() if name.startswith(prefix)}
 
 
-def save_model(path: str | Path, system: JointSystem, provenance: Mapping[str, Any] | None = None) -> None:
+def _part(
+    placed: PlacedEffect, own: dict[str, Tensor], part: slice | None
+) -> tuple[PlacedEffect, dict[str, Tensor], slice | None]:
+    return placed, own if part is None else {n: _lanes(v, part) for n, v in own.items()}, part
+
+
+def _lanes(value: Any, part: slice) -> Any:
+    return value if value is None or value.ndim == 0 or value.shape[-1] == 1 else value[..., part]
+
+
+def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] | None = None) -> None:
     """Write a system as model.yaml, atomically.
 
     Args:
@@ -161,7 +341,7 @@ def load_model(path: str | Path) -> ExtendedSystem:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
-        return ExtendedSystem(one_joint(document["system"]), tuple(document["effects"]), values)
+        return ExtendedSystem(make_system(document["system"]), tuple(document["effects"]), values)
     except (KeyError, TypeError, AttributeError) as error:
         raise ModelFileError(f"{path}: misses or garbles the entry {error}") from error
     except ValueError as error:

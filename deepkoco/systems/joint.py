@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.system import Channel, Parameters, System
+from deepkoco.systems.system import Acceleration, Channel, Motion, Parameter, Parameters, System
 
 
 def angle_channel(noise_sd: float, zero_sd: float = 0.0) -> Channel:
@@ -28,6 +29,14 @@ def angle_channel(noise_sd: float, zero_sd: float = 0.0) -> Channel:
 def speed_channel(noise_sd: float) -> Channel:
     """Measured joint speed [rad/s]."""
     return Channel("omega", "rad/s", "measurement", noise_sd=noise_sd, description="joint speed")
+
+
+TILT = Parameter(
+    "angle", 0.0, "rad", -0.5, 0.5, 0.1, "angle by which the base is turned about the joint's axis"
+)
+
+# (theta, omega, effort, smoothing of dry friction or None) -> torque, all of one shape
+TorqueLaw = Callable[[Tensor, Tensor, Tensor, Tensor | None], Tensor]
 
 
 class JointSystem(System):
@@ -51,8 +60,12 @@ class JointSystem(System):
         """Moment of inertia about the joint [kg m2]."""
 
     @abstractmethod
+    def torque_law(self, parameters: Parameters) -> TorqueLaw:
+        """Sum of the modelled torques [N m], with what only parameters decide computed once."""
+
     def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         """Sum of the modelled torques [N m]."""
+        return self.torque_law(parameters)(theta, omega, effort, None)
 
     @abstractmethod
     def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
@@ -64,6 +77,18 @@ class JointSystem(System):
         self.draw_body(image, float(measurement[0]) - self.upright)
         if command is not None:
             drawing.draw_command(image, float(np.ravel(command)[0]) / self.command.high)
+
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        law, inertia = self.torque_law(parameters), self.inertia(parameters)
+
+        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            smoothing = None if motion.smoothing is None else motion.smoothing[0]
+            torque = law(motion.angles[0], motion.speeds[0], motion.efforts[0], smoothing)
+            if motion.loads is not None and motion.loads[0] is not None:
+                torque = torque + motion.loads[0]
+            return (torque / inertia,)
+
+        return acceleration
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         theta, omega = state.unbind(-1)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.joint import JointSystem, angle_channel, speed_channel
+from deepkoco.systems.joint import TILT, JointSystem, TorqueLaw, angle_channel, speed_channel
 from deepkoco.systems.system import Channel, Parameter, Parameters
 
 GRAVITY = 9.81  # [m/s2]
@@ -27,6 +27,7 @@ class Pendulum(JointSystem):
 
     name = "pendulum"
     upright = 0.0
+    resizable = True
 
     def __init__(self) -> None:
         self.parameters = (
@@ -49,13 +50,20 @@ class Pendulum(JointSystem):
     def inertia(self, parameters: Parameters) -> Tensor:
         return parameters["inertia"]
 
-    def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+    def torque_law(self, parameters: Parameters) -> TorqueLaw:
         p = parameters
-        motor = (effort - omega * p["motor_constant"]) * p["motor_constant"] / p["resistance"]
-        gravity = p["mass"] * GRAVITY * p["length"] * torch.sin(theta)
-        smoothing = p.get("coulomb_smoothing", COULOMB_SMOOTHING)
-        friction = p["viscous"] * omega + p["coulomb"] * torch.tanh(omega / smoothing)
-        return motor + gravity - friction
+        constant, resistance = p["motor_constant"], p["resistance"]
+        weight, tilt = p["mass"] * GRAVITY * p["length"], p.get("angle")
+        viscous, coulomb = p["viscous"], p["coulomb"]
+        own = p.get("coulomb_smoothing", COULOMB_SMOOTHING)
+
+        def torque(theta: Tensor, omega: Tensor, effort: Tensor, smoothing: Tensor | None) -> Tensor:
+            motor = (effort - omega * constant) * constant / resistance
+            gravity = weight * torch.sin(theta if tilt is None else theta + tilt)
+            width = own if smoothing is None else smoothing
+            return motor + gravity - (viscous * omega + coulomb * torch.tanh(omega / width))
+
+        return torque
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         length = parameters["length"]
@@ -64,6 +72,16 @@ class Pendulum(JointSystem):
             "mass": parameters["mass"] + mass,
             "inertia": parameters["inertia"] + mass * length**2,
         }
+
+    def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
+        # The disk's own inertia stays; only the mass moves out.
+        length = parameters["length"]
+        moved = parameters["mass"] * length**2 * (factor**2 - 1.0)
+        return {**parameters, "length": length * factor, "inertia": parameters["inertia"] + moved}
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        return (TILT,)
 
     def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
         drawing.draw_disk(image, angle_from_upright)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from deepkoco.systems.joint import JointSystem
 from deepkoco.systems.pendulum import Pendulum
+from deepkoco.systems.quadrotor_height import QuadrotorHeight
 from deepkoco.systems.rod_pendulum import RodPendulum
 from deepkoco.systems.system import System
 from deepkoco.systems.torque_pendulum import TorquePendulum
 from deepkoco.systems.two_link_arm import TwoLinkArm
 
 JOINT_SYSTEMS: dict[str, type[JointSystem]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
-SYSTEMS: dict[str, type[System]] = {**JOINT_SYSTEMS, TwoLinkArm.name: TwoLinkArm}
+SYSTEMS: dict[str, type[System]] = {**JOINT_SYSTEMS, **{s.name: s for s in (TwoLinkArm, QuadrotorHeight)}}
 
 
 class UnknownSystemError(ValueError):
@@ -33,19 +34,28 @@ def make_system(name: str) -> System:
 
 
 def one_joint(system: str | System) -> JointSystem:
-    """The system, for what takes one joint and one command only: units, identification and diagnosis.
+    """The system, for what takes a pendulum only: units, and engines that need one turning joint.
 
     Args:
         system: A system or its name.
 
     Raises:
         UnknownSystemError: There is no system of that name.
-        JointCountError: It has more joints.
+        JointCountError: It has more joints, or one that does not turn.
     """
-    found = make_system(system) if isinstance(system, str) else system
-    if not isinstance(found, JointSystem):
+    found = any_system(system)
+    if not isinstance(found, JointSystem) or found.name not in JOINT_SYSTEMS:
+        what = f"{found.joints} joints" if found.joints > 1 else "a joint that does not turn"
         raise JointCountError(
-            f"{found.name} has {found.joints} joints; units, identification and diagnosis take one: choose one of "
-            f"{', '.join(sorted(JOINT_SYSTEMS))}"
+            f"{found.name} has {what}; this takes one that turns: choose one of {', '.join(sorted(JOINT_SYSTEMS))}"
         )
     return found
+
+
+def any_system(system: str | System) -> System:
+    """The system itself, or the one of that name.
+
+    Raises:
+        UnknownSystemError: There is no system of that name.
+    """
+    return make_system(system) if isinstance(system, str) else system

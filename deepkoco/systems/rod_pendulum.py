@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.joint import JointSystem, angle_channel, speed_channel
+from deepkoco.systems.joint import TILT, JointSystem, TorqueLaw, angle_channel, speed_channel
 from deepkoco.systems.system import Channel, Parameter, Parameters
 
 
@@ -21,6 +21,7 @@ class RodPendulum(JointSystem):
 
     name = "rod_pendulum"
     upright = 0.0
+    resizable = True
 
     def __init__(self) -> None:
         self.parameters = (
@@ -42,15 +43,28 @@ class RodPendulum(JointSystem):
         tip_mass = parameters.get("tip_mass")
         return rod if tip_mass is None else rod + tip_mass * parameters["length"] ** 2
 
-    def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+    def torque_law(self, parameters: Parameters) -> TorqueLaw:
         p = parameters
         moment = 0.5 * p["mass"] * p["length"]
         if "tip_mass" in p:
             moment = moment + p["tip_mass"] * p["length"]
-        return moment * p["gravity"] * torch.sin(theta) + effort - p["viscous"] * omega
+        weight, viscous, tilt = moment * p["gravity"], p["viscous"], p.get("angle")
+
+        def torque(theta: Tensor, omega: Tensor, effort: Tensor, smoothing: Tensor | None) -> Tensor:
+            angle = theta if tilt is None else theta + tilt
+            return weight * torch.sin(angle) + effort - viscous * omega
+
+        return torque
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return {**parameters, "tip_mass": mass}
+
+    def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
+        return {**parameters, "length": parameters["length"] * factor}
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        return (TILT,)
 
     def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
         drawing.draw_rod(image, angle_from_upright)

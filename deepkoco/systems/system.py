@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -87,6 +87,28 @@ class Timing(NamedTuple):
     lag: Tensor  # time constant of the actuator's first-order lag
 
 
+class CommandTiming(NamedTuple):
+    """What happens in time to one command on its way to the joint."""
+
+    delay: Tensor  # sensing delay included: along a log the two act alike [s]
+    lag: tuple[Tensor, ...]  # time constants of first-order lags in series [s]
+    skew: Tensor  # seconds that the measurements' clock gains per second
+
+
+class Motion(NamedTuple):
+    """Joint coordinates and what acts on them; every tensor has the batch shape (...)."""
+
+    angles: tuple[Tensor, ...]  # J joint coordinates [rad or m]
+    speeds: tuple[Tensor, ...]  # J, per second
+    efforts: tuple[Tensor, ...]  # M, in the commands' units
+    loads: tuple[Tensor | None, ...] | None = None  # J outside loads [N m or N]
+    time: Tensor | None = None  # log time [s]
+    smoothing: tuple[Tensor, ...] | None = None  # J speeds over which the sign of dry friction changes
+
+
+Acceleration = Callable[[Motion], tuple[Tensor, ...]]
+
+
 class System(ABC):
     """Dynamics with named parameters, command channels and measurement channels.
 
@@ -96,7 +118,13 @@ class System(ABC):
 
     Attributes:
         joints: How many; a state begins with the angles of all joints, then their speeds.
+        dry_friction: Whether its joints can have any (a joint that flies cannot).
+        resizable: Whether `with_length` can change its links.
+        tilt_parameters: What `tilt` of its base adds to the parameters; empty where gravity plays no part.
     """
+
+    dry_friction = True
+    resizable = False
 
     name: str
     joints: int
@@ -130,6 +158,89 @@ class System(ABC):
     @abstractmethod
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to the tip."""
+
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        """The equations of motion with everything that only parameters decide computed once.
+
+        Args:
+            parameters: Named values, each scalar or of a shape that broadcasts against the motion's.
+
+        Returns:
+            Motion -> J accelerations [rad/s2 or m/s2].
+
+        Raises:
+            ParameterError: The system takes no outside loads.
+        """
+        raise ParameterError(f"{self.name} takes no outside loads; define its accelerations")
+
+    def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
+        """Parameters after the link behind a joint is ``factor`` (...) times as long, at the same mass.
+
+        Raises:
+            ParameterError: The system has no such link.
+        """
+        raise ParameterError(f"{self.name} has no link whose length could change")
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        return ()
+
+    @property
+    def command_joints(self) -> tuple[int, ...]:
+        """Joint that each command drives."""
+        return tuple(range(len(self.commands)))
+
+    @property
+    def measured_states(self) -> tuple[int, ...]:
+        """State that each measurement shows."""
+        return tuple(range(len(self.measurements)))
+
+    @property
+    def load_scales(self) -> tuple[float, ...]:
+        """Typical load of each joint [N m or N]."""
+        return (self.load_scale,) * self.joints
+
+    @property
+    def load_units(self) -> tuple[str, ...]:
+        """Unit of the load on each joint."""
+        return tuple("N m" if unit == "rad" else "N" for unit in self.state_units[: self.joints])
+
+    @property
+    def per_speed_units(self) -> tuple[str, ...]:
+        """Unit of a load per speed of each joint."""
+        return tuple(f"{load} s/{u}" for load, u in zip(self.load_units, self.state_units, strict=False))
+
+    @property
+    def per_speed_squared_units(self) -> tuple[str, ...]:
+        """Unit of a load per squared speed of each joint."""
+        return tuple(f"{load} s2/{u}2" for load, u in zip(self.load_units, self.state_units, strict=False))
+
+    def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
+        """Effort that answers the log of one command, before lag and delay.
+
+        Args:
+            index: Which command.
+            value: (n, 1) or (n, L).
+            t: (n,) stamps [s].
+            parameters: Named values, scalar or (L,).
+
+        Returns:
+            (n, L), or (n, 1) where no parameter has lanes.
+        """
+        return value
+
+    def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
+        """Delay, lags and clock of one command; none for a plain system."""
+        zero = torch.zeros((), dtype=torch.float64)
+        return CommandTiming(zero, (), zero)
+
+    def sensor_filter(self, parameters: Parameters) -> Tensor:
+        """Time constant of a first-order filter behind all sensors [s]; 0 for a plain system."""
+        return torch.zeros((), dtype=torch.float64)
+
+    def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
+        """As :meth:`measure` along a log, ``time`` (...) since its first command [s]."""
+        return self.measure(state, parameters)
 
     def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
         """Effort that answers a command of its shape, without dynamics: the command itself for a plain system."""

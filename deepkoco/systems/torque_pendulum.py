@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.joint import JointSystem, angle_channel, speed_channel
+from deepkoco.systems.joint import TILT, JointSystem, TorqueLaw, angle_channel, speed_channel
 from deepkoco.systems.system import Channel, Parameter, Parameters
 
 GRAVITY = 9.81  # [m/s2]
@@ -27,6 +27,7 @@ class TorquePendulum(JointSystem):
 
     name = "torque_pendulum"
     upright = math.pi
+    resizable = True
 
     def __init__(self) -> None:
         self.parameters = (
@@ -44,9 +45,14 @@ class TorquePendulum(JointSystem):
     def inertia(self, parameters: Parameters) -> Tensor:
         return parameters["inertia"]
 
-    def torque(self, theta: Tensor, omega: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
-        p = parameters
-        return effort - p["gravity_torque"] * torch.sin(theta) - p["viscous"] * omega
+    def torque_law(self, parameters: Parameters) -> TorqueLaw:
+        weight, viscous, tilt = parameters["gravity_torque"], parameters["viscous"], parameters.get("angle")
+
+        def torque(theta: Tensor, omega: Tensor, effort: Tensor, smoothing: Tensor | None) -> Tensor:
+            angle = theta if tilt is None else theta + tilt
+            return effort - weight * torch.sin(angle) - viscous * omega
+
+        return torque
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return {
@@ -54,6 +60,17 @@ class TorquePendulum(JointSystem):
             "inertia": parameters["inertia"] + mass * TIP_LENGTH**2,
             "gravity_torque": parameters["gravity_torque"] + mass * GRAVITY * TIP_LENGTH,
         }
+
+    def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
+        return {
+            **parameters,
+            "inertia": parameters["inertia"] * factor**2,
+            "gravity_torque": parameters["gravity_torque"] * factor,
+        }
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        return (TILT,)
 
     def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
         drawing.draw_point_mass(image, angle_from_upright)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.system import Channel, Parameter, Parameters, System
+from deepkoco.systems.system import Acceleration, Channel, Motion, Parameter, Parameters, System
 
 
 class TwoLinkArm(System):
@@ -28,6 +29,7 @@ class TwoLinkArm(System):
 
     name = "two_link_arm"
     joints = 2
+    resizable = True
     state_names = ("angle_1", "angle_2", "speed_1", "speed_2")
     state_units = ("rad", "rad", "rad/s", "rad/s")
 
@@ -63,20 +65,66 @@ class TwoLinkArm(System):
         """Distance of the tip of the stretched nominal arm [m]."""
         return self.parameter("length_1").value + self.parameter("length_2").value
 
-    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
-        _, bend, speed_1, speed_2 = state.unbind(-1)
-        a, b, k = self._inertias(parameters)
-        coupling = k * torch.cos(bend)
-        m11, m12, m22 = a + b + 2.0 * coupling, b + coupling, b
-        swirl = k * torch.sin(bend)
-        torque_1 = (
-            effort[..., 0] - parameters["viscous_1"] * speed_1 + swirl * speed_2 * (2.0 * speed_1 + speed_2)
+    @property
+    def load_scales(self) -> tuple[float, ...]:
+        return tuple(command.high for command in self.commands)
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("gravity_x", 0.0, "m/s2", -9.81, 9.81, 0.5, "gravity along the plane's x axis"),
+            Parameter("gravity_y", 0.0, "m/s2", -9.81, 9.81, 0.5, "gravity along the plane's y axis"),
         )
-        torque_2 = effort[..., 1] - parameters["viscous_2"] * speed_2 - swirl * speed_1**2
-        determinant = m11 * m22 - m12 * m12
-        acceleration_1 = (m22 * torque_1 - m12 * torque_2) / determinant
-        acceleration_2 = (m11 * torque_2 - m12 * torque_1) / determinant
-        return torch.stack(torch.broadcast_tensors(speed_1, speed_2, acceleration_1, acceleration_2), -1)
+
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        a, b, k = self._inertias(parameters)
+        inner = a + b
+        viscous_1, viscous_2 = parameters["viscous_1"], parameters["viscous_2"]
+        weights = self._weights(parameters)
+
+        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            (angle, bend), (speed_1, speed_2) = motion.angles, motion.speeds
+            coupling = k * torch.cos(bend)
+            m11, m12, m22 = inner + 2.0 * coupling, b + coupling, b
+            swirl = k * torch.sin(bend)
+            torque_1 = motion.efforts[0] - viscous_1 * speed_1 + swirl * speed_2 * (2.0 * speed_1 + speed_2)
+            torque_2 = motion.efforts[1] - viscous_2 * speed_2 - swirl * speed_1**2
+            if weights is not None:
+                pull_1, pull_2 = weights(angle, angle + bend)
+                torque_1, torque_2 = torque_1 + pull_1 + pull_2, torque_2 + pull_2
+            if motion.loads is not None:
+                torque_1 = torque_1 if motion.loads[0] is None else torque_1 + motion.loads[0]
+                torque_2 = torque_2 if motion.loads[1] is None else torque_2 + motion.loads[1]
+            determinant = m11 * m22 - m12 * m12
+            return (
+                (m22 * torque_1 - m12 * torque_2) / determinant,
+                (m11 * torque_2 - m12 * torque_1) / determinant,
+            )
+
+        return acceleration
+
+    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        angle, bend, speed_1, speed_2 = state.unbind(-1)
+        motion = Motion((angle, bend), (speed_1, speed_2), (effort[..., 0], effort[..., 1]))
+        accelerations = self.accelerations(parameters)(motion)
+        return torch.stack(torch.broadcast_tensors(speed_1, speed_2, *accelerations), -1)
+
+    def _weights(self, p: Parameters) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]] | None:
+        """Torques of gravity in the plane on the two links, by their angles from the x axis; None without."""
+        if "gravity_x" not in p and "gravity_y" not in p:
+            return None
+        zero = torch.zeros((), dtype=torch.float64)
+        x, y, tip = p.get("gravity_x", zero), p.get("gravity_y", zero), p.get("tip_mass", zero)
+        first = (0.5 * p["mass_1"] + p["mass_2"] + tip) * p["length_1"]
+        second = (0.5 * p["mass_2"] + tip) * p["length_2"]
+
+        def pulls(upper: Tensor, lower: Tensor) -> tuple[Tensor, Tensor]:
+            return (
+                first * (y * torch.cos(upper) - x * torch.sin(upper)),
+                second * (y * torch.cos(lower) - x * torch.sin(lower)),
+            )
+
+        return pulls
 
     def kinetic_energy(self, state: Tensor, parameters: Parameters) -> Tensor:
         """Energy q'^T M(q) q' / 2 (...) of a state (..., 4) [J]."""
@@ -94,6 +142,10 @@ class TwoLinkArm(System):
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return {**parameters, "tip_mass": mass}
+
+    def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
+        name = f"length_{joint + 1}"
+        return {**parameters, name: parameters[name] * factor}
 
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None

@@ -32,15 +32,15 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such system.
     """
-    from deepkoco.systems import SYSTEMS, ExtendedSystem, JointSystem, UnknownSystemError, make_system
-    from deepkoco.systems.effects import EFFECTS
+    from deepkoco.systems import SYSTEMS, ExtendedSystem, UnknownSystemError, make_system
+    from deepkoco.systems.effects import effects_of
 
     try:
         systems = [make_system(name) for name in ([args.system] if args.system else sorted(SYSTEMS))]
     except UnknownSystemError as error:
         raise InputError(str(error)) from error
     if args.effects:
-        systems = [ExtendedSystem(s, tuple(EFFECTS)) if isinstance(s, JointSystem) else s for s in systems]
+        systems = [ExtendedSystem(s, tuple(effects_of(s))) for s in systems]
     described = [_describe(system) for system in systems]
     if args.json:
         sys.stdout.write(json.dumps(described, indent=2) + "\n")

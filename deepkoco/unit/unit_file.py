@@ -23,6 +23,24 @@ from deepkoco.systems.effects import EFFECTS
 from deepkoco.unit.spec import SensorSpec, UnitSpec
 
 DELAYS = ("actuation_delay", "sensing_delay")
+# What the plant of a unit carries out; the simulation knows more effects.
+CARRIED = (
+    *DELAYS,
+    "lag",
+    "viscous",
+    "coulomb",
+    "stribeck",
+    "quadratic",
+    "gain",
+    "torque_bias",
+    "dead_zone",
+    "saturation",
+    "payload",
+    "sensor_scale",
+    "sensor_bias",
+    "event",
+    "cogging",
+)
 KEYS = (
     "system",
     "parameters",
@@ -138,7 +156,7 @@ def make_unit(
 
 
 def _known_effects() -> tuple[str, ...]:
-    return (*EFFECTS, "event", "cogging")
+    return CARRIED
 
 
 def _effect_bounds(system: JointSystem, effect: str) -> dict[str, _Bound]:

@@ -1,12 +1,34 @@
 """The catalogue: a new cause is a constant in its family's file and one line here."""
 
-from deepkoco.diagnose.causes.actuator import DEAD_ZONE, GAIN, SATURATION, TORQUE_BIAS
-from deepkoco.diagnose.causes.body import PAYLOAD
-from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
+from __future__ import annotations
+
+from deepkoco.diagnose.causes.actuator import (
+    ASYMMETRY,
+    BACKLASH,
+    DEAD_ZONE,
+    GAIN,
+    GAIN_DRIFT,
+    SATURATION,
+    TORQUE_BIAS,
+    UNIT_SLIP,
+)
+from deepkoco.diagnose.causes.body import LENGTH, PAYLOAD, TILT
+from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
+from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC
 from deepkoco.diagnose.causes.event import EVENT
-from deepkoco.diagnose.causes.friction import COULOMB, QUADRATIC, STRIBECK, VISCOUS
-from deepkoco.diagnose.causes.sensor import SENSOR_BIAS, SENSOR_SCALE
-from deepkoco.diagnose.causes.timing import ACTUATION_DELAY, LAG, SENSING_DELAY
+from deepkoco.diagnose.causes.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.diagnose.causes.sensor import (
+    CHANNEL_SLIP,
+    LOW_PASS,
+    NOISE_LEVEL,
+    QUANTISATION,
+    SENSOR_BIAS,
+    SENSOR_DRIFT,
+    SENSOR_SCALE,
+)
+from deepkoco.diagnose.causes.timing import ACTUATION_DELAY, CLOCK_SKEW, JITTER, LAG, SENSING_DELAY
+from deepkoco.systems import System
+from deepkoco.systems.effects import EFFECTS, place
 
 CAUSES: dict[str, Cause] = {
     cause.name: cause
@@ -14,19 +36,48 @@ CAUSES: dict[str, Cause] = {
         ACTUATION_DELAY,
         SENSING_DELAY,
         LAG,
+        CLOCK_SKEW,
+        JITTER,
         VISCOUS,
         COULOMB,
         STRIBECK,
         QUADRATIC,
+        LOAD_FRICTION,
         GAIN,
         TORQUE_BIAS,
         DEAD_ZONE,
+        BACKLASH,
         SATURATION,
+        GAIN_DRIFT,
+        ASYMMETRY,
+        COGGING,
+        PERIODIC,
         PAYLOAD,
+        LENGTH,
+        TILT,
         SENSOR_BIAS,
         SENSOR_SCALE,
+        SENSOR_DRIFT,
+        LOW_PASS,
+        NOISE_LEVEL,
+        QUANTISATION,
         EVENT,
+        UNIT_SLIP,
+        CHANNEL_SLIP,
     )
 }
 
-__all__ = ["CAUSES", "Cause", "Hint", "Motion"]
+
+def catalogue(system: System) -> dict[str, Cause]:
+    """Every cause at every joint, command and channel of a system where it makes sense, by its name there."""
+    result: dict[str, Cause] = {}
+    for kind, cause in CAUSES.items():
+        if kind in EFFECTS:
+            placed = [cause.at(p, system) for p in place(EFFECTS[kind], system)]
+        else:
+            placed = [cause.on_joint(j, system) for j in range(system.joints)]
+        result |= {c.name: c for c in placed}
+    return result
+
+
+__all__ = ["CAUSES", "Cause", "Hint", "Motion", "catalogue", "kind_of"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
+from deepkoco.diagnose.causes.units import LOUD, UNIT_CONSTANTS
 
 
 def _largest(hint: Hint) -> float:
@@ -12,23 +13,23 @@ def _largest(hint: Hint) -> float:
 
 
 def _gain_starts(hint: Hint) -> list[dict[str, float]]:
-    return [{"gain.factor": factor} for factor in (0.6, 1.0, 1.6)]
+    return [{"factor": factor} for factor in (0.6, 1.0, 1.6)]
 
 
 def _dead_zone_starts(hint: Hint) -> list[dict[str, float]]:
     # At width 0 the gradient exists but misses commands that a wide zone swallows whole.
-    return [{"dead_zone.width": share * _largest(hint)} for share in (0.0, 0.08, 0.3)]
+    return [{"width": share * _largest(hint)} for share in (0.0, 0.08, 0.3)]
 
 
 def _saturation_starts(hint: Hint) -> list[dict[str, float]]:
     # The limit has no gradient until it cuts into the commands.
-    return [{"saturation.limit": share * _largest(hint)} for share in (0.97, 0.8, 0.5)]
+    return [{"limit": share * _largest(hint)} for share in (0.97, 0.8, 0.5)]
 
 
 GAIN = Cause(
     "gain",
     "actuator",
-    ("gain.factor",),
+    ("factor",),
     "The actuator scales its command.",
     "Hold the joint at several constant commands and read the static angle: it gives the gain over the weight.",
     "command",
@@ -38,7 +39,7 @@ GAIN = Cause(
 TORQUE_BIAS = Cause(
     "torque_bias",
     "actuator",
-    ("torque_bias.effort",),
+    ("effort",),
     "A constant effort adds to the command.",
     "Record the joint at rest at zero command, then at a second mounting angle.",
     "time",
@@ -47,7 +48,7 @@ TORQUE_BIAS = Cause(
 DEAD_ZONE = Cause(
     "dead_zone",
     "actuator",
-    ("dead_zone.width",),
+    ("width",),
     "Small commands have no effect.",
     "Use commands of many levels, small ones included; a bang-bang command cannot show a dead zone.",
     "command",
@@ -57,7 +58,7 @@ DEAD_ZONE = Cause(
 SATURATION = Cause(
     "saturation",
     "actuator",
-    ("saturation.limit",),
+    ("limit",),
     "Large commands are cut off.",
     "Use commands of many levels up to the limit; a bang-bang command cannot show where it saturates.",
     "command",
@@ -66,4 +67,54 @@ SATURATION = Cause(
         * np.maximum(np.abs(motion.command) - 0.7 * np.abs(motion.command).max(initial=0.0), 0.0)
     ),
     _saturation_starts,
+)
+
+
+def _backlash_starts(hint: Hint) -> list[dict[str, float]]:
+    return [{"width": share * _largest(hint)} for share in (0.02, 0.1)]
+
+
+def _slip_starts(hint: Hint) -> list[dict[str, float]]:
+    # A slip of units leaves far more than any sensor noise; without that there is nothing to try.
+    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LOUD else []
+
+
+BACKLASH = Cause(
+    "backlash",
+    "actuator",
+    ("width",),
+    "There is play between command and effort: after a change of direction the effort follows late.",
+    "Sweep the command slowly up and down: with play the effort on the way up and on the way down differ.",
+    "command",
+    lambda motion: -np.sign(motion.command_rate),
+    _backlash_starts,
+)
+GAIN_DRIFT = Cause(
+    "gain_drift",
+    "actuator",
+    ("rate",),
+    "The actuator's gain drifts in time, as when it warms up.",
+    "Repeat the same short sequence at the beginning and at the end of a long log.",
+    "time",
+    lambda motion: motion.command * (motion.time - motion.time.mean()),
+)
+ASYMMETRY = Cause(
+    "asymmetry",
+    "actuator",
+    ("share",),
+    "The actuator is stronger in one direction than in the other.",
+    "Play a sequence and then the same with the opposite sign.",
+    "command",
+    lambda motion: np.abs(motion.command),
+)
+UNIT_SLIP = Cause(
+    "unit_slip",
+    "unit",
+    (),
+    "The command differs from what acts by a constant between units: the log, or its sidecar, has the wrong unit.",
+    "Read the unit of the command in the driver's documentation and correct the sidecar.",
+    "command",
+    lambda motion: motion.command,
+    _slip_starts,
+    choices=len(UNIT_CONSTANTS),
 )

@@ -8,16 +8,34 @@ from deepkoco.diagnose.causes.cause import Cause, Hint
 
 
 def _starts(hint: Hint) -> list[dict[str, float]]:
-    return [{"payload.mass": share * hint.system.load_scale / 9.81} for share in (0.0, 0.1)]
+    return [{"mass": share * hint.system.load_scale / 9.81} for share in (0.0, 0.1)]
 
 
 PAYLOAD = Cause(
     "payload",
     "body",
-    ("payload.mass",),
+    ("mass",),
     "A point mass is fixed to the tip.",
     "Weigh the tip, or hold it at rest at several angles and read the static command.",
     "theta",
     lambda motion: np.sin(motion.theta),
     _starts,
+)
+LENGTH = Cause(
+    "length",
+    "body",
+    ("factor",),
+    "A link is longer or shorter than the simulation assumes.",
+    "Measure the link.",
+    "theta",
+    lambda motion: np.sin(motion.theta),
+)
+TILT = Cause(
+    "tilt",
+    "body",
+    ("angle",),
+    "The base is tilted, so that gravity pulls in another direction.",
+    "Put a level on the base; or turn the base by a known angle and record again.",
+    "theta",
+    lambda motion: np.cos(motion.theta),
 )

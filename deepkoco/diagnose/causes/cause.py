@@ -3,31 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from deepkoco.systems import System
+from deepkoco.systems.effects import PlacedEffect
+
+if TYPE_CHECKING:
+    from deepkoco.diagnose.scatter import Scatter, Verdict
 
 
 class Motion(NamedTuple):
-    """What the unit did, sampled over time: all (n,)."""
+    """What one joint did, sampled over time: all (n,)."""
 
     time: np.ndarray  # [s]
-    theta: np.ndarray  # [rad]
-    omega: np.ndarray  # [rad/s]
+    theta: np.ndarray  # [rad or m]
+    omega: np.ndarray  # per second
     command: np.ndarray  # command's unit
     command_rate: np.ndarray  # per second
 
 
 class Hint(NamedTuple):
-    """What a cause may look at to choose its starts."""
+    """What a cause may look at to choose its starts, at one joint or command."""
 
     system: System
-    command: np.ndarray  # all command values of the logs
-    omega: np.ndarray  # first guess of speeds [rad/s]
-    pushes: tuple[Mapping[str, float], ...]  # where an outside torque would help most
+    joint: int
+    command: np.ndarray  # (n,) command values of the logs
+    omega: np.ndarray  # first guess of speeds, per second
+    pushes: tuple[Mapping[str, float], ...]  # where an outside load would help most
+    seconds: float  # length of the logs [s]
+    chi2: float  # what the refitted baseline leaves, per sample
 
 
 Axis = Literal["omega", "theta", "command", "time", "command_rate"]
@@ -41,19 +48,25 @@ def from_null(hint: Hint) -> list[dict[str, float]]:
 
 @dataclass(frozen=True)
 class Cause:
-    """One entry of the catalogue.
+    """One entry of the catalogue; :func:`deepkoco.diagnose.causes.catalogue` puts it at every site of a system.
 
     Attributes:
-        name: Name in reports.
+        name: Name in reports; that of its effect, with the joint where there are several.
         family: Group of causes that are alike.
-        free: Full names of the parameters that it frees (``effect.parameter``).
+        free: Parameters of the effect that a fit frees, by their short names; full names once it is placed.
         summary: One sentence for the report.
         advice: Experiment that tells it apart from its neighbours.
-        axis: Quantity against which the residual torque shows it best.
-        signature: Shape (n,) that the residual torque takes under a small dose of it.
-        starts: Start values; several where the gradient vanishes at null or the cost has several minima.
+        axis: Quantity against which the residual load shows it best.
+        signature: Shape (n,) that the residual load takes under a small dose of it.
+        starts: Start values by short names; several where the gradient vanishes at null or the cost has several
+            minima.
         counted: Number of parameters that the penalty counts; None counts all.
-        searched: Whether the cause was looked for at many places, which the penalty must pay for.
+        searched: Whether it was looked for at many places in time, which the penalty must pay for.
+        choices: Number of discrete values that were tried, which the penalty must pay for.
+        scatter: For a cause that changes how measurements scatter: its test; None for the others.
+        effect: Name of the placed effect that carries it (or "event").
+        joint: Joint that it acts on; None for the whole system.
+        index: Which command or channel, where it belongs to one.
     """
 
     name: str
@@ -66,13 +79,49 @@ class Cause:
     starts: Starts = from_null
     counted: int | None = None
     searched: bool = False
+    choices: int = 1
+    scatter: Callable[[Scatter, int], Verdict | None] | None = None
+    effect: str = ""
+    joint: int | None = None
+    index: int = 0
 
     @property
-    def effect(self) -> str:
-        """Name of the effect of :mod:`deepkoco.systems.effects` that carries it (or "event")."""
-        return self.free[0].split(".")[0]
+    def kind(self) -> str:
+        """Name in the registry."""
+        return kind_of(self.name)
 
     @property
     def size(self) -> int:
         """Number of parameters that the penalty counts."""
         return len(self.free) if self.counted is None else self.counted
+
+    def at(self, placed: PlacedEffect, system: System) -> Cause:
+        """The cause at one site of a system."""
+        site = placed.effect.site
+        joint = {"joint": placed.index, "command": None, "system": None, "channel": None}[site]
+        if site == "command":
+            joint = system.command_joints[placed.index]
+        declared = [p.name for p in placed.parameters(system)]
+        # Where the effect has other parameters on this system (a tilt in a plane has two), all are freed.
+        same = all(n in declared for n in self.free)
+        cause = self if same else replace(self, free=tuple(declared))
+        return cause._called(placed.name, placed.name, joint, placed.index)
+
+    def on_joint(self, joint: int, system: System) -> Cause:
+        """A cause without an effect (a push) on one joint."""
+        name = self.name if system.joints == 1 else f"{self.name}(joint {joint + 1})"
+        return self._called(name, self.name, joint, joint)
+
+    def _called(self, name: str, effect: str, joint: int | None, index: int) -> Cause:
+        chosen = self.starts
+
+        def starts(hint: Hint) -> list[dict[str, float]]:
+            return [{f"{effect}.{k}": v for k, v in place.items()} for place in chosen(hint)]
+
+        free = tuple(f"{effect}.{n}" for n in self.free)
+        return replace(self, name=name, effect=effect, free=free, starts=starts, joint=joint, index=index)
+
+
+def kind_of(name: str) -> str:
+    """Name of a cause in the registry: ``coulomb`` for ``coulomb(joint 2)``."""
+    return name.split("(")[0]

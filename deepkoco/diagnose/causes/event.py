@@ -14,7 +14,7 @@ def _starts(hint: Hint) -> list[dict[str, float]]:
 EVENT = Cause(
     "event",
     "event",
-    ("event.torque", "event.start", "event.duration"),
+    ("torque", "start", "duration"),
     "Something outside pushed the joint for a while.",
     "Look at the video or the lab book at that time; repeat the log and see whether it comes back.",
     "time",

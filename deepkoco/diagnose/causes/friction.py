@@ -14,17 +14,15 @@ ADVICE = (
 
 def _stribeck_starts(hint: Hint) -> list[dict[str, float]]:
     fast = float(np.quantile(np.abs(hint.omega), 0.9)) if len(hint.omega) else 1.0
-    level = 0.02 * hint.system.load_scale
+    level = 0.02 * hint.system.load_scales[hint.joint]
     speeds = [float(np.clip(share * fast, 0.06, 15.0)) for share in (0.05, 0.3)]
-    return [{"stribeck.breakaway": level, "stribeck.speed": v} for v in speeds] + [
-        {"stribeck.speed": v} for v in speeds
-    ]
+    return [{"breakaway": level, "speed": v} for v in speeds] + [{"speed": v} for v in speeds]
 
 
 VISCOUS = Cause(
     "viscous",
     "friction",
-    ("viscous.change",),
+    ("change",),
     "Friction in proportion to the speed differs.",
     ADVICE,
     "omega",
@@ -33,7 +31,7 @@ VISCOUS = Cause(
 COULOMB = Cause(
     "coulomb",
     "friction",
-    ("coulomb.torque",),
+    ("torque",),
     "Dry friction of constant size acts on the joint.",
     ADVICE,
     "omega",
@@ -42,7 +40,7 @@ COULOMB = Cause(
 STRIBECK = Cause(
     "stribeck",
     "friction",
-    ("stribeck.coulomb", "stribeck.breakaway", "stribeck.speed"),
+    ("coulomb", "breakaway", "speed"),
     "Dry friction acts on the joint and is larger near standstill.",
     ADVICE,
     "omega",
@@ -52,9 +50,18 @@ STRIBECK = Cause(
 QUADRATIC = Cause(
     "quadratic",
     "friction",
-    ("quadratic.drag",),
+    ("drag",),
     "Drag grows with the square of the speed.",
     ADVICE,
     "omega",
     lambda motion: -motion.omega * np.abs(motion.omega),
+)
+LOAD_FRICTION = Cause(
+    "load_friction",
+    "friction",
+    ("coefficient",),
+    "Dry friction grows with what the actuator delivers, as in a loaded gear.",
+    "Swing the joint at the same speeds with a large and with a small constant command: only load friction differs.",
+    "omega",
+    lambda motion: -np.abs(motion.command) * np.sign(motion.omega),
 )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepkoco.diagnose.causes.cause import Cause
+from deepkoco.diagnose.causes.cause import Cause, Hint
+from deepkoco.diagnose.causes.units import LOUD, UNIT_CONSTANTS
+from deepkoco.diagnose.scatter import noise_level, quantisation
 
 SENSOR_BIAS = Cause(
     "sensor_bias",
     "sensor",
-    ("sensor_bias.angle",),
+    ("angle",),
     "The zero of the angle sensor is off.",
     "Hang the joint at rest and read the sensor.",
     "theta",
@@ -18,9 +20,67 @@ SENSOR_BIAS = Cause(
 SENSOR_SCALE = Cause(
     "sensor_scale",
     "sensor",
-    ("sensor_scale.factor",),
+    ("factor",),
     "The sensor's readings are scaled.",
     "Turn the joint by one full turn by hand and read the sensor.",
     "theta",
     lambda motion: motion.theta * np.cos(motion.theta),
+)
+SENSOR_DRIFT = Cause(
+    "sensor_drift",
+    "sensor",
+    ("rate",),
+    "The zero of the position sensor drifts in time.",
+    "Return to the same mechanical stop at the beginning and at the end of a log.",
+    "time",
+    lambda motion: np.cos(motion.theta) * (motion.time - motion.time.mean()),
+)
+LOW_PASS = Cause(
+    "low_pass",
+    "sensor",
+    ("time_constant",),
+    "The sensors filter what they measure.",
+    "Move the joint fast by hand beside an unfiltered sensor: a filter rounds what a delay only shifts.",
+    "command_rate",
+    lambda motion: -motion.command_rate,
+    lambda hint: [{"time_constant": value} for value in (0.0, 0.03)],
+)
+NOISE_LEVEL = Cause(
+    "noise_level",
+    "sensor",
+    (),
+    "A channel is noisier than its data sheet says.",
+    "Record the unit at rest with its motors off, then on.",
+    "time",
+    lambda motion: np.zeros_like(motion.time),
+    scatter=noise_level,
+    counted=1,
+)
+QUANTISATION = Cause(
+    "quantisation",
+    "sensor",
+    (),
+    "A channel is rounded to a grid that is coarse against its noise.",
+    "Print the raw readings: they lie on a grid.",
+    "time",
+    lambda motion: np.zeros_like(motion.time),
+    scatter=quantisation,
+    counted=1,
+)
+
+
+def _slip_starts(hint: Hint) -> list[dict[str, float]]:
+    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LOUD else []
+
+
+CHANNEL_SLIP = Cause(
+    "channel_slip",
+    "unit",
+    (),
+    "A channel differs from what it measures by a constant between units: the log, or its sidecar, has the wrong one.",
+    "Read the unit of the channel in the driver's documentation and correct the sidecar.",
+    "theta",
+    lambda motion: motion.theta,
+    _slip_starts,
+    choices=len(UNIT_CONSTANTS),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
+from deepkoco.diagnose.scatter import jitter
 
 # A long delay hides behind local minima of the fit: start also from further away [s].
 STARTS = (0.0, 0.03, 0.08)
@@ -24,31 +25,51 @@ def _starts(name: str):
 ACTUATION_DELAY = Cause(
     "actuation_delay",
     "timing",
-    ("actuation_delay.delay",),
+    ("delay",),
     "Commands act later than they are sent.",
     "Log the time at which the motor current changes, or move the joint by hand: a sensing delay then "
     "shows against a second sensor, an actuation delay does not.",
     "command_rate",
     _rate,
-    _starts("actuation_delay.delay"),
+    _starts("delay"),
 )
 SENSING_DELAY = Cause(
     "sensing_delay",
     "timing",
-    ("sensing_delay.delay",),
+    ("delay",),
     "Measurements are older than their time stamps.",
     "Compare the sensor with a second one of known delay while the joint is moved by hand.",
     "command_rate",
     _rate,
-    _starts("sensing_delay.delay"),
+    _starts("delay"),
 )
 LAG = Cause(
     "lag",
     "timing",
-    ("lag.time_constant",),
+    ("time_constant",),
     "The actuator follows its command as a first-order lag.",
     "Record fast command steps at a sample time below the lag: a delay keeps a step's edge, a lag rounds it.",
     "command_rate",
     _rate,
-    _starts("lag.time_constant"),
+    _starts("time_constant"),
+)
+CLOCK_SKEW = Cause(
+    "clock_skew",
+    "timing",
+    ("rate",),
+    "The clocks of commands and measurements run at different speeds, so that the delay between them grows.",
+    "Stamp both with one clock, or record twice as long: a skew grows with the length of the log, a delay does not.",
+    "command_rate",
+    lambda motion: -motion.command_rate * (motion.time - motion.time.mean()),
+)
+JITTER = Cause(
+    "jitter",
+    "timing",
+    (),
+    "The time stamps of the measurements scatter.",
+    "Stamp the measurements where they are made, with a hardware clock.",
+    "time",
+    lambda motion: np.zeros_like(motion.time),
+    scatter=jitter,
+    counted=1,
 )

@@ -1,11 +1,29 @@
 """Effects: a new one is a constant in its family's file and one line here."""
 
-from deepkoco.systems.effects.actuator import DEAD_ZONE, GAIN, SATURATION, TORQUE_BIAS
-from deepkoco.systems.effects.body import PAYLOAD
-from deepkoco.systems.effects.effect import Effect
-from deepkoco.systems.effects.friction import COULOMB, QUADRATIC, STRIBECK, VISCOUS
-from deepkoco.systems.effects.sensor import SENSOR_BIAS, SENSOR_SCALE
-from deepkoco.systems.effects.timing import ACTUATION_DELAY, LAG, SENSING_DELAY
+from deepkoco.systems.effects.actuator import (
+    ASYMMETRY,
+    BACKLASH,
+    DEAD_ZONE,
+    GAIN,
+    GAIN_DRIFT,
+    SATURATION,
+    TORQUE_BIAS,
+    UNIT_SLIP,
+)
+from deepkoco.systems.effects.body import LENGTH, PAYLOAD, TILT
+from deepkoco.systems.effects.disturbance import COGGING, PERIODIC
+from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, SensorSite, place
+from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.systems.effects.noise import (
+    DROPPED_COMMANDS,
+    JITTER,
+    NOISE_LEVEL,
+    QUANTISATION,
+    STALE_SAMPLES,
+)
+from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
+from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY
+from deepkoco.systems.system import System
 
 # Effects on a command act in this order, those on a measurement likewise.
 EFFECTS: dict[str, Effect] = {
@@ -14,18 +32,42 @@ EFFECTS: dict[str, Effect] = {
         ACTUATION_DELAY,
         SENSING_DELAY,
         LAG,
+        CLOCK_SKEW,
+        JITTER,
+        STALE_SAMPLES,
+        DROPPED_COMMANDS,
         VISCOUS,
         COULOMB,
         STRIBECK,
         QUADRATIC,
+        LOAD_FRICTION,
+        UNIT_SLIP,
+        BACKLASH,
+        GAIN_DRIFT,
         GAIN,
+        ASYMMETRY,
         TORQUE_BIAS,
         DEAD_ZONE,
         SATURATION,
+        COGGING,
+        PERIODIC,
         PAYLOAD,
+        LENGTH,
+        TILT,
         SENSOR_SCALE,
         SENSOR_BIAS,
+        SENSOR_DRIFT,
+        LOW_PASS,
+        CHANNEL_SLIP,
+        NOISE_LEVEL,
+        QUANTISATION,
     )
 }
 
-__all__ = ["EFFECTS", "Effect"]
+
+def effects_of(system: System) -> dict[str, PlacedEffect]:
+    """Every effect at every site of a system where it makes sense, by its name there."""
+    return {placed.name: placed for effect in EFFECTS.values() for placed in place(effect, system)}
+
+
+__all__ = ["EFFECTS", "Effect", "JointState", "PlacedEffect", "SensorSite", "effects_of", "place"]

@@ -1,16 +1,18 @@
-"""Actuator effects: what happens to a command before it becomes an effort, without memory."""
+"""Actuator effects: what happens to a command before it becomes an effort."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.systems.effects.effect import Effect
-from deepkoco.systems.joint import JointSystem
-from deepkoco.systems.system import Parameter, Parameters
+from deepkoco.systems.system import Parameter, Parameters, System
+
+LONG = 30.0  # time over which a drift is judged [s]
 
 
-def _gain(system: JointSystem) -> tuple[Parameter, ...]:
+def _gain(system: System, command: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("factor", 1.0, "1", -3.0, 10.0, 0.3, "k, effort per command"),)
 
 
@@ -18,9 +20,8 @@ def _apply_gain(command: Tensor, p: Parameters) -> Tensor:
     return p["factor"] * command
 
 
-def _bias(system: JointSystem) -> tuple[Parameter, ...]:
-    limit = system.command.high
-    unit = system.command.unit
+def _bias(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.commands[command].high, system.commands[command].unit
     return (Parameter("effort", 0.0, unit, -limit, limit, 0.2 * limit, "u0, effort at zero command"),)
 
 
@@ -28,18 +29,19 @@ def _apply_bias(command: Tensor, p: Parameters) -> Tensor:
     return command + p["effort"]
 
 
-def _dead_zone(system: JointSystem) -> tuple[Parameter, ...]:
-    limit = system.command.high
-    return (Parameter("width", 0.0, system.command.unit, 0.0, limit, 0.2 * limit, "w, half width"),)
+def _dead_zone(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.commands[command].high, system.commands[command].unit
+    # Commands of one sign only lose a constant: that is a bias.
+    declared = Parameter("width", 0.0, unit, 0.0, limit, 0.2 * limit, "w, half width")
+    return (declared,) if system.commands[command].low < 0.0 else ()
 
 
 def _apply_dead_zone(command: Tensor, p: Parameters) -> Tensor:
     return torch.sign(command) * torch.clamp(command.abs() - p["width"], min=0.0)
 
 
-def _saturation(system: JointSystem) -> tuple[Parameter, ...]:
-    limit = system.command.high
-    unit = system.command.unit
+def _saturation(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.commands[command].high, system.commands[command].unit
     return (Parameter("limit", limit, unit, 0.02 * limit, limit, limit, "u_max, largest effort"),)
 
 
@@ -47,13 +49,113 @@ def _apply_saturation(command: Tensor, p: Parameters) -> Tensor:
     return torch.maximum(torch.minimum(command, p["limit"]), -p["limit"])
 
 
-GAIN = Effect("gain", "actuator", "command", _gain, "the actuator scales its command", _apply_gain)
+def _asymmetry(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    text = "a, share by which the gain differs from one direction to the other"
+    declared = Parameter("share", 0.0, "1", -0.9, 0.9, 0.1, text)
+    return (declared,) if system.commands[command].low < 0.0 else ()
+
+
+def _apply_asymmetry(command: Tensor, p: Parameters) -> Tensor:
+    # (1 + a) u for u > 0 and (1 - a) u for u < 0.
+    return command + p["share"] * command.abs()
+
+
+def _backlash(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.commands[command].high, system.commands[command].unit
+    return (Parameter("width", 0.0, unit, 0.0, 0.5 * limit, 0.1 * limit, "w, half of the play"),)
+
+
+def _apply_backlash(commands: Tensor, t: Tensor, p: Parameters) -> Tensor:
+    """Play operator: the effort follows only when the command has crossed the play.
+
+    y_k = min(max(y_{k-1}, u_k - w), u_k + w).
+    Source: Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996).
+    """
+    play, given = torch.as_tensor(p["width"], dtype=torch.float64).numpy(), commands.numpy()
+    low, high = given - play, given + play
+    result = np.empty(np.broadcast_shapes(given.shape, low.shape))
+    last = given[0]
+    for k in range(len(given)):
+        last = np.minimum(np.maximum(last, low[k]), high[k])
+        result[k] = last
+    return torch.from_numpy(result)
+
+
+def _gain_drift(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    text = "r, share of the gain that is added per second since the log began"
+    return (Parameter("rate", 0.0, "1/s", -0.5 / LONG, 2.0 / LONG, 0.3 / LONG, text),)
+
+
+def _apply_gain_drift(commands: Tensor, t: Tensor, p: Parameters) -> Tensor:
+    return commands * (1.0 + p["rate"] * (t - t[0]).reshape(-1, *[1] * (commands.ndim - 1)))
+
+
+def _unit_slip(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    text = "c, effort per command: a constant between units"
+    return (Parameter("factor", 1.0, "1", -2000.0, 2000.0, 1.0, text),)
+
+
+GAIN = Effect("gain", "actuator", "command", _gain, "the actuator scales its command", _apply_gain, "command")
 TORQUE_BIAS = Effect(
-    "torque_bias", "actuator", "command", _bias, "a constant effort adds to the command", _apply_bias
+    "torque_bias",
+    "actuator",
+    "command",
+    _bias,
+    "a constant effort adds to the command",
+    _apply_bias,
+    "command",
 )
 DEAD_ZONE = Effect(
-    "dead_zone", "actuator", "command", _dead_zone, "small commands have no effect", _apply_dead_zone
+    "dead_zone",
+    "actuator",
+    "command",
+    _dead_zone,
+    "small commands have no effect",
+    _apply_dead_zone,
+    "command",
 )
 SATURATION = Effect(
-    "saturation", "actuator", "command", _saturation, "large commands are cut off", _apply_saturation
+    "saturation",
+    "actuator",
+    "command",
+    _saturation,
+    "large commands are cut off",
+    _apply_saturation,
+    "command",
+)
+ASYMMETRY = Effect(
+    "asymmetry",
+    "actuator",
+    "command",
+    _asymmetry,
+    "the gain differs between the directions",
+    _apply_asymmetry,
+    "command",
+)
+BACKLASH = Effect(
+    "backlash",
+    "actuator",
+    "series",
+    _backlash,
+    "there is play between command and effort",
+    _apply_backlash,
+    "command",
+)
+GAIN_DRIFT = Effect(
+    "gain_drift",
+    "actuator",
+    "series",
+    _gain_drift,
+    "the gain drifts in time",
+    _apply_gain_drift,
+    "command",
+)
+UNIT_SLIP = Effect(
+    "unit_slip",
+    "unit",
+    "command",
+    _unit_slip,
+    "the command is logged in another unit",
+    _apply_gain,
+    "command",
 )

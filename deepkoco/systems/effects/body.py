@@ -1,4 +1,4 @@
-"""Body effects: what the robot carries."""
+"""Body effects: what the robot is made of, carries, and how it stands."""
 
 from __future__ import annotations
 
@@ -6,14 +6,35 @@ from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.system import Parameter, Parameters, System
 
 
-def _payload(system: System) -> tuple[Parameter, ...]:
+def _payload(system: System, _: int = 0) -> tuple[Parameter, ...]:
     # The mass whose weight one metre from the joint equals the joint's typical torque.
     scale = system.load_scale / 9.81
     return (Parameter("mass", 0.0, "kg", 0.0, 20.0 * scale, scale, "m_p, point mass at the tip"),)
 
 
-def _apply_payload(system: System, parameters: Parameters, p: Parameters) -> Parameters:
+def _apply_payload(system: System, _: int, parameters: Parameters, p: Parameters) -> Parameters:
     return system.with_payload(p["mass"], parameters)
 
 
-PAYLOAD = Effect("payload", "body", "body", _payload, "a point mass is fixed to the tip", _apply_payload)
+def _length(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    declared = Parameter("factor", 1.0, "1", 0.3, 3.0, 0.1, "k_l, length of the link per assumed length")
+    return (declared,) if system.resizable else ()
+
+
+def _apply_length(system: System, joint: int, parameters: Parameters, p: Parameters) -> Parameters:
+    return system.with_length(p["factor"], joint, parameters)
+
+
+def _tilt(system: System, _: int = 0) -> tuple[Parameter, ...]:
+    return system.tilt_parameters
+
+
+def _apply_tilt(system: System, _: int, parameters: Parameters, p: Parameters) -> Parameters:
+    return {**parameters, **p}
+
+
+PAYLOAD = Effect(
+    "payload", "body", "body", _payload, "a point mass is fixed to the tip", _apply_payload, "system"
+)
+LENGTH = Effect("length", "body", "body", _length, "a link is longer or shorter than assumed", _apply_length)
+TILT = Effect("tilt", "body", "body", _tilt, "the base is tilted against gravity", _apply_tilt, "system")

@@ -4,16 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from deepkoco.systems.joint import JointSystem
-from deepkoco.systems.system import Parameter
+from torch import Tensor
 
-Place = Literal["command", "timing", "load", "body", "sensor"]
+from deepkoco.systems.system import Parameter, System
+
+Place = Literal["command", "series", "timing", "load", "body", "sensor", "noise"]
+Site = Literal["system", "joint", "command", "channel"]
 
 
-def _carried_out_by_the_runtime(*_: Any) -> Any:
-    raise TypeError("a timing effect is a delay: it has no equation to apply")
+class JointState(NamedTuple):
+    """What a load on one joint may depend on, all of one shape (...)."""
+
+    angle: Tensor  # joint coordinate [rad or m]
+    speed: Tensor  # per second
+    effort: Tensor  # of the command that drives this joint, in its unit; 0 where none does
+    time: Tensor | None  # log time [s]; None where the caller keeps none
+    smoothing: Tensor | None  # speed over which a sign changes; None for the effect's own
+
+
+class SensorSite(NamedTuple):
+    """Which channels a sensor effect acts on, and when."""
+
+    positions: tuple[int, ...]
+    speeds: tuple[int, ...]
+    time: Tensor | None  # since the log's first command [s], of the shape of one channel
+
+
+def _carried_out_elsewhere(*_: Any) -> Any:
+    raise TypeError("an effect in time, or on the noise, has no equation to apply")
 
 
 @dataclass(frozen=True)
@@ -27,18 +47,53 @@ class Effect:
             parameters by their short names, each scalar or of the batch shape):
 
             - ``command``: ``apply(command, p) -> effort``, memoryless;
-            - ``load``: ``apply(omega, p) -> torque`` [N m] on the joint;
-            - ``body``: ``apply(system, parameters, p) -> parameters``;
-            - ``sensor``: ``apply(measurement (..., N), p) -> measurement``;
-            - ``timing``: no ``apply``; its value is a time [s] that the runtime carries out.
-        parameters: Declares the parameters for a system; their ``value`` is the null value.
-        apply: The physics.
+            - ``series``: ``apply(commands (n, ...), t (n,), p) -> efforts``: the log of one command, where the
+              effort depends on the past or on the time since the log began;
+            - ``load``: ``apply(joint: JointState, p) -> load`` on the joint [N m or N];
+            - ``body``: ``apply(system, joint, parameters, p) -> parameters``;
+            - ``sensor``: ``apply(measurement (..., N), site: SensorSite, p) -> measurement``;
+            - ``timing``: no ``apply``; the simulator carries it out;
+            - ``noise``: no ``apply``; it changes what is random, not what is expected.
+        parameters: ``(system, index)`` -> parameters at one site; their ``value`` is the null value. Empty where
+            the effect makes no sense there.
         summary: One sentence for reports.
+        apply: The physics.
+        site: What the effect belongs to: there is one for each joint, command, or channel, or one in all.
     """
 
     name: str
     family: str
     place: Place
-    parameters: Callable[[JointSystem], tuple[Parameter, ...]]
+    parameters: Callable[..., tuple[Parameter, ...]]
     summary: str
-    apply: Callable[..., Any] = _carried_out_by_the_runtime
+    apply: Callable[..., Any] = _carried_out_elsewhere
+    site: Site = "joint"
+
+
+class PlacedEffect(NamedTuple):
+    """An effect at one site of a system; its parameters are called ``<name>.<parameter>``."""
+
+    name: str
+    effect: Effect
+    index: int
+
+    def parameters(self, system: System) -> tuple[Parameter, ...]:
+        """Declarations under their short names."""
+        return self.effect.parameters(system, self.index)
+
+
+def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
+    """The effect at every site of a system where it makes sense.
+
+    Names of joints and commands count from 1 and are left out where there is one only: ``coulomb``, or
+    ``coulomb(joint 2)``; a channel is always named: ``noise_level(theta)``.
+    """
+    if effect.site == "system":
+        names = [effect.name]
+    elif effect.site == "channel":
+        names = [f"{effect.name}({c.name})" for c in system.measurements]
+    else:
+        joints = range(system.joints) if effect.site == "joint" else system.command_joints
+        names = [effect.name if system.joints == 1 else f"{effect.name}(joint {j + 1})" for j in joints]
+    placed = (PlacedEffect(name, effect, i) for i, name in enumerate(names))
+    return tuple(p for p in placed if p.parameters(system))

@@ -1,4 +1,4 @@
-"""Friction effects: extra torques [N m] against the motion of the joint, from its speed (...) [rad/s].
+"""Friction effects: extra loads against the motion of the joint, from its speed.
 
 Source: Armstrong-Helouvry, Dupont, Canudas de Wit, A survey of models, analysis tools and compensation
     methods for the control of machines with friction, Automatica 30(7), 1994.
@@ -9,67 +9,93 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.effects.effect import Effect, JointState
 from deepkoco.systems.system import Parameter, Parameters, System
 
-# Speed over which the sign of a dry friction is smoothed [rad/s]. A caller may override it with the
-# parameter "smoothing" of the effect: fits start soft and sharpen (continuation).
+# Speed over which the sign of a dry friction is smoothed [rad/s]. A caller may override it for a joint: a
+# simulator with long steps softens it where the speed changes fast.
 SMOOTHING = 0.05
 
 
-def smooth_sign(omega: Tensor, p: Parameters) -> Tensor:
-    """tanh(omega / smoothing), elementwise."""
-    return torch.tanh(omega / p.get("smoothing", SMOOTHING))
+def smooth_sign(joint: JointState) -> Tensor:
+    """tanh(speed / smoothing), elementwise."""
+    return torch.tanh(joint.speed / (SMOOTHING if joint.smoothing is None else joint.smoothing))
 
 
-def _viscous(system: System) -> tuple[Parameter, ...]:
-    limit = system.load_scale
-    return (Parameter("change", 0.0, "N m s/rad", -limit, limit, 0.1 * limit, "db, added viscous friction"),)
+def _viscous(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.load_scales[joint], system.per_speed_units[joint]
+    return (Parameter("change", 0.0, unit, -limit, limit, 0.1 * limit, "db, added viscous friction"),)
 
 
-def _viscous_torque(omega: Tensor, p: Parameters) -> Tensor:
-    return -p["change"] * omega
+def _viscous_load(joint: JointState, p: Parameters) -> Tensor:
+    return -p["change"] * joint.speed
 
 
-def _coulomb(system: System) -> tuple[Parameter, ...]:
-    limit = system.load_scale
-    return (Parameter("torque", 0.0, "N m", -limit, limit, 0.2 * limit, "Fc, added Coulomb friction"),)
+def _coulomb(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.load_scales[joint], system.load_units[joint]
+    declared = Parameter("torque", 0.0, unit, -limit, limit, 0.2 * limit, "Fc, added Coulomb friction")
+    return (declared,) if system.dry_friction else ()
 
 
-def _coulomb_torque(omega: Tensor, p: Parameters) -> Tensor:
-    return -p["torque"] * smooth_sign(omega, p)
+def _coulomb_load(joint: JointState, p: Parameters) -> Tensor:
+    return -p["torque"] * smooth_sign(joint)
 
 
-def _stribeck(system: System) -> tuple[Parameter, ...]:
-    limit = system.load_scale
+def _stribeck(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    if not system.dry_friction:
+        return ()
+    limit, unit = system.load_scales[joint], system.load_units[joint]
+    speed_unit = system.state_units[system.joints + joint]
     return (
-        Parameter("coulomb", 0.0, "N m", -limit, limit, 0.2 * limit, "Fc, friction at speed"),
-        Parameter("breakaway", 0.0, "N m", 0.0, limit, 0.2 * limit, "Fs - Fc, excess near standstill"),
-        Parameter("speed", 1.0, "rad/s", 0.05, 20.0, 2.0, "vs, Stribeck speed"),
+        Parameter("coulomb", 0.0, unit, -limit, limit, 0.2 * limit, "Fc, friction at speed"),
+        Parameter("breakaway", 0.0, unit, 0.0, limit, 0.2 * limit, "Fs - Fc, excess near standstill"),
+        Parameter("speed", 1.0, speed_unit, 0.05, 20.0, 2.0, "vs, Stribeck speed"),
     )
 
 
-def _stribeck_torque(omega: Tensor, p: Parameters) -> Tensor:
-    level = p["coulomb"] + p["breakaway"] * torch.exp(-((omega / p["speed"]) ** 2))
-    return -level * smooth_sign(omega, p)
+def _stribeck_load(joint: JointState, p: Parameters) -> Tensor:
+    level = p["coulomb"] + p["breakaway"] * torch.exp(-((joint.speed / p["speed"]) ** 2))
+    return -level * smooth_sign(joint)
 
 
-def _quadratic(system: System) -> tuple[Parameter, ...]:
-    limit = system.load_scale
-    return (Parameter("drag", 0.0, "N m s2/rad2", -limit, limit, 0.02 * limit, "d, quadratic drag"),)
+def _quadratic(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.load_scales[joint], system.per_speed_squared_units[joint]
+    return (Parameter("drag", 0.0, unit, -limit, limit, 0.02 * limit, "d, quadratic drag"),)
 
 
-def _quadratic_torque(omega: Tensor, p: Parameters) -> Tensor:
-    return -p["drag"] * omega * omega.abs()
+def _quadratic_load(joint: JointState, p: Parameters) -> Tensor:
+    return -p["drag"] * joint.speed * joint.speed.abs()
+
+
+def _load_friction(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    if not system.dry_friction or joint not in system.command_joints:
+        return ()
+    command = system.commands[system.command_joints.index(joint)]
+    scale = system.load_scales[joint] / command.high
+    unit = f"{system.load_units[joint]}/({command.unit})"
+    text = "mu, dry friction per effort of the actuator"
+    return (Parameter("coefficient", 0.0, unit, -0.5 * scale, 0.5 * scale, 0.1 * scale, text),)
+
+
+def _load_friction_load(joint: JointState, p: Parameters) -> Tensor:
+    return -p["coefficient"] * joint.effort.abs() * smooth_sign(joint)
 
 
 VISCOUS = Effect(
-    "viscous", "friction", "load", _viscous, "friction in proportion to the speed", _viscous_torque
+    "viscous", "friction", "load", _viscous, "friction in proportion to the speed", _viscous_load
 )
-COULOMB = Effect("coulomb", "friction", "load", _coulomb, "dry friction of constant size", _coulomb_torque)
+COULOMB = Effect("coulomb", "friction", "load", _coulomb, "dry friction of constant size", _coulomb_load)
 STRIBECK = Effect(
-    "stribeck", "friction", "load", _stribeck, "dry friction that is larger near standstill", _stribeck_torque
+    "stribeck", "friction", "load", _stribeck, "dry friction that is larger near standstill", _stribeck_load
 )
 QUADRATIC = Effect(
-    "quadratic", "friction", "load", _quadratic, "drag in proportion to the speed squared", _quadratic_torque
+    "quadratic", "friction", "load", _quadratic, "drag in proportion to the speed squared", _quadratic_load
+)
+LOAD_FRICTION = Effect(
+    "load_friction",
+    "friction",
+    "load",
+    _load_friction,
+    "dry friction that grows with what the actuator delivers",
+    _load_friction_load,
 )

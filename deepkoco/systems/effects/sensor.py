@@ -1,32 +1,93 @@
-"""Sensor effects: what happens to a measurement, without memory."""
+"""Sensor effects: what happens to a measurement."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.effects.effect import Effect, SensorSite
 from deepkoco.systems.system import Parameter, Parameters, System
 
-
-def _bias(system: System) -> tuple[Parameter, ...]:
-    return (Parameter("angle", 0.0, "rad", -0.5, 0.5, 0.1, "theta0, zero error of the angle sensor"),)
+LONG = 30.0  # time over which a drift is judged [s]
 
 
-def _apply_bias(measurement: Tensor, p: Parameters) -> Tensor:
-    angle = measurement[..., :1] + torch.as_tensor(p["angle"]).unsqueeze(-1)
-    return torch.cat([angle, measurement[..., 1:]], -1)
+def _changed(measurement: Tensor, channels: tuple[int, ...], change: Callable[[Tensor], Tensor]) -> Tensor:
+    parts = list(measurement.unbind(-1))
+    for c in channels:
+        parts[c] = change(parts[c])
+    return torch.stack(torch.broadcast_tensors(*parts), -1)
 
 
-def _scale(system: System) -> tuple[Parameter, ...]:
+def _bias(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    unit = system.state_units[joint]
+    return (Parameter("angle", 0.0, unit, -0.5, 0.5, 0.1, "q0, zero error of the position sensor"),)
+
+
+def _apply_bias(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    return _changed(measurement, site.positions, lambda x: x + p["angle"])
+
+
+def _scale(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("factor", 1.0, "1", 0.3, 3.0, 0.1, "k_s, reading per true value"),)
 
 
-def _apply_scale(measurement: Tensor, p: Parameters) -> Tensor:
-    return measurement * torch.as_tensor(p["factor"]).unsqueeze(-1)
+def _apply_scale(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    return _changed(measurement, site.positions + site.speeds, lambda x: x * p["factor"])
 
 
-SENSOR_BIAS = Effect("sensor_bias", "sensor", "sensor", _bias, "the angle sensor's zero is off", _apply_bias)
+def _drift(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    unit = system.state_units[system.joints + joint]
+    limit = 3.0 / LONG
+    return (Parameter("rate", 0.0, unit, -limit, limit, 0.1 * limit, "drift of the position sensor's zero"),)
+
+
+def _apply_drift(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    if site.time is None:
+        if not bool((p["rate"] != 0.0).any()):
+            return measurement
+        raise ValueError("a sensor's drift needs the time; it can be simulated along a log only")
+    time = site.time
+    return _changed(measurement, site.positions, lambda x: x + p["rate"] * time)
+
+
+def _slip(system: System, channel: int = 0) -> tuple[Parameter, ...]:
+    text = "c, reading per true value: a constant between units"
+    return (Parameter("factor", 1.0, "1", -2000.0, 2000.0, 1.0, text),)
+
+
+def _apply_slip(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    return _changed(measurement, site.positions + site.speeds, lambda x: x * p["factor"])
+
+
+def _low_pass(system: System, _: int = 0) -> tuple[Parameter, ...]:
+    return (Parameter("time_constant", 0.0, "s", 0.0, 0.3, 0.05, "T_s, first-order filter of the sensors"),)
+
+
+SENSOR_BIAS = Effect(
+    "sensor_bias", "sensor", "sensor", _bias, "the position sensor's zero is off", _apply_bias
+)
 SENSOR_SCALE = Effect(
     "sensor_scale", "sensor", "sensor", _scale, "the sensor's readings are scaled", _apply_scale
+)
+SENSOR_DRIFT = Effect(
+    "sensor_drift", "sensor", "sensor", _drift, "the position sensor's zero drifts", _apply_drift
+)
+CHANNEL_SLIP = Effect(
+    "channel_slip",
+    "unit",
+    "sensor",
+    _slip,
+    "a channel is logged in another unit",
+    _apply_slip,
+    "channel",
+)
+LOW_PASS = Effect(
+    "low_pass",
+    "sensor",
+    "timing",
+    _low_pass,
+    "the sensors filter what they measure",
+    site="system",
 )

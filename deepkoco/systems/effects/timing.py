@@ -1,4 +1,4 @@
-"""Timing effects: delays and the actuator's first-order lag."""
+"""Timing effects: delays, the actuator's first-order lag, clocks that run apart."""
 
 from __future__ import annotations
 
@@ -6,26 +6,57 @@ from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.system import Parameter, System
 
 LONGEST = 0.3  # [s]
+FASTEST_CLOCK = 5e-3  # relative
 
 
-def _actuation_delay(system: System) -> tuple[Parameter, ...]:
+def _actuation_delay(system: System, _: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("delay", 0.0, "s", 0.0, LONGEST, 0.05, "tau_a, command sent to command acting"),)
 
 
-def _sensing_delay(system: System) -> tuple[Parameter, ...]:
+def _sensing_delay(system: System, _: int = 0) -> tuple[Parameter, ...]:
     return (
         Parameter("delay", 0.0, "s", 0.0, LONGEST, 0.05, "tau_s, state to time stamp of its measurement"),
     )
 
 
-def _lag(system: System) -> tuple[Parameter, ...]:
+def _lag(system: System, _: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("time_constant", 0.0, "s", 0.0, LONGEST, 0.05, "T, first-order lag of the actuator"),)
 
 
+def _skew(system: System, _: int = 0) -> tuple[Parameter, ...]:
+    text = "seconds that the sensor's clock gains on the commands' per second"
+    return (Parameter("rate", 0.0, "1", -FASTEST_CLOCK, FASTEST_CLOCK, 5e-4, text),)
+
+
 ACTUATION_DELAY = Effect(
-    "actuation_delay", "timing", "timing", _actuation_delay, "commands act later than they are sent"
+    "actuation_delay",
+    "timing",
+    "timing",
+    _actuation_delay,
+    "commands act later than they are sent",
+    site="command",
 )
 SENSING_DELAY = Effect(
-    "sensing_delay", "timing", "timing", _sensing_delay, "measurements are older than their time stamps"
+    "sensing_delay",
+    "timing",
+    "timing",
+    _sensing_delay,
+    "measurements are older than their time stamps",
+    site="system",
 )
-LAG = Effect("lag", "timing", "timing", _lag, "the actuator follows its command as a first-order lag")
+LAG = Effect(
+    "lag",
+    "timing",
+    "timing",
+    _lag,
+    "the actuator follows its command as a first-order lag",
+    site="command",
+)
+CLOCK_SKEW = Effect(
+    "clock_skew",
+    "timing",
+    "timing",
+    _skew,
+    "the clocks of commands and measurements run at different speeds",
+    site="system",
+)

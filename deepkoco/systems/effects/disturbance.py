@@ -1,0 +1,54 @@
+"""Disturbances: loads that follow the angle of the joint or the clock."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepkoco.systems.effects.effect import Effect, JointState
+from deepkoco.systems.system import Parameter, Parameters, System
+
+FASTEST = 200.0  # [rad/s]
+MOST_CYCLES = 100.0
+
+
+def _waves(system: System, joint: int) -> tuple[Parameter, Parameter]:
+    limit, unit = system.load_scales[joint], system.load_units[joint]
+    return (
+        Parameter("sine", 0.0, unit, -limit, limit, 0.1 * limit, "amplitude of the sine"),
+        Parameter("cosine", 0.0, unit, -limit, limit, 0.1 * limit, "amplitude of the cosine"),
+    )
+
+
+def _cogging(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    if system.state_units[joint] != "rad":
+        return ()
+    cycles = Parameter("cycles", 7.0, "1", 1.0, MOST_CYCLES, 1.0, "n, cycles per turn")
+    return (*_waves(system, joint), cycles)
+
+
+def _cogging_load(joint: JointState, p: Parameters) -> Tensor:
+    phase = p["cycles"] * joint.angle
+    return p["sine"] * torch.sin(phase) + p["cosine"] * torch.cos(phase)
+
+
+def _periodic(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    frequency = Parameter("frequency", 10.0, "rad/s", 0.01, FASTEST, 1.0, "angular frequency")
+    return (*_waves(system, joint), frequency)
+
+
+def _periodic_load(joint: JointState, p: Parameters) -> Tensor:
+    if joint.time is None:
+        if not bool(((p["sine"] != 0.0) | (p["cosine"] != 0.0)).any()):
+            return torch.zeros_like(joint.speed)
+        raise ValueError("a periodic disturbance needs the time; it can be simulated along a log only")
+    phase = p["frequency"] * joint.time
+    return p["sine"] * torch.sin(phase) + p["cosine"] * torch.cos(phase)
+
+
+COGGING = Effect(
+    "cogging", "actuator", "load", _cogging, "a torque that comes back every part of a turn", _cogging_load
+)
+PERIODIC = Effect(
+    "periodic", "actuator", "load", _periodic, "an outside load that comes back in time", _periodic_load
+)
