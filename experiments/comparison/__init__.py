@@ -1,0 +1,1 @@
+"""Agents on one harness: learning curves, final costs and sample efficiency from folders of runs."""
