@@ -23,8 +23,12 @@ example, from a unit to a diagnosis:
 COMMANDS = {
     "record": ("deepkoco.unit.record_command", "drive a unit with an excitation and write a measured log"),
     "inspect": (
-        "deepkoco.unit.inspect_command",
-        "show what a log holds: channels, units, rate, gaps, jitter",
+        "deepkoco.inspection.command",
+        "show what a log holds (CSV, Parquet, MCAP, ROS bags) and propose what its columns mean",
+    ),
+    "identify": (
+        "deepkoco.identify.command",
+        "find parameters and delays of a system from logs, with intervals",
     ),
     "diagnose": (
         "deepkoco.diagnose.command",

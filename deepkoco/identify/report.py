@@ -1,0 +1,97 @@
+"""Write what a fit found to a folder, and say it in the terminal."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from math import floor, log10
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from deepkoco.identify.figures import draw_all
+from deepkoco.identify.identification import Estimate, Identification
+from deepkoco.new_folder import new_folder
+from deepkoco.systems import save_model
+
+
+def write_identification(found: Identification, out: str | Path) -> Path:
+    """Write identify.json, model.yaml and the pictures with their tables into a new folder.
+
+    Args:
+        found: Result of a fit.
+        out: Folder that does not exist yet; it appears whole or not at all.
+
+    Raises:
+        FolderExistsError: The folder exists.
+    """
+    out = Path(out)
+    with new_folder(out) as folder:
+        text = json.dumps(found.to_json(), indent=2)
+        (folder / "identify.json").write_text(text + "\n", encoding="utf-8")
+        # A channel's delay belongs to the recording, not to the system: the model keeps it as a remark.
+        late = [f"{found.system.measurements[c].name}.delay" for c in found.question.problem().late]
+        provenance = {
+            "identified": list(found.estimates),
+            "logs": list(found.logs),
+            "deepkoco": version("deepkoco"),
+            **{name: found.estimates[name].value for name in late},
+        }
+        save_model(folder / "model.yaml", found.system, provenance)
+        for picture in draw_all(found):
+            FigureCanvasAgg(picture.figure)
+            # Without the writer's version in it, the same fit gives the same bytes.
+            picture.figure.savefig(folder / f"{picture.name}.png", metadata={"Software": None})
+            picture.table.to_csv(
+                folder / f"{picture.name}.csv", index=False, lineterminator="\n", float_format="%.8g"
+            )
+    return out
+
+
+def terminal_report(found: Identification) -> RenderableType:
+    """Parameters with intervals, errors before and after, and what to take care of."""
+    table = Table(box=None, padding=(0, 2, 0, 0), title=f"{found.system.name}", title_justify="left")
+    for heading, justify in (("parameter", "left"), ("before", "right"), ("fitted", "right")):
+        table.add_column(heading, justify=justify, style="bold" if heading == "fitted" else None)
+    table.add_column("95 % interval", justify="left")
+    table.add_column("unit")
+    for estimate in (*found.estimates.values(), *found.zeros):
+        table.add_row(*_row(estimate))
+    lines = [f"{n}: {b:.4g} {u} before, {a:.4g} {u} after" for n, (b, a, u) in found.rms.items()]
+    notes = ["simulation error (rms): " + "; ".join(lines)]
+    chi2, correlated = found.dispersion.chi2_per_sample, found.dispersion.correlation
+    notes.append(f"error / noise variance: {chi2:.3g} (1 is sensor noise)")
+    if chi2 * correlated > 2.0:
+        notes.append(
+            "the fitted system leaves more than sensor noise, and the intervals are widened for it: "
+            '"deepkoco diagnose" looks for what is missing'
+        )
+    notes += [f"not identified: {text}" for text in found.loose_in_words()]
+    at_bound = [e.name for e in found.estimates.values() if e.at_bound]
+    if at_bound:
+        notes.append(f"at a bound: {', '.join(at_bound)}; if that is no physical limit, widen it")
+    record = found.convergence
+    state = "converged" if record.converged else f"NOT converged ({record.reason})"
+    notes.append(f"{record.method}: {state}, {record.simulations} simulations, {record.seconds:.1f} s")
+    return Group(table, *(Text(note) for note in notes))
+
+
+def _row(e: Estimate) -> tuple[str, ...]:
+    digits = max(4, _figures(e))
+    return (
+        e.name,
+        f"{e.start:.4g}",
+        f"{e.value:.{digits}g}",
+        f"{e.low:.{digits}g} to {e.high:.{digits}g}",
+        e.unit,
+    )
+
+
+def _figures(e: Estimate) -> int:
+    """Significant figures that show two of the interval's width."""
+    if e.sd <= 0 or e.value == 0:
+        return 4
+    return min(floor(log10(abs(e.value))) - floor(log10(e.sd)) + 2, 9)
