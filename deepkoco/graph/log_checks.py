@@ -99,7 +99,7 @@ def check_units(
 
 
 def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:
-    """Pairs of measured channels whose second should be the derivative of the first: by unit and number of the joint."""
+    """Pairs of measured channels, the second the derivative of the first: by unit and number of the joint."""
     pairs = []
     measured = {name: series for name, series in channels.items() if series.kind == "measurement"}
     for first, series in measured.items():

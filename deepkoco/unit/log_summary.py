@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepkoco.graph.recording import Recording, Series
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 GAP = 1.5  # a gap is a step of more than this many median steps
 
@@ -75,3 +80,38 @@ def _summarise(name: str, series: Series) -> ChannelSummary:
         high=float(series.value.max()),
         sd=float(series.value.std()),
     )
+
+
+def summary_table(path: Path, recording: Recording) -> Table:
+    """Summary of a log as a table for the terminal."""
+    from rich.table import Table
+    from rich.text import Text
+
+    summaries = summarise(recording)
+    seconds = max(s.stop for s in summaries) - min(s.start for s in summaries)
+    result = Table(
+        title=Text(f"{path} · {recording.system or 'unknown system'} · {seconds:.2f} s"),
+        title_justify="left",
+        box=None,
+        padding=(0, 1, 0, 0),
+    )
+    for heading in ("channel", "kind"):
+        result.add_column(heading, no_wrap=True)
+    for heading in ("samples", "rate\nHz", "jitter\nms", "gaps", "longest\nms", "range"):
+        result.add_column(heading, justify="right", no_wrap=True)
+    for s in summaries:
+        result.add_row(
+            Text(f"{s.name} [{s.unit}]"),
+            s.kind,
+            str(s.samples),
+            _shown(s.rate_hz, ".1f"),
+            _shown(s.jitter_s, ".2f", 1e3),
+            str(s.gaps),
+            _shown(s.longest_gap_s, ".1f", 1e3),
+            f"{s.low:.3g} .. {s.high:.3g}",
+        )
+    return result
+
+
+def _shown(value: float | None, form: str, factor: float = 1.0) -> str:
+    return "-" if value is None else format(factor * value, form)

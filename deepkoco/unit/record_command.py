@@ -116,10 +116,10 @@ def _probe(out: Path) -> None:
 def _report(out: Path, recording: Recording) -> None:
     from rich.console import Console
 
-    from deepkoco.unit.inspect_command import table
+    from deepkoco.unit.log_summary import summary_table
 
     console = Console()
-    console.print(table(out, recording))
+    console.print(summary_table(out, recording))
     lost = recording.meta["samples_lost"]
     if lost:
         console.print(f"[yellow]{lost} samples of the sensor were lost[/yellow]: the machine was busy")

@@ -172,8 +172,9 @@ def _members(value: Any) -> dict[str, Any] | None:
 def _names(members: Mapping[str, Any]) -> Sequence[str]:
     for key in NAME_LISTS:
         found = members.get(key)
-        texts = isinstance(found, list | tuple) and len(found) > 0 and all(isinstance(n, str) for n in found)
-        if texts and len(set(found)) == len(found):
+        if not isinstance(found, list | tuple) or not found:
+            continue
+        if all(isinstance(name, str) for name in found) and len(set(found)) == len(found):
             return found
     return ()
 

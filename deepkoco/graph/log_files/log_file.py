@@ -98,7 +98,7 @@ class LogFile:
             raise LogError(
                 f"{self._where(topic, column)} is missing; {self._has(topic)}; correct the mapping"
             )
-        return self._numbers(topic, column, table.frame[column])
+        return self._numbers(topic, column, pd.Series(table.frame[column]))
 
     def _has(self, topic: str) -> str:
         names = [str(name) for name in self.tables[topic].frame.columns]
@@ -139,7 +139,7 @@ def iso_seconds(log: LogFile, topic: str, column: str) -> np.ndarray:
     table = log.table(topic)
     if column not in table.frame.columns:
         return log.values(topic, column)
-    cells = table.frame[column]
+    cells = pd.Series(table.frame[column])
     if pd.api.types.is_datetime64_any_dtype(cells.dtype):
         return _seconds(cells)
     try:

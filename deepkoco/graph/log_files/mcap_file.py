@@ -149,6 +149,7 @@ def _own_recording(path: Path) -> LogFile:
                     columns[f"output[{place}]"] = padded
             parts.append(pd.DataFrame(columns))
         frame = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
-        absent = {name: frame[name].isna().to_numpy() for name in frame if frame[name].isna().any()}
+        empty = frame.isna()
+        absent = {str(name): empty[name].to_numpy() for name in frame if bool(empty[name].to_numpy().any())}
         tables[f"/node/{node.name}"] = Table(frame, f"steps of {node.name}", ("t_end", "t_start"), absent)
     return LogFile(path, "MCAP", tables, row_name="step")
