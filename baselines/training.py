@@ -164,6 +164,19 @@ class BaselineTrainer:
             self._export()
         return self.metrics.rows[-1]
 
+    def learn(self, updates: int) -> None:
+        """Update on what the replay holds.
+
+        Args:
+            updates: How many; none below 1.
+        """
+        for _ in range(updates):
+            batch = self._replay.sample(self.config.batch, self._sampling)
+            for name, value in self.learner.update(batch, self._sampling).items():
+                sums = self._logged[name]
+                sums[0] += value
+                sums[1] += 1.0
+
     def _round(self, tell: Report) -> None:
         """One episode in each environment, with an update for every step of each."""
         config, progress = self.config, self.progress
@@ -175,12 +188,7 @@ class BaselineTrainer:
         while episodes.running.any():
             before = len(self._replay)
             episodes.step(self.learner, self._noise, random=before < config.random_steps)
-            for _ in range(len(self._replay) - max(before, config.random_steps)):
-                batch = self._replay.sample(config.batch, self._sampling)
-                for name, value in self.learner.update(batch, self._sampling).items():
-                    sums = self._logged[name]
-                    sums[0] += value
-                    sums[1] += 1.0
+            self.learn(len(self._replay) - max(before, config.random_steps))
             if len(self._replay) % REPORT_STEPS < count:
                 tell(self._standing(f"episode {progress.episodes + 1}"))
         self._costs += episodes.costs.tolist()
