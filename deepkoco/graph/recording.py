@@ -135,7 +135,14 @@ def read_log(
     check_content(path, series, min_samples, min_seconds, allow_constant_command)
     notes = [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
     doubts = check_units(path, series, sidecar.channels)
-    return Recording(series, path, name, sidecar.meta, unknown_stretches(series), (*notes, *doubts))
+    unknown = unknown_stretches(series)
+    if unknown:
+        seconds = sum(end - begin for begin, end in unknown if end < np.inf)
+        notes.append(
+            f"{len(unknown)} stretches ({seconds:.3g} s) in which a command is not known or a measurement was filled in; "
+            "fits leave out the windows there"
+        )
+    return Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))
 
 
 def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None, ChannelReader]:

@@ -162,6 +162,8 @@ def cut_windows(
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
         for t0 in _starts(start, stop, length, cover):
+            if any(begin < t0 + length and end > t0 - HISTORY for begin, end in recording.unknown):
+                continue
             pieces = {n: _piece(*series[n], t0, t0 + length) for n in names if n in series}
             if any(len(t) >= MIN_SAMPLES for t, _ in pieces.values()):
                 inside = still is not None and bool(((still >= t0) & (still < t0 + length)).any())

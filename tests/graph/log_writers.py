@@ -120,7 +120,7 @@ def _ros(store, name: str, message: dict, ros1: bool):
 
 
 def _messages(signals: Signals):
-    """Topic, time received [ns], content; a message is received 2 ms after its stamp. The order of joints alternates."""
+    """Topic, time received [ns], content; a state is received 2 ms after its stamp. The order of joints alternates."""
     for k, t in enumerate(np.asarray(signals["t"]).tolist()):
         stamp = START_NS + round(t * 1e9)
         joints = {JOINT: (signals["theta"][k], signals["omega"][k]), "elbow": (0.5, 0.0)}
