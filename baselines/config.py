@@ -25,7 +25,9 @@ class BaselineConfig:
     total_episodes: int = 400
     """Episodes of the run."""
     environments: int = 1
-    """Environments stepped side by side; updates stay one per step of each."""
+    """Environments stepped side by side; a step of each counts as one."""
+    steps_per_update: int = 1
+    """Steps for each update behind the random ones; more where updates are dear, as from images."""
     random_steps: int = 1000
     """Steps with uniformly drawn actions before anything is learned."""
     batch: int = 128
@@ -80,7 +82,7 @@ class BaselineConfig:
             BaselineConfigError: Names the first value that is out of range and its remedy.
         """
         positive = (
-            "total_episodes environments random_steps batch hidden learning_rate temperature "
+            "total_episodes environments steps_per_update random_steps batch hidden learning_rate temperature "
             "temperature_learning_rate actor_every target_every features frames evaluation_every "
             "final_evaluation_episodes checkpoint_episodes"
         )

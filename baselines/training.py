@@ -178,7 +178,7 @@ class BaselineTrainer:
                 sums[1] += 1.0
 
     def _round(self, tell: Report) -> None:
-        """One episode in each environment, with an update for every step of each."""
+        """One episode in each environment, with the updates that are due at every step."""
         config, progress = self.config, self.progress
         count = min(config.environments, config.total_episodes - progress.episodes)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, progress.rounds)
@@ -188,12 +188,16 @@ class BaselineTrainer:
         while episodes.running.any():
             before = len(self._replay)
             episodes.step(self.learner, self._noise, random=before < config.random_steps)
-            self.learn(len(self._replay) - max(before, config.random_steps))
+            self.learn(self._due(len(self._replay)) - self._due(before))
             if len(self._replay) % REPORT_STEPS < count:
                 tell(self._standing(f"episode {progress.episodes + 1}"))
         self._costs += episodes.costs.tolist()
         progress.rounds += 1
         progress.episodes += count
+
+    def _due(self, steps: int) -> int:
+        """Updates that belong to the first steps of the run."""
+        return max(0, steps - self.config.random_steps) // self.config.steps_per_update
 
     def _evaluate(self, started: float) -> Row:
         """Noise-free episodes; adds a row of metrics with what happened since the last one."""

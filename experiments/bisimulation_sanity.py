@@ -179,15 +179,11 @@ def measure(folder: Path, episodes: int, steps: int) -> dict[str, Any]:
     if run.agent.name not in ENCODERS:
         raise ExperimentError(f"{folder}: agent {run.agent.name} is none of {', '.join(ENCODERS)}")
     states = motions(run, episodes, steps)
-    show, encode = SHOW[run.observation], ENCODERS[run.agent.name](folder)
-    as_is = show(run, states, FIRST_DISTRACTORS)
-    others = {
-        "distractors": show(run, states, OTHER_DISTRACTORS),
-        "task": show(run, np.roll(states, 1, axis=1), FIRST_DISTRACTORS),
-    }
-    latents = encode(as_is)
-    moved = {name: float(np.abs(encode(shown) - latents).mean()) for name, shown in others.items()}
-    seen = {name: _distance(as_is, shown) for name, shown in others.items()}
+    as_is, others = showings(run, states)
+    moved, seen = (
+        distances(ENCODERS[run.agent.name](folder), as_is, others),
+        distances(np.stack, as_is, others),
+    )
     return {
         "agent": run.agent.name,
         "task": run.task.name,
@@ -202,9 +198,38 @@ def measure(folder: Path, episodes: int, steps: int) -> dict[str, Any]:
     }
 
 
-def _distance(one: Observations, other: Observations) -> float:
-    pairs = zip(one, other, strict=True)
-    return float(np.mean([np.abs(a.astype(np.float64) - b.astype(np.float64)).mean() for a, b in pairs]))
+def showings(
+    run: TrainRunConfig, states: NDArray[np.float64]
+) -> tuple[Observations, dict[str, Observations]]:
+    """The task's motion as it is, and with other distractors or another motion of the task.
+
+    Args:
+        run: Says what an agent sees.
+        states: Of the task (T, B, N).
+
+    Returns:
+        What is seen as it is, and by name what is seen where one thing changed.
+    """
+    show = SHOW[run.observation]
+    return show(run, states, FIRST_DISTRACTORS), {
+        "distractors": show(run, states, OTHER_DISTRACTORS),
+        "task": show(run, np.roll(states, 1, axis=1), FIRST_DISTRACTORS),
+    }
+
+
+def distances(encode: Encoder, as_is: Observations, others: dict[str, Observations]) -> dict[str, float]:
+    """Mean absolute differences of latents from those of what is seen as it is.
+
+    Args:
+        encode: Gives the latents.
+        as_is: What they are compared with.
+        others: By name.
+
+    Returns:
+        By name.
+    """
+    latents = encode(as_is).astype(np.float64)
+    return {name: float(np.abs(encode(shown) - latents).mean()) for name, shown in others.items()}
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
