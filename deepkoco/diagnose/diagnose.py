@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
-from deepkoco.diagnose.causes import CAUSES, Cause, kind_of
+from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
 from deepkoco.diagnose.findings import advice_for, estimates, evidence_for, finding, localise, motion_of
@@ -25,7 +25,6 @@ from deepkoco.diagnose.selection import (
     FURTHER,
     Candidate,
     Ranking,
-    pushes_from,
     rank,
     without_events_first,
 )
@@ -61,6 +60,7 @@ def diagnose(
     seed: int = 0,
     window: float | None = None,
     detection: float = DETECTION,
+    only: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Say what a simulation gets wrong about a unit, from logs of it.
 
@@ -78,6 +78,7 @@ def diagnose(
         seed: Seed of the bootstrap.
         window: Length of a window [s]; None takes about one period of the system.
         detection: Fall of the BIC from which a cause is named.
+        only: Causes to try, by their names at this system; None tries the whole catalogue.
 
     Raises:
         LogError: A log lacks a channel.
@@ -91,13 +92,17 @@ def diagnose(
         if len(data.train) < FEWEST_WINDOWS:
             return _insufficient(data, base, recordings, length, seed, began)
         start = learn_baseline(healthy, base, length) if healthy else start_from(base, data.train)
-        return _Study(base, start, data, detection).run(recordings, length, seed, began)
+        return _Study(base, start, data, detection, only).run(recordings, length, seed, began)
 
 
 class _Study:
     """One diagnosis under way."""
 
-    def __init__(self, system: System, start: Start, data: _Data, detection: float) -> None:
+    def __init__(
+        self, system: System, start: Start, data: _Data, detection: float, only: Sequence[str] | None
+    ) -> None:
+        known = catalogue(start.system.base)
+        self.causes = None if only is None else [known[name] for name in only]
         self.system, self.start, self.detection = system, start, detection
         train, self.reference = refit_sharply(start, data.train)
         held = None if data.held is None else replace(data.held, noise=train.noise)
@@ -176,7 +181,7 @@ class _Study:
         """Forward selection: the first ranking (over the whole catalogue) and the last fit."""
         problem, start = self.problem, self.start
         hints = self._hints(reference, missing)
-        ranking = rank(problem, start, reference, (), hints)
+        ranking = rank(problem, start, reference, (), hints, self.causes)
         first, final = ranking, reference
         while ranking.candidates and ranking.best.delta_bic > (FURTHER if self.accepted else self.detection):
             ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
@@ -187,12 +192,12 @@ class _Study:
             if len(self.accepted) == MOST_CAUSES:
                 break
             hints = self._hints(final, missing_torque(problem, final))
-            ranking = rank(problem, start, final, self.accepted, hints)
+            ranking = rank(problem, start, final, self.accepted, hints, self.causes)
         return first, final
 
     def _hints(self, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
         chi2 = fit.chi2 / self.data.train.samples
-        return Hints(self.start.system, self.data.train, pushes_from(missing), chi2)
+        return Hints(self.start.system, self.data.train, missing, chi2)
 
     def _verdict(self, before: Fit, after: Fit, limit: float, structure: bool) -> Verdict:
         train = self.data.train

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import torch
 
-from deepkoco.identify.fit import Fit, FitProblem
-from deepkoco.identify.windows import Windows
+from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.prior import Prior
+from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem
 
 RESAMPLES = 2000
@@ -72,11 +73,11 @@ def held_out_gain(
         seed: Seed of the bootstrap.
     """
     problem = FitProblem(system, windows)
-    fits: dict[str, Fit] = {}
-    for name, values in models.items():
-        same = next((other for other in fits if models[other] == values), None)
-        before = next(reversed(fits.values())).state if fits else None
-        fits[name] = fits[same] if same else problem.evaluate(values, name, before)
+    distinct = [n for n in models if not any(models[m] == models[n] for m in models if m < n)]
+    states = _suited(problem, [models[n] for n in distinct])
+    trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
+    found = dict(zip(distinct, problem.fit(trials, 12 if problem.zero_sd > 0 else 1), strict=True))
+    fits = {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in models}
     sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
     error = {name: (fit.residual * sd[:, None]).numpy() for name, fit in fits.items()}
     valid = windows.valid.numpy()
@@ -114,6 +115,30 @@ def held_out_gain(
         windows,
         fits,
     )
+
+
+def _suited(problem: FitProblem, models: Sequence[Mapping[str, float]]) -> torch.Tensor:
+    """Initial states (K, W, S) of each model on each window, all models at once.
+
+    Each window takes the best of three starts: its own guess, the fit of its first half (a short window has
+    fewer minima), and the state that suits the last model, which knows the unit best.
+    """
+    windows, count = problem.windows, len(models)
+    halves = FitProblem(problem.system, halved(windows))
+    short = halves.fit_states_each(models, halves.windows.state.repeat(count, 1, 1))[0][:, ::2]
+    starts = torch.cat([windows.state.repeat(count, 1, 1), short])
+    states, costs = problem.fit_states_each([*models, *models], starts)
+    states, costs = states.unflatten(0, (2, count)), costs.unflatten(0, (2, count))
+    best = _pick(states, costs)
+    again, cost = problem.fit_states_each(models, best[-1:].repeat(count, 1, 1))
+    return _pick(torch.stack([best, again]), torch.stack([costs.min(0).values, cost]))
+
+
+def _pick(states: torch.Tensor, costs: torch.Tensor) -> torch.Tensor:
+    """States (K, W, S) of the lowest cost over the first axis."""
+    costs = torch.where(torch.isfinite(costs), costs, torch.inf)
+    index = costs.argmin(0)[None, ..., None].expand(1, *states.shape[1:])
+    return states.gather(0, index)[0]
 
 
 def _rms(error: np.ndarray, valid: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from deepkoco.diagnose.baseline import Start, refit, refit_sharply, start_from
 from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.residuals import dispersion, missing_torque
-from deepkoco.diagnose.selection import DETECTION, prior_with, pushes_from, rank
+from deepkoco.diagnose.selection import DETECTION, prior_with, rank
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
@@ -43,8 +43,7 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
     accepted: list[Cause] = []
     causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
     for _ in range(LARGEST_EXTENSION):
-        pushes = pushes_from(missing_torque(problem, fit))
-        hints = Hints(start.system, windows, pushes, fit.chi2 / windows.samples)
+        hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         ranking = rank(problem, start, fit, accepted, hints, causes)
         if ranking.best.delta_bic < DETECTION:
             break

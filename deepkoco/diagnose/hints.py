@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 
 from deepkoco.diagnose.causes import Cause, Hint
+from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import System
 
@@ -17,14 +18,15 @@ class Hints:
     Args:
         system: The system.
         windows: Training windows.
-        pushes: Where an outside load would help most, over all joints.
+        missing: Load on each joint that the refitted baseline misses.
         chi2: What the refitted baseline leaves, per sample.
     """
 
     def __init__(
-        self, system: System, windows: Windows, pushes: tuple[Mapping[str, float], ...], chi2: float
+        self, system: System, windows: Windows, missing: Sequence[MissingTorque], chi2: float
     ) -> None:
-        self.system, self.windows, self.pushes, self.chi2 = system, windows, pushes, chi2
+        self.system, self.windows, self.missing, self.chi2 = system, windows, missing, chi2
+        self.pushes = pushes_from(missing)
         self.seconds = float(sum(c.t[-1] - c.t[0] for c in windows.commands))
 
     def for_cause(self, cause: Cause) -> Hint:
@@ -34,7 +36,16 @@ class Hints:
         command = driven.index(joint) if joint in driven else 0
         values = np.concatenate([c.column(command) for c in self.windows.commands])
         pushes = tuple(p for p in self.pushes if p["joint"] == joint)
-        return Hint(self.system, joint, values, self._speeds(joint), pushes, self.seconds, self.chi2)
+        return Hint(
+            self.system,
+            joint,
+            values,
+            self._speeds(joint),
+            pushes,
+            self.seconds,
+            self.chi2,
+            self.missing[joint],
+        )
 
     def _speeds(self, joint: int) -> np.ndarray:
         windows, shows = self.windows, list(self.windows.shows)
@@ -48,3 +59,22 @@ class Hints:
         pairs = valid[:, 1:] & valid[:, :-1]
         gap = (windows.t[:, c, 1:] - windows.t[:, c, :-1])[pairs]
         return ((windows.value[:, c, 1:] - windows.value[:, c, :-1])[pairs] / gap).numpy()
+
+
+def pushes_from(missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...]:
+    """Starts of a push: the slots (and runs of slots) where an outside load would help most, for each joint."""
+    found = []
+    for joint in missing:
+        for width in (1, 3):
+            score = np.lib.stride_tricks.sliding_window_view(joint.score, width, axis=1).sum(-1)
+            w, k = np.unravel_index(int(np.argmax(score)), score.shape)
+            found.append(
+                {
+                    "torque": float(joint.single[w, k : k + width].mean()) / width,
+                    "start": float(joint.time[w, k] - 0.5 * joint.slot),
+                    "duration": width * joint.slot,
+                    "log": float(joint.log[w]),
+                    "joint": float(joint.joint),
+                }
+            )
+    return tuple(found)

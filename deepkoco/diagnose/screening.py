@@ -72,6 +72,8 @@ def _doses(
         if silent and name in place:
             continue
         step = PARAMETER_STEP * problem.scale[j]
+        if name.endswith(".frequency"):
+            continue  # without a dose a shape moves nothing
         step = -step if at[name] + step > problem.high[j] else step
         result.append({**at, name: at[name] + step})
     return result

@@ -12,7 +12,7 @@ import torch
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.hints import Hints
-from deepkoco.diagnose.residuals import SLOTS, Dispersion, MissingTorque, dispersion
+from deepkoco.diagnose.residuals import SLOTS, Dispersion, dispersion
 from deepkoco.diagnose.screening import Start as Promise
 from deepkoco.diagnose.screening import screen
 from deepkoco.identify.fit import Fit, FitProblem, Trial
@@ -32,6 +32,7 @@ WORTH = 8.0  # fall of the cost, to first order, from which a cause is worth a f
 SHARE = 0.08  # or this share of what the most promising one offers
 ABREAST = 0.3  # share of a cause's best promise that its further starts must have
 STARTS = 3  # of one cause, at most
+CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 FAR = 25.0  # prior penalty of a refit that a strong cause has driven away
 
 
@@ -160,7 +161,7 @@ def rank(
         fit = fits[name]
         first = next(t for t in trials if t.name == name)
         trial = replace(first, values=fit.values, state=fit.state, zero=fit.zero)
-        fits[name] = problem.fit([trial], PATIENCE)[0]
+        fits[name] = problem.fit([trial], PATIENCE, CLOSE)[0]
         ranking = _ranked(problem, start, reference, tried, fits, _best(promises))
     return ranking
 
@@ -169,7 +170,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
     """Fit of each name: a few iterations of every trial, then the better half of the way of the best ones."""
     if not trials:
         return {}
-    scouts = problem.fit(trials, SCOUTING)
+    scouts = problem.fit(trials, SCOUTING, CLOSE)
     best: dict[str, tuple[Fit, Trial]] = {}
     for trial, scout in zip(trials, scouts, strict=True):
         if trial.name not in best or scout.cost < best[trial.name][0].cost:
@@ -181,7 +182,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
         if not scout.converged and reference.cost - scout.cost > HOPE * won:
             running.append(name)
             longer.append(replace(trial, values=scout.values, state=scout.state, zero=scout.zero))
-    longer = problem.fit(longer, ITERATIONS)
+    longer = problem.fit(longer, ITERATIONS, CLOSE)
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
 
@@ -309,6 +310,8 @@ def _ranked(
     places = SLOTS * len(problem.windows)
     candidates = []
     for cause in tried:
+        if cause.name not in fits and cause.name not in promises:
+            continue  # it had nothing to start from
         # What promised little was not fitted and stands with its promise, which is below every fit's.
         fit = fits.get(cause.name, reference)
         ratio = reference.cost - fit.cost if cause.name in fits else promises.get(cause.name, 0.0)
@@ -319,22 +322,3 @@ def _ranked(
         candidates.append(Candidate(cause, fit, ratio, float(score)))
     candidates.sort(key=lambda c: -c.delta_bic)
     return Ranking(reference, tuple(candidates), spread, deflation, samples)
-
-
-def pushes_from(missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...]:
-    """Starts of a push: the slots (and runs of slots) where an outside load would help most, for each joint."""
-    found = []
-    for joint in missing:
-        for width in (1, 3):
-            score = np.lib.stride_tricks.sliding_window_view(joint.score, width, axis=1).sum(-1)
-            w, k = np.unravel_index(int(np.argmax(score)), score.shape)
-            found.append(
-                {
-                    "torque": float(joint.single[w, k : k + width].mean()) / width,
-                    "start": float(joint.time[w, k] - 0.5 * joint.slot),
-                    "duration": width * joint.slot,
-                    "log": float(joint.log[w]),
-                    "joint": float(joint.joint),
-                }
-            )
-    return tuple(found)

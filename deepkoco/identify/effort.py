@@ -34,8 +34,8 @@ def command_efforts(
     double integral over the step equal those of the true effort, so that speed and angle after the step
     are right to the order of the integrator and depend smoothly on the delay. A sensing delay acts as one
     more delay of the command: the window's state is then the state that the sensor shows. Where the clock
-    of the measurements runs faster than that of the commands, the delay falls in proportion to the time
-    since the log's first command.
+    of the measurements runs faster than that of the commands, the delay grows in proportion to the time
+    since the log's first command; within a window it is held.
 
     Args:
         system: Gives ``shape_command`` and ``command_timing``.
@@ -76,7 +76,7 @@ def command_efforts(
         _, distinct, group = np.unique(late, axis=0, return_index=True, return_inverse=True)
         a, b = series.steps(
             member.ravel()[distinct],
-            delay[distinct, None] - skew[distinct, None] * (edges - command.t[0]),
+            delay[distinct, None] + skew[distinct, None] * (edges + 0.5 * windows.length - command.t[0]),
             edges,
             windows.step,
             windows.steps,

@@ -175,7 +175,7 @@ class FitProblem:
             slope = ((predicted[1:] - predicted[0]) / step * self.weight).flatten(3)
             now = (residual**2).sum(-1)
             better = torch.isfinite(now) & (now <= cost)
-            moved = bool((better & (cost - now > TOLERANCE / count)).any())
+            moved = bool((better & (cost - now > TOLERANCE / count + 1e-4 * now)).any())
             curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
             hessian = torch.where(better[..., None, None], curvature, hessian)
             downhill = torch.einsum("skwm,kwm->kws", slope, residual)

@@ -12,6 +12,7 @@ from deepkoco.systems import System
 from deepkoco.systems.effects import PlacedEffect
 
 if TYPE_CHECKING:
+    from deepkoco.diagnose.residuals import MissingTorque
     from deepkoco.diagnose.scatter import Scatter, Verdict
 
 
@@ -35,6 +36,7 @@ class Hint(NamedTuple):
     pushes: tuple[Mapping[str, float], ...]  # where an outside load would help most
     seconds: float  # length of the logs [s]
     chi2: float  # what the refitted baseline leaves, per sample
+    missing: MissingTorque | None  # outside load that would make it follow the measurements, at this joint
 
 
 Axis = Literal["omega", "theta", "command", "time", "command_rate"]

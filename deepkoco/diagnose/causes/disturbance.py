@@ -6,8 +6,9 @@ import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
 
-CYCLES = tuple(range(2, 49))  # per turn
-LOWEST, HIGHEST = 0.8, 90.0  # frequencies that are searched [rad/s]
+CYCLES = tuple(range(2, 31))  # per turn
+LOWEST = 0.8  # frequency from which an outside load is searched [rad/s]
+LINES = 5  # of the spectrum that are tried
 
 
 def _cycles(hint: Hint) -> list[dict[str, float]]:
@@ -15,10 +16,23 @@ def _cycles(hint: Hint) -> list[dict[str, float]]:
 
 
 def _frequencies(hint: Hint) -> list[dict[str, float]]:
-    # Lines of a log of length T are about 2 pi / T apart; windows have states of their own, so that coarser will do.
-    spacing = max(2.5 / max(hint.seconds, 1.0), 0.08)
-    count = min(int((HIGHEST - LOWEST) / spacing), 240)
-    return [{"frequency": float(f)} for f in np.linspace(LOWEST**0.5, HIGHEST**0.5, count) ** 2]
+    """The strongest lines in the spectrum of the missing load, by least squares at its own times."""
+    missing = hint.missing
+    if missing is None:
+        return []
+    highest = 0.9 * np.pi / missing.slot
+    # Lines of a log of length T are 2 pi / T apart.
+    grid = np.arange(LOWEST, highest, max(1.5 / max(hint.seconds, 1.0), 0.02))
+    t, load = missing.time.ravel(), missing.torque.ravel()
+    wave = np.exp(-1j * np.outer(grid, t))
+    power = np.abs(wave @ (load - load.mean()))
+    found: list[float] = []
+    for k in np.argsort(-power):
+        if all(abs(grid[k] - f) > 6.0 / max(hint.seconds, 1.0) for f in found):
+            found.append(float(grid[k]))
+        if len(found) == LINES:
+            break
+    return [{"frequency": f} for f in found]
 
 
 COGGING = Cause(
@@ -41,5 +55,5 @@ PERIODIC = Cause(
     "time",
     lambda motion: np.zeros_like(motion.time),
     _frequencies,
-    choices=240,
+    choices=200,
 )

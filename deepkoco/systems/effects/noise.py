@@ -22,24 +22,10 @@ def _quantum(system: System, channel: int = 0) -> tuple[Parameter, ...]:
     )
 
 
-def _stale(system: System, _: int = 0) -> tuple[Parameter, ...]:
-    return (Parameter("share", 0.0, "1", 0.0, 1.0, 0.1, "share of samples that repeat the one before"),)
-
-
-def _drops(system: System, _: int = 0) -> tuple[Parameter, ...]:
-    return (Parameter("share", 0.0, "1", 0.0, 1.0, 0.05, "share of commands that never act"),)
-
-
 JITTER = Effect("jitter", "timing", "noise", _jitter, "time stamps of measurements scatter", site="system")
 NOISE_LEVEL = Effect(
     "noise_level", "sensor", "noise", _level, "a channel is noisier than its data sheet", site="channel"
 )
 QUANTISATION = Effect(
     "quantisation", "sensor", "noise", _quantum, "a channel is rounded to a coarse grid", site="channel"
-)
-STALE_SAMPLES = Effect(
-    "stale_samples", "timing", "noise", _stale, "samples get lost and the last one is repeated", site="system"
-)
-DROPPED_COMMANDS = Effect(
-    "dropped_commands", "timing", "noise", _drops, "commands get lost on their way", site="command"
 )

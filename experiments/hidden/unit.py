@@ -1,0 +1,276 @@
+"""Log of a unit with hidden effects: own integrator at a tenth of the simulator's step, own friction, own noise."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from deepkoco.graph.recording import Recording, Series
+from deepkoco.systems import make_system
+from experiments.hidden.excitations import make_drive
+from experiments.hidden.machines import MACHINES, Body, soft_sign
+
+Hidden = Mapping[str, Mapping[str, Any]]
+STEP = 1e-3  # longest integration step [s]
+SHARPNESS = 0.01  # of dry friction [per s]
+SENSOR_RATE, COMMAND_RATE = 100.0, 50.0  # [Hz]
+PLACED = re.compile(r"(\w+)(?:\((?:joint (\d+)|(\w+))\))?$")
+
+
+class HiddenUnit:
+    """A unit with parameters drawn within the priors of its system.
+
+    Args:
+        system: Name of the system.
+        hidden: Effects by the names of the catalogue, with their parameters.
+        seed: Seed of parameters and noise.
+    """
+
+    def __init__(self, system: str, hidden: Hidden, seed: int) -> None:
+        self.system = make_system(system)
+        rng = np.random.default_rng([seed, 1])
+        self.parameters: dict[str, float] = {}
+        for p in self.system.parameters:
+            # Within two standard deviations: beyond that the data sheet would be wrong.
+            shift = float(np.clip(rng.standard_normal(), -2.0, 2.0))
+            self.parameters[p.name] = float(np.clip(p.value + p.prior_sd * shift, p.low, p.high))
+        self.hidden: dict[tuple[str, int | str], dict[str, Any]] = {}
+        for name, values in hidden.items():
+            match = PLACED.match(name)
+            assert match is not None
+            kind, joint, channel = match.groups()
+            self.hidden[kind, channel or int(joint or 1) - 1] = dict(values)
+        joints = self.system.joints
+        tilt = self._of("tilt")
+        body = Body(
+            self._of("payload").get("mass", 0.0),
+            tuple(self._of("length", j).get("factor", 1.0) for j in range(joints)),
+            tuple(tilt.values()) or (0.0, 0.0),
+        )
+        self.law = MACHINES[system](self.parameters, body)
+        base_lag = self.parameters.get("motor_lag", 0.0)
+        self.lags = [
+            [x for x in (base_lag, self._of("lag", k).get("time_constant", 0.0)) if x > 0.0]
+            for k in range(len(self.system.commands))
+        ]
+        self.rng = np.random.default_rng([seed, 2])
+        self.turbulence = np.random.default_rng([seed, 3])
+
+    def _of(self, kind: str, site: int | str = 0) -> dict[str, Any]:
+        return self.hidden.get((kind, site), {})
+
+    def delivered(self, k: int, command: float, t: float, last: float) -> float:
+        """Effort that answers a command, before any lag; ``last`` is what answered the one before."""
+        width = self._of("backlash", k).get("width", 0.0)
+        u = min(max(last, command - width), command + width) if width else command
+        u *= 1.0 + self._of("gain_drift", k).get("rate", 0.0) * t
+        u *= self._of("gain", k).get("factor", 1.0)
+        u += self._of("asymmetry", k).get("share", 0.0) * abs(u)
+        u += self._of("torque_bias", k).get("effort", 0.0)
+        cubic = self._of("cubic_gain", k).get("share", 0.0)
+        u += cubic * u * (u / self.system.commands[k].high) ** 2
+        zone = self._of("dead_zone", k).get("width", 0.0)
+        u = math.copysign(max(abs(u) - zone, 0.0), u) if zone else u
+        limit = self._of("saturation", k).get("limit", math.inf)
+        return min(max(u, -limit), limit)
+
+    def load(self, j: int, q: float, v: float, u: float, t: float, gust: float) -> float:
+        """Load of the hidden effects on one joint."""
+        total = -self._of("viscous", j).get("change", 0.0) * v
+        total -= self._of("quadratic", j).get("drag", 0.0) * v * abs(v)
+        stribeck = self._of("stribeck", j)
+        level = self._of("coulomb", j).get("torque", 0.0) + stribeck.get("coulomb", 0.0)
+        if stribeck:
+            level += stribeck["breakaway"] * math.exp(-((v / stribeck["speed"]) ** 2))
+        level += self._of("load_friction", j).get("coefficient", 0.0) * abs(u)
+        if level:
+            total -= level * soft_sign(v, SHARPNESS)
+        for kind, phase_of in (("cogging", ("cycles", q)), ("periodic", ("frequency", t))):
+            wave = self._of(kind, j)
+            if wave:
+                phase = wave[phase_of[0]] * phase_of[1]
+                total += wave["sine"] * math.sin(phase) + wave["cosine"] * math.cos(phase)
+        push = self._of("event", j)
+        if push and push["start"] <= t < push["start"] + push["duration"]:
+            total += push["torque"]
+        total -= self._of("position_friction", j).get("size", 0.0) * (1.0 + math.cos(q)) * v
+        return total + self._of("turbulence", j).get("size", 0.0) * gust
+
+
+def hidden_log(
+    system: str, hidden: Hidden, excitation: str, seed: int, seconds: float = 30.0, noisy: bool = True
+) -> Recording:
+    """Record a unit in simulated time.
+
+    Args:
+        system: Name of the system.
+        hidden: Effects by the names of the catalogue, and besides ``turbulence``, ``position_friction`` and
+            ``cubic_gain``, which it does not know.
+        excitation: ``steps``, ``chirp``, ``closed-loop`` or ``bang-bang``.
+        seed: Seed of parameters, excitation and noise.
+        seconds: Length of the log [s].
+        noisy: Whether sensors have noise, quantisation and jitter.
+    """
+    unit = HiddenUnit(system, hidden, seed)
+    log = _Run(unit, excitation, seed, seconds, noisy)
+    log.run()
+    return log.recording()
+
+
+class _Run:
+    """One recording under way: time goes from event to event (samples, commands that begin to act)."""
+
+    def __init__(self, unit: HiddenUnit, excitation: str, seed: int, seconds: float, noisy: bool) -> None:
+        self.unit, self.seconds, self.noisy = unit, seconds, noisy
+        system = unit.system
+        self.drive = make_drive(excitation, system, seconds, seed)
+        self.joints, self.count = system.joints, len(system.commands)
+        self.q, self.v = list(self.drive.start), [0.0] * self.joints
+        self.slow = [[self.drive.rest[k]] * len(unit.lags[k]) for k in range(self.count)]
+        self.acting = list(self.drive.rest)
+        self.played = [0.0] * self.count
+        self.filter = unit._of("low_pass").get("time_constant", 0.0)
+        self.seen = [*self.q, *self.v]
+        self.t, self.gust = 0.0, [0.0] * self.joints
+        self.pending: deque[tuple[float, list[float]]] = deque()
+        self.stamps: list[float] = []
+        self.readings: list[list[float]] = []
+        self.sent: list[tuple[float, list[float]]] = []
+
+    def run(self) -> None:
+        sample, tick = 0, 0
+        while self.t <= self.seconds:
+            if sample >= int(tick * SENSOR_RATE / COMMAND_RATE):
+                self._command(tick / COMMAND_RATE)
+                tick += 1
+            self._sample()
+            sample += 1
+            self._advance(sample / SENSOR_RATE)
+
+    def _command(self, t: float) -> None:
+        latest = self.readings[-1] if self.readings else [*self.q, *self.v]
+        wanted = self.drive(t, latest)
+        limits = [(c.low, c.high) for c in self.unit.system.commands]
+        sent = [min(max(u, low), high) for u, (low, high) in zip(wanted, limits, strict=True)]
+        self.sent.append((t, sent))
+        for k in range(self.count):
+            delay = self.unit._of("actuation_delay", k).get("delay", 0.0)
+            self.pending.append((t + delay, [float(k), sent[k]]))
+        self.pending = deque(sorted(self.pending, key=lambda item: item[0]))
+
+    def _sample(self) -> None:
+        unit, system = self.unit, self.unit.system
+        state = self.seen if self.filter > 0.0 else [*self.q, *self.v]
+        rng = unit.rng
+        t = self.t
+        jitter = unit._of("jitter").get("sd", 0.0) * rng.standard_normal()
+        stamp = t + unit._of("sensing_delay").get("delay", 0.0)
+        stamp *= 1.0 + unit._of("clock_skew").get("rate", 0.0)
+        if self.noisy:
+            stamp += jitter
+        values = []
+        for c, channel in enumerate(system.measurements):
+            j = c % self.joints
+            x = state[c] * unit._of("sensor_scale", j).get("factor", 1.0)
+            if c < self.joints:
+                x += unit._of("sensor_bias", j).get("angle", 0.0)
+                x += unit._of("sensor_drift", j).get("rate", 0.0) * t
+            noise = channel.noise_sd * unit._of("noise_level", channel.name).get("factor", 1.0)
+            x += noise * rng.standard_normal() if self.noisy else 0.0
+            x *= unit._of("channel_slip", channel.name).get("factor", 1.0)
+            step = unit._of("quantisation", channel.name).get("step", 0.0)
+            values.append(step * round(x / step) if step and self.noisy else x)
+        last = self.stamps[-1] if self.stamps else -math.inf
+        self.stamps.append(max(stamp, last + 1e-6))
+        self.readings.append(values)
+
+    def _advance(self, until: float) -> None:
+        while True:
+            due = self.pending[0][0] if self.pending else math.inf
+            edges = [e for e in self._edges() if self.t < e]
+            pause = min([until, max(due, self.t), *edges])
+            if pause > self.t + 1e-12:
+                steps = math.ceil((pause - self.t) / STEP - 1e-9)
+                h = (pause - self.t) / steps
+                for _ in range(steps):
+                    self._step(h)
+                self.t = pause
+            if self.pending and self.pending[0][0] <= self.t + 1e-12:
+                k, u = self.pending.popleft()[1]
+                self._take(int(k), u)
+            elif self.t >= until - 1e-12:
+                return
+
+    def _edges(self) -> list[float]:
+        pushes = [v for (kind, _), v in self.unit.hidden.items() if kind == "event"]
+        return [e for p in pushes for e in (p["start"], p["start"] + p["duration"])]
+
+    def _take(self, k: int, u: float) -> None:
+        width = self.unit._of("backlash", k).get("width", 0.0)
+        if width:
+            u = min(max(self.played[k], u - width), u + width)
+            self.played[k] = u
+        self.acting[k] = self.unit.delivered(k, u, self.t, u)
+
+    def _step(self, h: float) -> None:
+        if any(kind == "turbulence" for kind, _ in self.unit.hidden):
+            # A load that wanders with a memory of 50 ms.
+            keep = math.exp(-h / 0.05)
+            spread = math.sqrt(1.0 - keep * keep)
+            self.gust = [keep * g + spread * self.unit.turbulence.standard_normal() for g in self.gust]
+        n = self.joints
+        y = [*self.q, *self.v, *(z for chain in self.slow for z in chain)]
+        y += self.seen if self.filter > 0.0 else []
+        k1 = self._rates(y, self.t)
+        k2 = self._rates([a + 0.5 * h * b for a, b in zip(y, k1, strict=True)], self.t + 0.5 * h)
+        k3 = self._rates([a + 0.5 * h * b for a, b in zip(y, k2, strict=True)], self.t + 0.5 * h)
+        k4 = self._rates([a + h * b for a, b in zip(y, k3, strict=True)], self.t + h)
+        y = [
+            a + h / 6.0 * (b + 2.0 * c + 2.0 * d + e) for a, b, c, d, e in zip(y, k1, k2, k3, k4, strict=True)
+        ]
+        self.q, self.v = y[:n], y[n : 2 * n]
+        at = 2 * n
+        for chain in self.slow:
+            chain[:] = y[at : at + len(chain)]
+            at += len(chain)
+        self.seen = y[at:] if self.filter > 0.0 else [*self.q, *self.v]
+        self.t += h
+
+    def _rates(self, y: list[float], t: float) -> list[float]:
+        n, unit = self.joints, self.unit
+        q, v = y[:n], y[n : 2 * n]
+        rates, at, effort = [], 2 * n, []
+        for k in range(self.count):
+            given = self.acting[k]
+            for constant in unit.lags[k]:
+                rates.append((given - y[at]) / constant)
+                given = y[at]
+                at += 1
+            effort.append(given)
+        load = (
+            [unit.load(j, q[j], v[j], effort[j], t, self.gust[j]) for j in range(n)]
+            if unit.hidden
+            else [0.0] * n
+        )
+        result = [*v, *unit.law(q, v, effort, load), *rates]
+        if self.filter > 0.0:
+            result += [(x - s) / self.filter for x, s in zip([*q, *v], y[at:], strict=True)]
+        return result
+
+    def recording(self) -> Recording:
+        system = self.unit.system
+        stamps, readings = np.array(self.stamps), np.array(self.readings)
+        times = np.array([t for t, _ in self.sent])
+        channels = {}
+        for k, command in enumerate(system.commands):
+            slip = self.unit._of("unit_slip", k).get("factor", 1.0)
+            logged = np.array([u[k] for _, u in self.sent]) / slip
+            channels[command.name] = Series(times, logged, command.unit, "command")
+        for c, channel in enumerate(system.measurements):
+            channels[channel.name] = Series(stamps, readings[:, c], channel.unit, "measurement")
+        return Recording(channels, None, system.name, {})
