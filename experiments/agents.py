@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING
 
 from deepkoco.agent.collection import BatchController, VectorEnvFactory
 from deepkoco.agent.metrics import MetricsLog, Row
@@ -66,12 +67,22 @@ class AgentKind:
     controller: str
 
 
+def _baseline(settings: str) -> AgentKind:
+    return AgentKind(
+        f"baselines.config:{settings}", "baselines.training:BaselineTrainer", "baselines.policy:load_policy"
+    )
+
+
 AGENTS = {
     "deepkoco": AgentKind(
         "deepkoco.agent.config:TrainingConfig",
         "deepkoco.agent.training:Trainer",
         "deepkoco.agent.agent:load_agent",
     ),
+    "sac": _baseline("SacConfig"),
+    "sac_shared": _baseline("SharedSacConfig"),
+    "deepmdp": _baseline("DeepMdpConfig"),
+    "dbc": _baseline("DbcConfig"),
 }
 
 
@@ -113,7 +124,8 @@ def load_controller(name: str, run: Path, count: int) -> Controller:
 def register() -> None:
     """Make the schemas of all settings known to Hydra."""
     store = ConfigStore.instance()
-    store.store(name="train_schema", node=TrainRunConfig)
+    # Without an agent: that of one cannot be merged with the typed settings of another.
+    store.store(name="train_schema", node=TrainRunConfig(agent=MISSING))
     store.store(name="evaluate_schema", node=EvaluateConfig)
     store.store(group="task", name="task_schema", node=TaskConfig)
     for name in AGENTS:

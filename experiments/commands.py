@@ -17,6 +17,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
+from baselines.config import BaselineConfigError
 from deepkoco.agent.buffer import ReplayError
 from deepkoco.agent.checkpoint import CheckpointError
 from deepkoco.agent.collection import SpaceError
@@ -29,6 +30,7 @@ from experiments.sweep import Failure, SweepFailed, check_launcher
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 BAD_INPUT = (
+    BaselineConfigError,
     CheckpointError,
     ExperimentError,
     ModelFolderError,
