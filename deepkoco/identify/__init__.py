@@ -2,6 +2,8 @@
 
 from deepkoco.identify.estimator import DelayedEstimator, Memory, system_derivative
 from deepkoco.identify.fit import FitProblem
+from deepkoco.identify.graph_fit import GraphFit, fit_graph, seen_by_supervisor
+from deepkoco.identify.hidden_delay import HiddenDelays, hidden_delays
 from deepkoco.identify.identifiability import Direction, unidentified
 from deepkoco.identify.identification import Convergence, Estimate, Identification
 from deepkoco.identify.identify import fit
@@ -26,6 +28,8 @@ __all__ = [
     "Fit",
     "FitError",
     "FitProblem",
+    "GraphFit",
+    "HiddenDelays",
     "Identification",
     "LevenbergMarquardt",
     "Memory",
@@ -40,7 +44,10 @@ __all__ = [
     "cut_windows",
     "estimate_noise",
     "fit",
+    "fit_graph",
+    "hidden_delays",
     "moving",
+    "seen_by_supervisor",
     "system_derivative",
     "unidentified",
     "window_length",

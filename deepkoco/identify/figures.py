@@ -108,7 +108,7 @@ def correlation(found: Identification) -> Picture | None:
         for j in range(len(names)):
             colour = "white" if abs(matrix[i, j]) > 0.6 else "black"
             axis.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", fontsize=8, color=colour)
-    figure.colorbar(image, ax=axis, label="correlation of the estimates", shrink=0.8)
+    figure.colorbar(image, ax=axis, label="correlation", shrink=0.8)
     table = pd.DataFrame(matrix, columns=names)
     table.insert(0, "parameter", names)
     caption = "Two parameters with a correlation near 1 or -1 stand in for each other: the log tells their combination."
