@@ -69,6 +69,8 @@ def relate(t: np.ndarray, value: np.ndarray, t_rate: np.ndarray, rate: np.ndarra
 
 def slip(ratio: float) -> str | None:
     """Say what a ratio of angle and speed in SI units other than 1 tells about their units; None: nothing."""
+    if not math.isfinite(ratio) or ratio == 0:
+        return None
     for factor, meaning in SLIPS.items():
         if abs(math.log(abs(ratio) / factor)) < 0.15:
             return meaning

@@ -139,7 +139,7 @@ def read_log(
     if unknown:
         seconds = sum(end - begin for begin, end in unknown if end < np.inf)
         notes.append(
-            f"{len(unknown)} stretches ({seconds:.3g} s) in which a command is not known or a measurement was filled in; "
+            f"{len(unknown)} stretches ({seconds:.3g} s) in which a command is not known or a measurement filled in; "
             "fits leave out the windows there"
         )
     return Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))

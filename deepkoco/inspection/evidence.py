@@ -145,7 +145,7 @@ def choose_units(
 
 def _prior(column: ColumnSurvey, unit: str) -> float:
     if column.hints.unit is not None:
-        return 0.0 if factor_of(column.hints.unit) == factor_of(unit) else -8.0
+        return 0.0 if factor_of(column.hints.unit) == factor_of(unit) else -30.0
     score = {"rad": 1.0, "rad/s": 1.0, "m": 1.0, "m/s": 1.0, "deg": 0.0, "deg/s": 0.0}.get(unit, -2.0)
     span = (column.high or 0.0) - (column.low or 0.0)
     limit = COMMON.get(unit)

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from deepkoco.graph.derivative import Relation
+from deepkoco.graph.derivative import Relation, slip
 from deepkoco.graph.sidecar import ChannelColumn, Column
 from deepkoco.graph.units import factor_between, parse_unit
 from deepkoco.inspection.evidence import (
@@ -194,7 +194,8 @@ class Proposer:
                 said, why = self._said(column, channel, joint, system)
                 rows.append((column, said, why))
         rows.sort(key=lambda row: -row[1])
-        return [*rows[:BEST], (None, NOTHING, [])]
+        most = BEST if channel.kind == "measurement" else len(rows)
+        return [*rows[:most], (None, NOTHING, [])]
 
     def _said(
         self, column: ColumnSurvey, channel: Channel, joint: int, system: System
@@ -247,7 +248,8 @@ class Proposer:
         if relation.agreement < AGREES:
             return -4.0 * (AGREES - max(relation.agreement, 0.0)), []
         said = f'"{b.name}" is the derivative of "{a.name}" (ratio {relation.ratio:.3g}, fits {relation.agreement:.2f})'
-        return 6.0 * (relation.agreement - 0.5), [said]
+        known = relation.agreement > 0.9 and (0.8 < relation.ratio < 1.25 or slip(relation.ratio) is not None)
+        return 6.0 * (relation.agreement - 0.5) + 3.0 * known, [said]
 
     def _units(
         self, a: ColumnSurvey | None, b: ColumnSurvey | None, position: Channel | None, rate: Channel | None
