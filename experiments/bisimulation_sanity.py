@@ -239,7 +239,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         table: Rows of `measure`.
         path: Of the PNG.
     """
-    panels = list(table.groupby(["task", "observation", "distractors"]))
+    panels: list[Any] = list(table.groupby(["task", "observation", "distractors"]))
     with plt.style.context(STYLE):
         figure, axes = plt.subplots(1, len(panels), figsize=(4.5 * len(panels), 3.6), squeeze=False)
         for axis, ((task, observation, distractors), rows) in zip(axes[0], panels, strict=True):
