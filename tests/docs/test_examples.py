@@ -41,7 +41,16 @@ def test_examples_go_on_from_the_first_graph(
 
 
 @pytest.mark.parametrize(
-    "page", ["analysis.md", "distractors.md", "environments.md", "identify.md", "planning.md", "runtimes.md"]
+    "page",
+    [
+        "analysis.md",
+        "distractors.md",
+        "environments.md",
+        "logs.md",
+        "identify.md",
+        "planning.md",
+        "runtimes.md",
+    ],
 )
 def test_examples_run_from_top_to_bottom(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if page == "environments.md":
