@@ -29,9 +29,11 @@ HOPE = 0.3  # share of the best start's gain that a candidate must have by then 
 ITERATIONS = 14
 PATIENCE = 40  # further iterations for a winner that has not converged
 WORTH = 8.0  # fall of the cost, to first order, from which a cause is worth a fit of its own
-SHARE = 0.08  # or this share of what the most promising one offers
+SLIPS = 4  # constants between units that are fitted in full
+SLIP_ITERATIONS = 6
+SHARE = 0.2  # or this share of what the most promising one offers
 ABREAST = 0.3  # share of a cause's best promise that its further starts must have
-STARTS = 3  # of one cause, at most
+STARTS = 2  # of one cause, at most
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 FAR = 25.0  # prior penalty of a refit that a strong cause has driven away
 
@@ -215,21 +217,22 @@ def _slipped(
     slips: Sequence[tuple[Cause, Mapping[str, float]]],
 ) -> list[Trial]:
     """Trials of constants between units: far from the refit, with the baseline as it was before."""
+    if not slips:
+        return []
     before = {n: start.values[n] for n in start.prior.names}
-    trials = []
-    for cause, place in slips:
-        values = {**reference.values, **before, **place}
-        state = problem.windows.state.clone()
+    values = [{**reference.values, **before, **place} for _, place in slips]
+    states = problem.windows.state.repeat(len(slips), 1, 1)
+    for k, (cause, place) in enumerate(slips):
         if cause.kind == "channel_slip":
-            state[:, problem.windows.shows[cause.index]] /= next(iter(place.values()))
-        fitted, costs = problem.fit_states(values, state)
-        if bool(torch.isfinite(costs).all()):
-            trials.append(
-                (float(costs.sum()), _trial(problem, start, accepted, cause, values, fitted, reference))
-            )
+            states[k, :, problem.windows.shows[cause.index]] /= next(iter(place.values()))
+    fitted, costs = problem.fit_states_each(values, states, SLIP_ITERATIONS)
+    total = costs.sum(-1).nan_to_num(torch.inf)
     # Of many constants only the few that come near the data are worth a fit.
-    trials.sort(key=lambda t: t[0])
-    return [trial for _, trial in trials[:4]]
+    return [
+        _trial(problem, start, accepted, slips[k][0], values[k], fitted[k], reference)
+        for k in total.argsort()[:SLIPS].tolist()
+        if bool(torch.isfinite(total[k]))
+    ]
 
 
 def _trial(

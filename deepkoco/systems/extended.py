@@ -124,19 +124,23 @@ class ExtendedSystem(System):
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             total: list[Tensor | None] = [None] * self.joints if motion.loads is None else list(motion.loads)
+            own: dict[int, Tensor] = {}
             for placed, p, part in parts:
                 j = placed.index
                 effort = motion.efforts[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
                 smoothing = None if motion.smoothing is None else motion.smoothing[j]
                 joint = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
                 if part is None:
-                    load = placed.effect.apply(joint, p)
-                    total[j] = load if total[j] is None else total[j] + load
+                    load, given = placed.effect.apply(joint, p), total[j]
+                    total[j] = load if given is None else given + load
                     continue
                 sliced = JointState(*(_lanes(x, part) for x in joint))
-                if total[j] is None:
-                    total[j] = torch.zeros_like(motion.speeds[j])
-                total[j][..., part] += placed.effect.apply(sliced, p)
+                if j not in own:
+                    # A load that the caller gave is not ours to change.
+                    given = total[j]
+                    own[j] = torch.zeros_like(motion.speeds[j]) if given is None else given.clone()
+                    total[j] = own[j]
+                own[j][..., part] += placed.effect.apply(sliced, p)
             return law(motion._replace(loads=tuple(total)))
 
         return acceleration

@@ -11,7 +11,7 @@ from deepkoco.diagnose import OutputExistsError, diagnose, write_report
 from deepkoco.diagnose.words import headline, lead
 from deepkoco.graph.recording import Series, write_log
 from deepkoco.systems import load_model
-from experiments.hidden_effects import unit_log
+from experiments.hidden.recorded import unit_log
 
 HIDDEN = {"coulomb": {"torque": 0.15}}
 KEYS = {

@@ -14,4 +14,4 @@ UNIT_CONSTANTS = (
     1e-3,
     -1.0,
 )
-LOUD = 4.0  # chi2 per sample of the refitted baseline from which a slip of units is tried
+LOUD = 20.0  # chi2 per sample of the refitted baseline from which a slip of units is tried

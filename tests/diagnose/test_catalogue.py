@@ -1,0 +1,68 @@
+"""Causes hidden by the independent generator in units of every system: named in class; controls stay silent."""
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose import CAUSES, diagnose
+from deepkoco.diagnose.causes import catalogue, kind_of
+from deepkoco.systems import make_system
+from deepkoco.systems.effects import effects_of
+from experiments.hidden.unit import hidden_log
+
+SECONDS = 20.0
+# cause -> (system, excitation, what is hidden)
+HIDDEN = {
+    "clock_skew": ("rod_pendulum", "steps", {"rate": 1e-3}),
+    "jitter": ("rod_pendulum", "steps", {"sd": 0.003}),
+    "load_friction": ("rod_pendulum", "steps", {"coefficient": 0.05}),
+    "backlash": ("rod_pendulum", "steps", {"width": 0.1}),
+    "gain_drift": ("rod_pendulum", "steps", {"rate": 0.01}),
+    "asymmetry": ("rod_pendulum", "steps", {"share": 0.05}),
+    "cogging": ("rod_pendulum", "steps", {"sine": 0.1, "cosine": 0.05, "cycles": 7.0}),
+    "periodic": ("rod_pendulum", "steps", {"sine": 0.1, "cosine": 0.0, "frequency": 9.0}),
+    "length": ("rod_pendulum", "steps", {"factor": 1.05}),
+    "tilt": ("rod_pendulum", "steps", {"angle": 0.02}),
+    "sensor_drift": ("rod_pendulum", "steps", {"rate": 0.002}),
+    "low_pass": ("rod_pendulum", "steps", {"time_constant": 0.03}),
+    "noise_level(omega)": ("rod_pendulum", "steps", {"factor": 4.0}),
+    "quantisation(theta)": ("rod_pendulum", "steps", {"step": 0.02}),
+    "unit_slip": ("rod_pendulum", "steps", {"factor": 1e-3}),
+    "channel_slip(theta)": ("rod_pendulum", "steps", {"factor": 180.0 / np.pi}),
+    "coulomb(joint 2)": ("two_link_arm", "steps", {"torque": 0.1}),
+    "gain(joint 1)": ("two_link_arm", "chirp", {"factor": 0.9}),
+    "payload": ("quadrotor_height", "steps", {"mass": 0.003}),
+    "actuation_delay": ("quadrotor_height", "closed-loop", {"delay": 0.02}),
+}
+
+
+def test_every_cause_has_an_effect_or_is_an_event():
+    for system in ("rod_pendulum", "two_link_arm", "quadrotor_height"):
+        base = make_system(system)
+        known = effects_of(base)
+        for name, cause in catalogue(base).items():
+            assert kind_of(name) in CAUSES
+            assert cause.effect == "event" or cause.effect in known
+            declared = (
+                {f"{cause.effect}.{p.name}" for p in known[name].parameters(base)} if name in known else set()
+            )
+            assert cause.effect == "event" or set(cause.free) <= declared
+
+
+@pytest.mark.parametrize("cause", HIDDEN)
+def test_hidden_cause_is_named_in_class(cause):
+    system, excitation, values = HIDDEN[cause]
+    log = hidden_log(system, {cause: values}, excitation, 120 + list(HIDDEN).index(cause), SECONDS)
+    result = diagnose([log], system)
+    assert result.verdict in ("cause", "ambiguous")
+    assert cause in result.causes[0].members
+    assert result.chi2_after < 1.15
+
+
+@pytest.mark.parametrize(
+    ("system", "excitation"),
+    [("two_link_arm", "steps"), ("quadrotor_height", "closed-loop"), ("pendulum", "closed-loop")],
+)
+def test_nothing_is_named_on_a_control_of_the_generator(system, excitation):
+    result = diagnose([hidden_log(system, {}, excitation, 150, SECONDS)], system)
+    assert result.verdict == "nothing"
+    assert result.causes == ()

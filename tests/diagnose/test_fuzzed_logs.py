@@ -1,0 +1,60 @@
+"""Damaged logs end in one clear error or an honest diagnosis.
+
+The suite reads and inspects 100 cases and diagnoses a few. DEEPKOCO_FUZZ_CASES=N diagnoses N cases as well;
+`python -m experiments.fuzz_logs --cases 1000` writes down what became of each.
+"""
+
+import os
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+
+from experiments.fuzz_logs import FuzzCase, case_strategy, cases, main, read_case, run_case
+from experiments.log_faults import FAULTS
+
+pytest.importorskip("rosbags")
+DIAGNOSED = int(os.environ.get("DEEPKOCO_FUZZ_CASES", "0"))
+QUIET = list(HealthCheck)
+
+
+@settings(max_examples=100, deadline=None, database=None, derandomize=True, suppress_health_check=QUIET)
+@given(case_strategy())
+def test_reading_and_inspecting_never_ends_in_a_traceback(case):
+    result, _, _ = read_case(case)
+    assert result.wrong == "", result
+
+
+@pytest.mark.parametrize("fault", sorted(FAULTS))
+@pytest.mark.parametrize("form", ["csv", "mcap"])
+def test_every_fault_is_refused_or_read(fault, form):
+    result, recording, _ = read_case(FuzzCase(0, form, (fault,), 3))
+    assert result.wrong == "", result
+    assert (recording is None) == (result.outcome == "refused")
+
+
+@pytest.mark.parametrize(
+    ("fault", "seed"), [("NaN burst, filled", 1), ("lost rows", 1), ("command in other unit", 1)]
+)
+def test_a_damaged_log_names_no_cause_that_the_clean_one_does_not_show(fault, seed):
+    result = run_case(FuzzCase(0, "csv", (fault,), seed))
+    assert result.wrong == "", result
+
+
+@pytest.mark.skipif(DIAGNOSED == 0, reason="DEEPKOCO_FUZZ_CASES is not set")
+@settings(max_examples=max(DIAGNOSED, 1), deadline=None, phases=[Phase.generate], suppress_health_check=QUIET)
+@given(case_strategy())
+def test_diagnoses_of_damaged_logs_are_honest(case):
+    result = run_case(case)
+    assert result.wrong == "", result
+
+
+def test_cases_are_different_and_follow_from_the_seed():
+    drawn = cases(50, 1)
+    assert drawn == cases(50, 1)
+    assert len(set(drawn)) == 50
+
+
+def test_results_are_never_overwritten(tmp_path, capsys):
+    (tmp_path / "fuzzed_logs.csv").write_text("mine")
+    assert main(["--cases", "1", "--out", str(tmp_path)]) == 2
+    assert "fuzzed_logs.csv: exists" in capsys.readouterr().err

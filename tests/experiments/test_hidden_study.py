@@ -1,0 +1,67 @@
+"""The study of hidden effects: cases, resuming, measures worked out by hand."""
+
+import json
+
+import pytest
+
+from experiments.hidden.cases import make_case
+from experiments.hidden.measures import measures
+from experiments.hidden_effects import COLUMNS, ResumeError, read_rows
+
+
+def row(**given):
+    base = dict.fromkeys(COLUMNS, "")
+    base |= {"kind": "single", "hidden": "gain", "ES": "1.0", "verdict": "cause", "classes": "[]"}
+    return base | {"parameters": "[]", "chi2_before": "1.0", "cpu_s": "1.0"} | given
+
+
+def test_a_case_does_not_depend_on_what_was_drawn_before():
+    first = [make_case(i, 101, "two_link_arm", "clean") for i in range(40)]
+    assert make_case(17, 101, "two_link_arm", "clean") == first[17]
+    assert {c.kind for c in first} == {"control", "single", "pair", "outside"}
+    assert all(len(c.names) == {"control": 0, "pair": 2}.get(c.kind, 1) for c in first)
+    assert all(
+        c.excitation == "bang-bang" for c in [make_case(i, 1, "pendulum", "bang-bang") for i in range(9)]
+    )
+
+
+def test_measures_by_hand():
+    estimate = {"name": "gain.factor", "true": 0.8, "value": 0.81, "low": 0.79, "high": 0.83}
+    rows = [
+        row(kind="control", hidden="", ES="", verdict="nothing"),
+        row(kind="control", hidden="", ES="", verdict="cause", classes='[["lag"]]'),
+        row(
+            classes='[["gain", "payload"]]', parameters=json.dumps([estimate]), gain="0.5", oracle_gain="0.5"
+        ),
+        row(classes='[["payload", "gain"]]', against_given="1.05"),
+        row(classes='[["lag"]]'),
+        row(ES="0.15", verdict="nothing"),
+        row(kind="pair", hidden="gain + lag", classes='[["lag"], ["payload", "gain"]]'),
+        row(
+            kind="outside", hidden="turbulence", verdict="unknown", classes='[["unknown"]]', chi2_before="2.0"
+        ),
+    ]
+    found = measures(rows)
+    assert (found["false_alarms"]["count"], found["false_alarms"]["of"]) == (1, 2)
+    assert (found["top_1_in_class"]["count"], found["top_1_in_class"]["of"]) == (2, 3)
+    assert found["exact_top_1"]["count"] == 1
+    assert found["set_size"] == {"value": pytest.approx(5 / 3, abs=1e-3), "of": 3}
+    assert (found["detected_ES_0.1_to_0.2"]["count"], found["detected_ES_0.1_to_0.2"]["of"]) == (0, 1)
+    assert found["pairs_both_named"]["share"] == 1.0
+    assert found["outside_called_unknown"]["share"] == 1.0
+    # 0.01 off of an effect of 0.2.
+    assert found["parameter_error_median"] == {"value": pytest.approx(0.05), "of": 1}
+    assert found["interval_coverage"]["share"] == 1.0
+    assert found["worse_than_given_by_2_percent"]["count"] == 1
+
+
+def test_a_row_that_a_kill_cut_off_is_run_again(tmp_path):
+    path = tmp_path / "rows.csv"
+    whole = ",".join(COLUMNS) + "\n" + "0,101,pendulum,clean" + "," * (len(COLUMNS) - 4) + "\n"
+    path.write_text(whole + "1,102,pendu")
+    assert set(read_rows(path, "pendulum", "clean", 101)) == {0}
+    assert path.read_text() == whole
+    with pytest.raises(ResumeError, match="seed 101"):
+        read_rows(path, "pendulum", "clean", 500)
+    with pytest.raises(ResumeError, match="another study"):
+        read_rows(path, "two_link_arm", "clean", 101)
