@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
 from deepkoco.diagnose.findings import motion_of
+from deepkoco.diagnose.friction_figure import friction_picture
 from deepkoco.diagnose.missing_curve import expected_missing_torque
 from deepkoco.picture import Picture, house_style
 
@@ -32,6 +33,7 @@ def draw_all(diagnosis: Diagnosis) -> list[Picture]:
     drawings: tuple[Callable[[Diagnosis, Details], Picture | None], ...] = (
         replay,
         missing_torque,
+        friction_picture,
         candidates,
         error_by_horizon,
         before_after,

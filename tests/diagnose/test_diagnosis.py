@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from deepkoco.cli import main
@@ -77,6 +78,7 @@ def test_every_picture_has_its_table_and_the_page_needs_no_other_file(report):
         "before_after",
         "candidates",
         "error_by_horizon",
+        "friction_curve",
         "missing_torque",
         "parameters",
         "replay",
@@ -86,6 +88,16 @@ def test_every_picture_has_its_table_and_the_page_needs_no_other_file(report):
     assert page.count("data:image/png;base64,") == len(pictures)
     assert 'src="http' not in page
     assert "The simulation lacks: coulomb" in page
+
+
+def test_friction_curve_holds_the_hidden_friction(report):
+    curve = pd.read_csv(report / "friction_curve.csv")
+    fast = curve[curve.speed > 1.0]
+    # Coulomb friction of 0.15 N m and little else, drawn within its band.
+    assert np.allclose(fast.extended, 0.15, atol=0.02)
+    assert (fast.extended_low <= fast.extended).all()
+    assert (fast.extended_high >= fast.extended).all()
+    assert np.allclose(curve.extended + curve.extended.to_numpy()[::-1], 0.0, atol=1e-9)
 
 
 def test_model_is_a_system_and_diagnosing_from_it_finds_nothing(report):

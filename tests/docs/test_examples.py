@@ -44,6 +44,7 @@ def test_examples_go_on_from_the_first_graph(
     "page",
     [
         "analysis.md",
+        "baselines.md",
         "distractors.md",
         "environments.md",
         "logs.md",
@@ -68,3 +69,17 @@ def test_the_examples_of_models_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     write_controller(stored, tmp_path / "runs" / "first" / "model")
     monkeypatch.chdir(tmp_path)
     run_examples("models.md", {"__name__": "example"})
+
+
+def test_the_example_of_a_new_cause_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from deepkoco.diagnose import CAUSES
+    from deepkoco.systems.effects import EFFECTS
+
+    effects, causes = dict(EFFECTS), dict(CAUSES)
+    monkeypatch.chdir(tmp_path)
+    try:
+        run_examples("diagnose.md", {"__name__": "example"})
+    finally:
+        for registry, before in ((EFFECTS, effects), (CAUSES, causes)):
+            registry.clear()
+            registry.update(before)
