@@ -124,8 +124,10 @@ class _Study:
         structure = chi2[1] > limit or after.lag_one > 5.0 / np.sqrt(data.train.samples)
         verdict = self._verdict(reference, final, limit, structure)
         named = self._named(missing) if verdict in ("cause", "ambiguous") else ()
-        if scattered and verdict in ("nothing", "cause", "ambiguous"):
-            verdict, named = ("cause" if verdict == "nothing" else verdict), (*named, *scattered)
+        white = after.lag_one <= 5.0 / np.sqrt(data.train.samples)
+        if scattered and (verdict != "unknown" or (white and not self.accepted)):
+            # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
+            verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
         if not self.accepted or verdict not in ("cause", "ambiguous"):
             final = reference
         gain = self._gain(reference, final, seed)

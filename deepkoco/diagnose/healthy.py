@@ -52,7 +52,7 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
     prior = prior_with(problem, start, accepted, fit.values)
     centre = np.array([fit.values[n] for n in prior.names])
     spread = dispersion(fit, windows)
-    covariance = fit.covariance * spread.deflation + _run_to_run(recordings, system, length, start, fit)
+    covariance = fit.covariance * spread.deflation + _run_to_run(recordings, system, length, replace(start, prior=prior), fit)
     return replace(
         start,
         values=dict(fit.values),
@@ -65,7 +65,11 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
 def _run_to_run(
     recordings: Sequence[Recording], system: System, length: float, start: Start, pooled: Fit
 ) -> np.ndarray:
-    """Covariance (diagonal) of the baseline's parameters between logs, 0 for a single log."""
+    """Covariance (diagonal) of the parameters between logs, 0 for a single log.
+
+    Each log is refitted by itself, with everything free that the pooled fit freed; what the logs differ by beyond
+    the uncertainty of their fits is the unit's own spread.
+    """
     size = len(pooled.free)
     if len(recordings) < 2:
         return np.zeros((size, size))

@@ -131,6 +131,11 @@ def rank(
     prior = prior_with(problem, start, accepted, reference.values)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free])
     promising = _promising(promises)
+    # Parameters that a healthy log freed are in the tangent already, which hides what more of them would win.
+    known, found = set(start.prior.names), {p.cause.name for p in promising}
+    promising += [
+        Promise(c, {}, WORTH) for c in tried if c.free and known.intersection(c.free) and c.name not in found
+    ]
     trials = [
         _trial(
             problem,
