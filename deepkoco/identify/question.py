@@ -13,7 +13,7 @@ from deepkoco.identify.fit import FitProblem, channel_delays
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
 from deepkoco.identify.windows import Windows, cut_windows, moving, window_length
-from deepkoco.systems import ExtendedSystem, JointSystem, Parameter, one_joint
+from deepkoco.systems import ExtendedSystem, JointSystem, Parameter, System, one_joint
 from deepkoco.systems.effects import EFFECTS
 
 FEWEST_WINDOWS = 2
@@ -176,7 +176,7 @@ def _bounded(
     return replace(parameter, low=low, high=high, value=value)
 
 
-def _without_start(windows: Windows, late: Sequence[str], system: JointSystem) -> Windows:
+def _without_start(windows: Windows, late: Sequence[str], system: System) -> Windows:
     """Leave out samples of late channels that may show a state from before their window."""
     valid = windows.valid.clone()
     for c, channel in enumerate(system.measurements):

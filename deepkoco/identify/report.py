@@ -54,9 +54,10 @@ def write_identification(found: Identification, out: str | Path) -> Path:
 def terminal_report(found: Identification) -> RenderableType:
     """Parameters with intervals, errors before and after, and what to take care of."""
     table = Table(box=None, padding=(0, 2, 0, 0), title=f"{found.system.name}", title_justify="left")
-    for heading, justify in (("parameter", "left"), ("before", "right"), ("fitted", "right")):
-        table.add_column(heading, justify=justify, style="bold" if heading == "fitted" else None)
-    table.add_column("95 % interval", justify="left")
+    table.add_column("parameter")
+    table.add_column("before", justify="right")
+    table.add_column("fitted", justify="right", style="bold")
+    table.add_column("95 % interval")
     table.add_column("unit")
     for estimate in (*found.estimates.values(), *found.zeros):
         table.add_row(*_row(estimate))

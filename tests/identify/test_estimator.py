@@ -1,6 +1,7 @@
 """Forward prediction from late measurements, against exact filters in the right order."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def exact(measurements, commands, stop):
 
     def carry(mean, covariance, t0, t1):
         edges = [t0, *(t for t, _ in commands if t0 < t < t1), t1]
-        for left, right in zip(edges, edges[1:], strict=False):
+        for left, right in pairwise(edges):
             held = [u for t, u in commands if t <= left]
             # Van Loan: one exponential gives the transition and the integral of the noise.
             h = right - left
@@ -148,6 +149,7 @@ def test_noise_may_change_in_time_and_from_measurement_to_measurement():
     )
     memory = begin(estimator)
     early = estimator.estimate(memory, torch.tensor([0.1], dtype=F64)).covariance
+    noise = torch.tensor([SD], dtype=F64)
     never = DelayedEstimator(
         derivative, lambda x: x[..., :1], torch.zeros(2, 2, dtype=F64), torch.tensor([SD], dtype=F64)
     )

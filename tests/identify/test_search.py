@@ -87,7 +87,8 @@ def test_a_point_without_a_cost_does_not_stop_the_search():
         cost,
         np.full(2, 0.1),
         np.ones(2),
-        *(s * np.full(2, np.inf) for s in (-1, 1)),
+        np.full(2, -np.inf),
+        np.full(2, np.inf),
         np.random.default_rng(0),
     )
     assert found.best == pytest.approx([0.5, 0.5], abs=1e-2)

@@ -125,7 +125,8 @@ def test_a_nearly_perfect_sensor_does_not_cost_the_covariance_its_sign():
     belief = Belief(torch.zeros(1, 2, dtype=F64), torch.diag(torch.tensor([1e4, 1e4], dtype=F64))[None])
     for _ in range(200):
         belief = predict(belief, swing, 1e-9 * torch.eye(2, dtype=F64), SigmaPoints())
-        belief, _ = update(belief, lambda x: x[..., :1], torch.zeros(1, 1, dtype=F64), torch.tensor([1e-9], dtype=F64), SigmaPoints())  # fmt: skip
+        zero, sd = torch.zeros(1, 1, dtype=F64), torch.tensor([1e-9], dtype=F64)
+        belief, _ = update(belief, lambda x: x[..., :1], zero, sd, SigmaPoints())
     assert bool(torch.isfinite(belief.mean).all())
     assert float(torch.linalg.eigvalsh(belief.covariance)[0, 0]) >= 0.0
 
