@@ -146,7 +146,7 @@ def cases(number: int, seed: int) -> list[FuzzCase]:
         database=None,
         deadline=None,
         phases=[Phase.generate],
-        suppress_health_check=list(HealthCheck),
+        suppress_health_check=list(HealthCheck),  # pyright: ignore[reportArgumentType]
     )
     @given(case_strategy())
     def draw(case: FuzzCase) -> None:

@@ -185,7 +185,7 @@ def _gap(log: DamagedLog, g: np.random.Generator) -> None:
 
 def _lost_rows(log: DamagedLog, g: np.random.Generator) -> None:
     keep = g.random(len(log.frame)) > g.choice([0.01, 0.05, 0.2])
-    log.frame = log.frame[keep].reset_index(drop=True)
+    log.frame = log.frame.iloc[np.flatnonzero(keep)].reset_index(drop=True)
 
 
 def _repeated_rows(log: DamagedLog, g: np.random.Generator) -> None:
