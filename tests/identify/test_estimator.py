@@ -149,7 +149,6 @@ def test_noise_may_change_in_time_and_from_measurement_to_measurement():
     )
     memory = begin(estimator)
     early = estimator.estimate(memory, torch.tensor([0.1], dtype=F64)).covariance
-    noise = torch.tensor([SD], dtype=F64)
     never = DelayedEstimator(
         derivative, lambda x: x[..., :1], torch.zeros(2, 2, dtype=F64), torch.tensor([SD], dtype=F64)
     )
