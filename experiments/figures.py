@@ -23,7 +23,7 @@ from experiments.comparison.drawing import draw, panel_title
 from experiments.comparison.efficiency import sample_efficiency, times_to_target
 from experiments.comparison.page import final_markdown, page
 from experiments.comparison.references import REFERENCES, References, load_references
-from experiments.comparison.runs import ComparedRun, evaluations, find_runs
+from experiments.comparison.runs import ComparedRun, evaluations, find_runs, settings_table
 from experiments.comparison.tables import final_costs
 from experiments.provenance import as_markdown
 from experiments.settings import ExperimentError
@@ -136,6 +136,7 @@ def write_figure(
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     tables = {"curves": curves, "raw": table, "final": final, "times": times, "efficiency": efficiency}
+    tables["settings"] = settings_table(runs)
     for name, content in tables.items():
         content.to_csv(partial / f"{name}.csv", index=False, float_format="%.6g")
     draw(curves, known, partial / "learning_curves.png")

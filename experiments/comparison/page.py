@@ -168,6 +168,7 @@ def page(
         ]
     parts.append(
         "`curves.csv` is what the figure draws, `raw.csv` every evaluation of every seed, `final.csv` and "
-        "`efficiency.csv` the tables, `times.csv` the episodes and steps of every seed."
+        "`efficiency.csv` the tables, `times.csv` the episodes and steps of every seed, `settings.csv` every "
+        "hyper-parameter of every method."
     )
     return "\n\n".join(parts) + "\n"

@@ -200,3 +200,22 @@ def evaluations(runs: Sequence[ComparedRun]) -> pd.DataFrame:
             "no run has evaluated yet; agent.evaluation_episodes=10 evaluates during training"
         )
     return table
+
+
+def settings_table(runs: Sequence[ComparedRun]) -> pd.DataFrame:
+    """Every hyper-parameter of every method.
+
+    Args:
+        runs: At least one.
+
+    Returns:
+        Columns task, observation, distractors, agent, variant, setting and value.
+    """
+    rows = {
+        (*run.panel, run.config.agent.name, variant, name): str(value)
+        for run, variant in zip(runs, variants(runs), strict=True)
+        for name, value in run.config.identity().items()
+        if name.startswith("agent.") and name != "agent.name"
+    }
+    columns = [*PANEL, *METHOD, "setting", "value"]
+    return pd.DataFrame([(*key, value) for key, value in sorted(rows.items())], columns=columns)

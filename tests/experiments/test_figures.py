@@ -57,7 +57,7 @@ def test_a_figure_comes_with_what_it_draws_and_where_it_comes_from(make_run, tmp
     )
     assert "100" in capsys.readouterr().out
     names = {"README.md", "PROVENANCE.md", "learning_curves.png"}
-    names |= {f"{name}.csv" for name in ("curves", "raw", "final", "times", "efficiency")}
+    names |= {f"{name}.csv" for name in ("curves", "raw", "final", "times", "efficiency", "settings")}
     assert {path.name for path in out.iterdir()} == names
     assert (out / "learning_curves.png").read_bytes()[1:4] == b"PNG"
     final = pd.read_csv(out / "final.csv").set_index("distractors")
@@ -70,6 +70,8 @@ def test_a_figure_comes_with_what_it_draws_and_where_it_comes_from(make_run, tmp
     raw = pd.read_csv(out / "raw.csv")
     assert len(raw) == 12
     assert raw["run"].str.startswith(("clean/", "copies/")).all()
+    stored = pd.read_csv(out / "settings.csv").set_index(["distractors", "setting"])["value"]
+    assert (stored["none", "agent.learning_rate"], stored["copies", "agent.model.pairs"]) == ("0.001", "10")
     page = (out / "README.md").read_text()
     assert "DeepKoCo 40,000 steps (200 episodes, 100 updates)" in page
     assert "No runs were given for: manipulator, clean; manipulator, distractors copies." in page
