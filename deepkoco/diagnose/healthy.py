@@ -52,7 +52,9 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
     prior = prior_with(problem, start, accepted, fit.values)
     centre = np.array([fit.values[n] for n in prior.names])
     spread = dispersion(fit, windows)
-    covariance = fit.covariance * spread.deflation + _run_to_run(recordings, system, length, replace(start, prior=prior), fit)
+    covariance = fit.covariance * spread.deflation + _run_to_run(
+        recordings, system, length, replace(start, prior=prior), fit
+    )
     return replace(
         start,
         values=dict(fit.values),

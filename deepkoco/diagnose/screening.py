@@ -108,13 +108,12 @@ class _Tangent:
         for s, size in enumerate(nudge):
             states[1 + len(free) + s, :, s] += size
         predicted = problem.predict(lanes, states, reference.zero[None].repeat(len(lanes), 1))
-        self.base = predicted[0]
         size = torch.tensor([*steps, *nudge], dtype=torch.float64)[:, None, None, None]
         slopes = (predicted[1:] - predicted[0]) / size * problem.weight
         precision = torch.from_numpy(prior.precision(free))
         offset = torch.from_numpy(theta[columns] - prior.mean(free))
         zeros = problem.logs if problem.zero_sd > 0 else 0
-        self.residual = (problem.windows.value - self.base) * problem.weight
+        self.residual = (problem.windows.value - predicted[0]) * problem.weight
         p = len(free)
         self.normal = NormalEquations.build(
             problem.windows,
@@ -139,13 +138,17 @@ class _Tangent:
         """(D, W, NM) whitened change of the measurements under each dose."""
         problem, reference = self.problem, self.reference
         theta = np.array([[d[n] for n in problem.names] for d in doses]).reshape(-1, len(problem.names))
+        null = np.array([[reference.values[n] for n in problem.names]])
         parts = []
         for at in range(0, len(theta), LANES):
-            chunk = theta[at : at + LANES]
+            # Doses are compared with the reference in the same batch: the grid on which commands are averaged
+            # depends on the delays in a batch, and tiny doses would drown in the difference.
+            chunk = np.concatenate([null, theta[at : at + LANES]])
             states = reference.state[None].expand(len(chunk), -1, -1)
             zero = reference.zero[None].expand(len(chunk), -1)
-            change = (problem.predict(chunk, states, zero) - self.base) * problem.weight
-            parts.append(change.reshape(len(chunk), len(problem.windows), -1))
+            predicted = problem.predict(chunk, states, zero)
+            change = (predicted[1:] - predicted[0]) * problem.weight
+            parts.append(change.reshape(len(chunk) - 1, len(problem.windows), -1))
         return torch.cat(parts) if parts else torch.zeros(0, len(problem.windows), 1, dtype=torch.float64)
 
     def promises(self, moved: Tensor, owner: np.ndarray, forward: Sequence[bool]) -> np.ndarray:

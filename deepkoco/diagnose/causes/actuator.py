@@ -71,7 +71,7 @@ SATURATION = Cause(
 
 
 def _backlash_starts(hint: Hint) -> list[dict[str, float]]:
-    return [{"width": share * _largest(hint)} for share in (0.02, 0.1)]
+    return [{"width": share * _largest(hint)} for share in (0.015, 0.05, 0.15)]
 
 
 def _slip_starts(hint: Hint) -> list[dict[str, float]]:

@@ -1,0 +1,38 @@
+"""What the score test promises, against the fits that it stands for."""
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.screening import screen
+from deepkoco.diagnose.selection import prior_with
+from deepkoco.identify import FitProblem, Trial, cut_windows, moving
+from deepkoco.systems import make_system
+from experiments.hidden.unit import hidden_log
+
+
+def test_a_promise_is_what_the_fit_wins_whatever_else_is_screened_with_it():
+    base = make_system("rod_pendulum")
+    log = hidden_log("rod_pendulum", {"load_friction": {"coefficient": 0.003}}, "steps", 130, 10.0)
+    windows = cut_windows([log], base, 1.6)
+    windows = windows.take(moving(windows))
+    start = start_from(base, windows)
+    reference = refit(start, windows)
+    problem = FitProblem(start.system, windows)
+    known = catalogue(base)
+    asked = [(known[n], {}) for n in ("load_friction", "quadratic", "gain_drift")]
+    # A lag and a skew change the grid on which commands are averaged.
+    beside = [(known["lag"], {"lag.time_constant": 0.03}), (known["clock_skew"], {}), *asked]
+    alone = screen(problem, reference, start.prior, asked)
+    together = screen(problem, reference, start.prior, beside)[2:]
+    assert [p.promise for p in together] == pytest.approx([p.promise for p in alone], rel=0.05, abs=0.2)
+    trials = []
+    for cause, _ in asked:
+        prior = prior_with(problem, start, [cause], reference.values)
+        trials.append(
+            Trial(cause.name, prior.names, prior, reference.values, reference.state, reference.zero)
+        )
+    won = [reference.cost - fit.cost for fit in problem.fit(trials, 12)]
+    assert np.argmax(won) == np.argmax([p.promise for p in alone])
+    assert [p.promise for p in alone] == pytest.approx(won, rel=0.25, abs=1.0)
