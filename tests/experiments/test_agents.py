@@ -1,0 +1,35 @@
+"""Every agent is trained, loaded and compared by the same commands."""
+
+import pytest
+from hydra.errors import HydraException
+
+from experiments.agents import AGENTS
+from experiments.commands import CONFIGS
+from experiments.comparison.style import METHODS
+from experiments.training_benchmark import read_settings
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_an_agent_has_typed_settings_a_name_and_a_colour(agent):
+    config = read_settings(f"agent={agent}", "task=manipulator")
+    config.check()
+    config.agent.check()
+    assert config.agent.name == agent
+    # All agents get as many episodes of the manipulator.
+    assert config.agent.total_episodes == read_settings("task=manipulator").agent.total_episodes
+    with pytest.raises(HydraException):
+        read_settings(f"agent={agent}", "agent.learning_rate=fast")
+    with pytest.raises(HydraException):
+        read_settings(f"agent={agent}", "agent.colour=red")
+    assert agent in METHODS
+
+
+def test_what_an_agent_needs_of_a_task_names_an_agent_and_a_task():
+    tasks = {path.stem for path in (CONFIGS / "task").glob("*.yaml")}
+    known = {f"{agent}_{task}" for agent in AGENTS for task in tasks}
+    assert {path.stem for path in (CONFIGS / "agent_on_task").glob("*.yaml")} <= known
+    assert {path.stem for path in (CONFIGS / "agent").glob("*.yaml")} == set(AGENTS)
+
+
+def test_methods_have_colours_of_their_own():
+    assert len({style.colour for style in METHODS.values()}) == len(METHODS)
