@@ -24,7 +24,7 @@ from experiments.hidden.cases import CONDITIONS, make_case, run_case
 from experiments.hidden.machines import MACHINES
 from experiments.hidden.measures import measures
 
-COLUMNS = (
+COLUMNS: tuple[str, ...] = (
     "index",
     "seed",
     "system",

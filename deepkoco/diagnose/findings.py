@@ -56,7 +56,7 @@ def _shown(problem: FitProblem, cause: Cause) -> tuple[str, ...]:
     """Parameters of a cause, those included that were chosen and not fitted."""
     if cause.effect == "event":
         return cause.free
-    return tuple(p.name for p in problem.system.parameters if p.name.split(".")[0] == cause.effect)
+    return tuple(p.name for p in problem.system.parameters if p.name.startswith(f"{cause.effect}."))
 
 
 def motion_of(windows: Windows, missing: MissingTorque, system: System) -> Motion:

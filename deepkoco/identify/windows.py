@@ -208,7 +208,8 @@ def halved(windows: Windows) -> Windows:
             # Samples of the other half stay in the row as padding, behind those of this half.
             order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
             pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
-            parts.append((*pick, _first_state(*(x.numpy() for x in pick), windows.shows, joints)))
+            t, value, valid = (x.numpy() for x in pick)
+            parts.append((*pick, _first_state(t, value, valid, windows.shows, joints)))
     size = int(max((part[2].sum(-1).max() for part in parts), default=0))
     return replace(
         windows,

@@ -53,7 +53,7 @@ def _pendulum(kind: str, system: System, seconds: float, seed: int, rng: np.rand
 
 def _arm(kind: str, system: System, seconds: float, rng: np.random.Generator) -> Drive:
     limits = [c.high for c in system.commands]
-    start = rng.uniform(-1.0, 1.0, 2)
+    start = [float(x) for x in rng.uniform(-1.0, 1.0, 2)]
     if kind == "chirp":
         phase = rng.uniform(0.0, 2.0 * math.pi, 2)
         signals: list[Callable[[float], float]] = [
