@@ -36,7 +36,7 @@ def train_side_by_side(out: Path, model: Path, episodes: int, seed: int, console
     common = [
         *(sys.executable, "-m", "experiments.train", "task=pendulum"),
         *("task.id=deepkoco/RodPendulumDelay-v0", "distractors=copies", f"seed={seed}"),
-        # The last quarter is noise-free: without it one seed of five ended with a swing-up that takes one swing too many.
+        # The last quarter is noise-free: else one seed of five ends with a swing-up of one swing too many.
         *(f"agent.total_episodes={episodes}", f"agent.noise_last_episode={max(1, 3 * episodes // 4)}"),
     ]
     own = {"baseline": [], "extended": [f"+task.kwargs.model={model}"]}
