@@ -17,6 +17,7 @@ from deepkoco.identify.windows import Windows
 from deepkoco.systems import System
 
 SPEC = 0.15  # relative uncertainty of the noise that a data sheet gives
+FLOORS = np.geomspace(1e-3, 1.0, 60)  # share of a channel's variance that jitter leaves unexplained
 COARSE = 2.0  # steps of a grid, in noises of the data sheet, from which rounding is worth naming
 GRID_CHANCE = 0.1  # chance that one sample of a continuous channel lies within 5 % of a grid line
 
@@ -52,7 +53,10 @@ def jitter(view: Scatter, _: int) -> Verdict | None:
     if not largest > 0.0:
         return None
     # Jitter of which one standard deviation moves a typical sample by 0.03 to 30 noises.
-    grid = np.geomspace(0.03, 30.0, 60) / largest
+    grid = np.geomspace(0.03, 30.0, 16) / largest
+    ratio = np.array([_heteroscedastic(pieces, tau) for tau in grid])
+    near = grid[max(int(ratio.argmax()) - 1, 0)], grid[min(int(ratio.argmax()) + 1, len(grid) - 1)]
+    grid = np.geomspace(*near, 80)
     ratio = np.array([_heteroscedastic(pieces, tau) for tau in grid])
     best = int(ratio.argmax())
     if not ratio[best] > 0.0:
@@ -66,8 +70,10 @@ def noise_level(view: Scatter, channel: int) -> Verdict | None:
     declared, found = view.system.measurements[channel].noise_sd, view.windows.noise[channel]
     if not declared > 0.0 or not bool(view.windows.valid[:, channel].any()):
         return None
-    factor = found.sd / declared
-    if factor <= 1.0 or _grid(view, channel) > declared:
+    # A channel in another unit has its noise in that unit, too.
+    slip = view.fit.values.get(f"channel_slip({view.system.measurements[channel].name}).factor", 1.0)
+    factor = found.sd / (declared * abs(slip))
+    if factor <= 1.0 or _grid(view, channel) > declared * abs(slip):
         return None
     spread = math.hypot(SPEC, found.relative_sd)
     reach = math.exp(1.96 * found.relative_sd)
@@ -108,10 +114,11 @@ def _residual_and_slope(view: Scatter, c: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _heteroscedastic(pieces: list[tuple[np.ndarray, np.ndarray]], tau: float) -> float:
-    """Gain of the likelihood when variances are in proportion to 1 + (tau slope)^2, channel by channel."""
+    """Gain of the likelihood when variances are a_c + (tau slope)^2, with the best a_c of each channel."""
     total = 0.0
     for residual, slope in pieces:
-        shape = 1.0 + (tau * slope) ** 2
-        before, after = (residual**2).mean(), (residual**2 / shape).mean()
-        total += len(residual) * math.log(before / after) - float(np.log(shape).sum())
+        square = residual**2
+        before = len(square) * (math.log(square.mean()) + 1.0)
+        variance = FLOORS[:, None] * square.mean() + (tau * slope) ** 2
+        total += before - float((np.log(variance) + square / variance).sum(1).min())
     return total

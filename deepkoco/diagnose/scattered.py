@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.causes import catalogue, kind_of
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
 from deepkoco.diagnose.residuals import dispersion
 from deepkoco.diagnose.scatter import Scatter
@@ -44,4 +44,7 @@ def scatter_findings(
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)
         estimate = Estimate(verdict.value, verdict.low, verdict.high, unit)
         found.append(Finding(name, cause.family, (name,), score, 1.0, {placed: estimate}, (evidence,)))
+    if any(kind_of(f.name) == "jitter" for f in found):
+        # Jitter is what makes the channels noisier than their data sheets.
+        found = [f for f in found if kind_of(f.name) != "noise_level"]
     return tuple(sorted(found, key=lambda f: -f.delta_bic))

@@ -33,7 +33,7 @@ SLIPS = 4  # constants between units that are fitted in full
 SLIP_ITERATIONS = 6
 SHARE = 0.2  # or this share of what the most promising one offers
 ABREAST = 0.3  # share of a cause's best promise that its further starts must have
-STARTS = 2  # of one cause, at most
+STARTS = 3  # of one cause, at most
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 FAR = 25.0  # prior penalty of a refit that a strong cause has driven away
 

@@ -71,7 +71,8 @@ SATURATION = Cause(
 
 
 def _backlash_starts(hint: Hint) -> list[dict[str, float]]:
-    return [{"width": share * _largest(hint)} for share in (0.015, 0.05, 0.15)]
+    # The cost has a kink wherever the play swallows one more reversal: starts close to each other.
+    return [{"width": share * _largest(hint)} for share in np.geomspace(0.01, 0.3, 12)]
 
 
 def _slip_starts(hint: Hint) -> list[dict[str, float]]:

@@ -1,0 +1,57 @@
+"""Tests of the noise on residuals that are drawn by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.diagnose.scatter import Scatter, jitter, noise_level, quantisation
+from deepkoco.identify import Fit, Noise, cut_windows
+from deepkoco.systems import make_system
+from experiments.hidden.unit import hidden_log
+
+
+def view(tau: float = 0.0, noise: tuple[float, float] = (0.002, 0.05), step: float = 0.0) -> Scatter:
+    """Residuals of a perfect model whose channels have this noise, jitter tau [s] and grid of the angle [rad]."""
+    base = make_system("rod_pendulum")
+    log = hidden_log("rod_pendulum", {}, "steps", 140, 12.0, noisy=False)
+    windows = cut_windows([log], base, 1.6, tuple(Noise(sd, 0.02) for sd in noise))
+    rng = np.random.default_rng(5)
+    value = windows.value.numpy().copy()
+    rate = np.gradient(value, 0.01, axis=-1)
+    scatter = np.array(noise)[None, :, None] * rng.standard_normal(value.shape)
+    scatter += tau * rate * rng.standard_normal((len(windows), 1, value.shape[-1]))
+    shown = value + scatter
+    if step:
+        shown[:, 0] = step * np.round(shown[:, 0] / step)
+    residual = (shown - value) / np.array(noise)[None, :, None] * windows.valid.numpy()
+    empty, nothing = np.zeros((0, 0)), torch.zeros(len(windows), 2)
+    fit = Fit("perfect", (), {}, empty, empty, nothing, torch.zeros(1), 0.0, 0.0, torch.from_numpy(residual))
+    return Scatter(base, replace(windows, value=torch.from_numpy(shown)), fit)
+
+
+@pytest.mark.parametrize("tau", [0.001, 0.003])
+def test_jitter_is_recovered(tau):
+    verdict = jitter(view(tau), 0)
+    assert verdict.likelihood_ratio > 60.0
+    assert verdict.low <= tau <= verdict.high
+    assert verdict.value == pytest.approx(tau, rel=0.15)
+
+
+def test_noise_of_one_size_has_no_jitter():
+    verdict = jitter(view(), 0)
+    assert verdict is None or verdict.likelihood_ratio < 12.0
+
+
+def test_noise_is_judged_by_the_data_sheet():
+    assert noise_level(view(), 0).likelihood_ratio < 1.0 if noise_level(view(), 0) else True
+    loud = noise_level(view(noise=(0.008, 0.05)), 0)
+    assert loud.value == pytest.approx(4.0)
+    assert loud.likelihood_ratio > 60.0
+
+
+def test_a_grid_is_named_from_twice_the_noise():
+    assert quantisation(view(step=0.02), 0).value == pytest.approx(0.02)
+    assert quantisation(view(step=0.001), 0) is None
+    assert quantisation(view(), 0) is None
