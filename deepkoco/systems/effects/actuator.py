@@ -68,13 +68,13 @@ def _backlash(system: System, command: int = 0) -> tuple[Parameter, ...]:
 def _apply_backlash(commands: Tensor, t: Tensor, p: Parameters) -> Tensor:
     """Play operator: the effort follows only when the command has crossed the play.
 
-    y_k = min(max(y_{k-1}, u_k - w), u_k + w).
+    y_k = min(max(y_{k-1}, u_k - w), u_k + w), from y = 0 before the log begins.
     Source: Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996).
     """
     play, given = torch.as_tensor(p["width"], dtype=torch.float64).numpy(), commands.numpy()
     low, high = given - play, given + play
     result = np.empty(np.broadcast_shapes(given.shape, low.shape))
-    last = given[0]
+    last = np.zeros_like(low[0])
     for k in range(len(given)):
         last = np.minimum(np.maximum(last, low[k]), high[k])
         result[k] = last
