@@ -70,8 +70,8 @@ def test_hidden_effect_is_found_in_wall_clock_time():
 
 
 def test_what_the_catalogue_lacks_is_unknown():
-    # Friction that depends on the angle; no cause has that shape.
-    hidden = {"position_friction": {"size": 0.4}}
+    # A load that wanders at random, as in turbulent air; no cause has that shape.
+    hidden = {"turbulence": {"size": 0.05}}
     result = diagnose([hidden_log("rod_pendulum", hidden, "steps", 61, SECONDS)], "rod_pendulum")
     assert result.verdict == "unknown"
     assert result.names == ("unknown",)
