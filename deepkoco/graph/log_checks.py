@@ -18,6 +18,7 @@ RATIO = 2.0  # an angle and its speed that differ by more than this are not in t
 AGREES = 0.6  # agreement from which a ratio is believed
 APART = 0.1  # agreement below which an angle and a speed have nothing in common
 MOVES = 8.0  # quanta of an angle that count as motion
+STANDS = 4.0  # deviations of its noise below which an angle's changes tell nothing: the joint stands still
 TURNS = 200.0  # range of an angle that more likely is in degrees [rad]
 LOST = 0.01  # [s] of a typical command that may be unknown before a stretch counts as a gap
 _DERIVATIVES = {"rad": "rad/s", "m": "m/s", "rad/s": "rad/s^2", "m/s": "m/s^2"}
@@ -150,6 +151,8 @@ def _contradiction(
             f"{said}: the first changes by {relation.ratio:.4g} times the integral of the second, not by 1; "
             f"{meaning or 'a unit or a gear ratio (key scale) is wrong'}; {remedy}"
         )
+    if relation.moved < STANDS * _noise(a.value):
+        return None
     if relation.agreement < APART:
         raise LogError(
             f"{said}: the second is not the derivative of the first (agreement {max(relation.agreement, 0):.2f} of 1); "
@@ -165,6 +168,11 @@ def smallest_step(value: np.ndarray) -> float:
     """Smallest difference between two different samples, 0 for a constant."""
     steps = np.diff(np.unique(value))
     return float(steps.min()) if len(steps) else 0.0
+
+
+def _noise(value: np.ndarray) -> float:
+    """Standard deviation of what changes from sample to sample only, robust against jumps."""
+    return float(np.median(np.abs(np.diff(value, 2)))) / (0.6745 * math.sqrt(6.0)) if len(value) > 2 else 0.0
 
 
 def unknown_stretches(channels: Mapping[str, Series]) -> tuple[Span, ...]:
