@@ -304,6 +304,7 @@ def describe_data(recordings: Sequence[Recording], data: _Data) -> dict:
                 "file": recording.path.name if recording.path else None,
                 "seconds": recording.stop - recording.start,
                 "samples": {name: len(series) for name, series in recording.channels.items()},
+                "warnings": list(recording.warnings),
             }
         )
     return {

@@ -101,6 +101,7 @@ def _page(diagnosis: Diagnosis, pictures: list[Picture], images: dict[str, bytes
         lead=lead(diagnosis),
         tiles=_tiles(diagnosis),
         advice=diagnosis.advice,
+        warnings=[text for log in diagnosis.data["logs"] for text in log["warnings"]],
         pictures=[
             {
                 "title": p.title,

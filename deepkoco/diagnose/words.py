@@ -73,6 +73,9 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
             f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} at the end (1 is sensor noise)"
         )
         table.add_row("error / noise variance", text)
+    for log in diagnosis.data["logs"]:
+        for text in log["warnings"]:
+            table.add_row("assumed", text)
     for text in diagnosis.advice:
         table.add_row("next experiment" if diagnosis.verdict != "insufficient" else "needed", text)
     table.add_row("time", f"{diagnosis.seconds:.1f} s")

@@ -1,16 +1,18 @@
 """What a diagnosis says, writes and refuses."""
 
+import io
 import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from deepkoco.cli import main
 from deepkoco.diagnose import OutputExistsError, diagnose, write_report
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.words import headline, lead
+from deepkoco.diagnose.words import headline, lead, terminal_table
 from deepkoco.graph.recording import Series, write_log
 from deepkoco.systems import load_model, make_system
 from experiments.hidden.recorded import unit_log
@@ -125,6 +127,18 @@ def test_report_is_never_written_over(diagnosis, tmp_path):
 def test_words_name_the_cause(diagnosis):
     assert headline(diagnosis) == "The simulation lacks: coulomb"
     assert "Dry friction" in lead(diagnosis)
+
+
+def test_what_reading_had_to_assume_is_told(diagnosis, tmp_path):
+    said = "torque is not known from 2.1 to 2.4 s"
+    doubted = replace(
+        diagnosis,
+        data={**diagnosis.data, "logs": [{**log, "warnings": [said]} for log in diagnosis.data["logs"]]},
+    )
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(terminal_table(doubted))
+    assert said in console.export_text()
+    assert f"<li>{said}</li>" in write_report(doubted, tmp_path / "out").read_text()
 
 
 def test_healthy_log_moves_its_own_effects_into_the_baseline():
