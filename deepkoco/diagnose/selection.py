@@ -149,27 +149,44 @@ def rank(
         for p in promising
     ]
     trials += _slipped(problem, start, accepted, reference, slips)
+    fits = _fit_best(problem, trials, reference)
     if reference.penalty > FAR:
         # A strong cause drives the refit far from the truth, into a valley that leads back slowly. The
         # baseline's values before the refit are a second foothold, with states that suit each start.
         before = {n: start.values[n] for n in start.prior.names}
         values = [{**reference.values, **before, **p.values} for p in promising]
         states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
-        trials += [
+        free = {p.cause.name: p.cause.free for p in promising}
+        footholds = [
             _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
             for k, p in enumerate(promising)
             if bool(torch.isfinite(costs[k]).all())
         ]
-    fits = _fit_best(problem, trials, reference)
-    ranking = _ranked(problem, start, reference, tried, fits, _best(promises))
-    name = ranking.best.cause.name if ranking.candidates else ""
-    if name in fits and not fits[name].converged:
-        # What is left of a winner that has not converged would pass for a further cause.
-        fit = fits[name]
-        first = next(t for t in trials if t.name == name)
-        trial = replace(first, values=fit.values, state=fit.state, zero=fit.zero)
-        fits[name] = problem.fit([trial], PATIENCE, CLOSE)[0]
-        ranking = _ranked(problem, start, reference, tried, fits, _best(promises))
+        # First each cause alone, before the baseline may give way to it as it did in the refit.
+        alone = problem.fit([replace(t, free=tuple(free[t.name])) for t in footholds], ITERATIONS, CLOSE)
+        footholds = [
+            replace(t, values=fit.values, state=fit.state, zero=fit.zero)
+            for t, fit in zip(footholds, alone, strict=True)
+        ]
+        # Each foothold goes its own way to the end: the valley looks better for the first few iterations.
+        for name, fit in _fit_best(problem, footholds, reference).items():
+            if name not in fits or fit.cost < fits[name].cost:
+                fits[name] = fit
+    promised = _best(promises)
+    ranking = _ranked(problem, start, reference, tried, fits, promised)
+    # What is left of a winner that has not converged would pass for a further cause; and what promised more than
+    # the winner won may only be slow.
+    best = ranking.best.cause.name if ranking.candidates else ""
+    won = reference.cost - min((fit.cost for fit in fits.values()), default=reference.cost)
+    unsettled = [n for n, f in fits.items() if not f.converged and (n == best or promised.get(n, 0.0) > won)]
+    if unsettled:
+        first = {name: next(t for t in trials if t.name == name) for name in unsettled}
+        longer = [
+            replace(first[n], values=fits[n].values, state=fits[n].state, zero=fits[n].zero)
+            for n in unsettled
+        ]
+        fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
+        ranking = _ranked(problem, start, reference, tried, fits, promised)
     return ranking
 
 

@@ -56,17 +56,13 @@ def run(args: argparse.Namespace) -> int:
             signal = f"{channel['name']} ({channel['unit']}{limits})"
             console.print(f"  {channel['kind']:<12}{signal}: {channel['description']}", highlight=False)
         table = Table()
-        for heading in ("parameter", "value", "unit", "low", "high", "meaning"):
-            table.add_column(heading, justify="right" if heading in ("value", "low", "high") else "left")
+        # Names are what users copy: only the meaning may be folded.
+        table.add_column("parameter", no_wrap=True)
+        table.add_column("value [bounds]", no_wrap=True)
+        table.add_column("meaning", overflow="fold")
         for p in system["parameters"]:
-            table.add_row(
-                p["name"],
-                f"{p['value']:g}",
-                p["unit"],
-                f"{p['low']:g}",
-                f"{p['high']:g}",
-                p["description"],
-            )
+            value = f"{p['value']:g} \\[{p['low']:g}, {p['high']:g}] {p['unit']}"
+            table.add_row(p["name"], value, p["description"])
         console.print(table)
     return 0
 
