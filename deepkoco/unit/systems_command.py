@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         table = Table()
         # Names are what users copy: only the meaning may be folded.
         table.add_column("parameter", no_wrap=True)
-        table.add_column("value [bounds]", no_wrap=True)
+        table.add_column("value, bounds", no_wrap=True)
         table.add_column("meaning", overflow="fold")
         for p in system["parameters"]:
             value = f"{p['value']:g} \\[{p['low']:g}, {p['high']:g}] {p['unit']}"
