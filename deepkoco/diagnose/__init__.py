@@ -3,7 +3,8 @@
 from deepkoco.diagnose.causes import CAUSES, Cause
 from deepkoco.diagnose.diagnose import diagnose
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Evidence, Finding
-from deepkoco.diagnose.report import OutputExistsError, write_report
+from deepkoco.diagnose.report import write_report
+from deepkoco.new_folder import FolderExistsError
 
 __all__ = [
     "CAUSES",
@@ -12,7 +13,7 @@ __all__ = [
     "Estimate",
     "Evidence",
     "Finding",
-    "OutputExistsError",
+    "FolderExistsError",
     "diagnose",
     "write_report",
 ]

@@ -77,21 +77,22 @@ def run(args: argparse.Namespace) -> int:
         InputError: A log, the system or the output folder cannot be used.
     """
     from deepkoco.diagnose.diagnose import diagnose
-    from deepkoco.diagnose.report import OutputExistsError, check_free, write_report
+    from deepkoco.diagnose.report import write_report
     from deepkoco.diagnose.words import terminal_table
     from deepkoco.graph.recording import LogError
+    from deepkoco.new_folder import FolderExistsError, check_new
 
     first = args.recording[0]
     out = args.out or first.with_name(f"{first.stem}_diagnosis")
     if args.window is not None and not 0.05 <= args.window <= 60.0:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
     try:
-        check_free(out)
+        check_new(out)
         system, logs = _read(args, args.recording, None)
         healthy, holdout = (_read(args, paths, system)[1] for paths in (args.healthy, args.holdout))
         result = diagnose(logs, system, healthy, holdout, args.seed, args.window)
         page = write_report(result, out)
-    except (LogError, OutputExistsError) as error:
+    except (LogError, FolderExistsError) as error:
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error

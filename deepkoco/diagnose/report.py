@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import os
-import shutil
 from importlib.resources import files
 from pathlib import Path
 
@@ -17,12 +15,9 @@ from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.figures import draw_all
 from deepkoco.diagnose.words import headline, lead
+from deepkoco.new_folder import new_folder
 from deepkoco.picture import Picture
 from deepkoco.systems import save_model
-
-
-class OutputExistsError(FileExistsError):
-    """The folder of a report is there already."""
 
 
 def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
@@ -36,13 +31,10 @@ def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
         Path of report.html.
 
     Raises:
-        OutputExistsError: The folder exists.
+        FolderExistsError: The folder exists.
     """
     out = Path(out_dir)
-    check_free(out)
-    partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    partial.mkdir(parents=True)
-    try:
+    with new_folder(out) as partial:
         pictures = draw_all(diagnosis)
         images = {}
         for picture in pictures:
@@ -63,24 +55,7 @@ def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
             }
             save_model(partial / "model.yaml", diagnosis.model, provenance)
         (partial / "report.html").write_text(_page(diagnosis, pictures, images), encoding="utf-8")
-        os.rename(partial, out)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
     return out / "report.html"
-
-
-def check_free(out: Path) -> None:
-    """Refuse a folder that exists, or that a file on its path keeps from being made.
-
-    Raises:
-        OutputExistsError: It exists, or cannot be made.
-    """
-    blocked = next((parent for parent in out.parents if parent.exists() and not parent.is_dir()), None)
-    if blocked is not None:
-        raise OutputExistsError(f"{out}: {blocked} is no folder; choose another place")
-    if out.exists():
-        raise OutputExistsError(f"{out}: exists; choose another folder or move it away")
 
 
 def _png(picture: Picture) -> bytes:

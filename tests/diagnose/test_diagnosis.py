@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from deepkoco.cli import main
-from deepkoco.diagnose import OutputExistsError, diagnose, write_report
+from deepkoco.diagnose import FolderExistsError, diagnose, write_report
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.words import headline, lead, terminal_table
 from deepkoco.graph.recording import Series, write_log
@@ -119,7 +119,7 @@ def test_same_seed_same_bytes(log, diagnosis):
 
 def test_report_is_never_written_over(diagnosis, tmp_path):
     (tmp_path / "mine").mkdir()
-    with pytest.raises(OutputExistsError, match="mine: exists"):
+    with pytest.raises(FolderExistsError, match="mine: exists"):
         write_report(diagnosis, tmp_path / "mine")
     assert list((tmp_path / "mine").iterdir()) == []
 
