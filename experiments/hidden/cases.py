@@ -7,11 +7,12 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose
+from deepkoco.graph.recording import Recording
 from deepkoco.systems import make_system
 from experiments.hidden.doses import FLOOR, OUTSIDE, dosed, effect_names, outside, scaled
 from experiments.hidden.unit import Hidden, hidden_log
@@ -63,8 +64,24 @@ def make_case(index: int, seed: int, system: str, condition: str) -> Case:
     return Case(index, seed + index, kind, chosen, wanted, excitation)
 
 
-def run_case(case: Case, system: str, condition: str, seconds: float) -> dict[str, Any]:
-    """Hide, record, diagnose; one row of the study, plain values only."""
+class Recorded(NamedTuple):
+    """What a case gives to the diagnosis, and the truth about it.
+
+    Attributes:
+        log: Log to explain.
+        healthy: Logs of the same unit in which nothing is wrong.
+        hidden: Effects of the unit, the floor's included, with their parameters.
+        strengths: ES of each effect of the case.
+    """
+
+    log: Recording
+    healthy: list[Recording]
+    hidden: dict[str, Mapping[str, float]]
+    strengths: list[float]
+
+
+def record_case(case: Case, system: str, condition: str, seconds: float) -> Recorded:
+    """Hide the effects of a case at their strengths, and record the logs."""
     floor = _floor(system) if condition == "floor" else {}
     hidden: dict[str, Mapping[str, float]] = dict(floor)
     strengths = []
@@ -85,6 +102,17 @@ def run_case(case: Case, system: str, condition: str, seconds: float) -> dict[st
     if condition == "floor":
         # The same unit on a day on which nothing is wrong: same parameters, another excitation and noise.
         healthy = [hidden_log(system, floor, "chirp", case.seed, seconds)]
+    return Recorded(log, healthy, hidden, strengths)
+
+
+def run_case(case: Case, system: str, condition: str, seconds: float) -> dict[str, Any]:
+    """Hide, record, diagnose; one row of the study, plain values only."""
+    return judge(case, record_case(case, system, condition, seconds), system, condition)
+
+
+def judge(case: Case, recorded: Recorded, system: str, condition: str) -> dict[str, Any]:
+    """Diagnose a recorded case; one row of the study, plain values only."""
+    log, healthy, hidden, strengths = recorded
     began = time.process_time()
     result = diagnose([log], system, healthy, seed=case.seed)
     spent = time.process_time() - began
