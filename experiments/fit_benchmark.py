@@ -60,7 +60,7 @@ class Residuals:
         theta = np.tile([[self.question.start[n] for n in self.problem.names]], (len(points), 1))
         theta[:, self.columns] = points[:, :count]
         state = torch.from_numpy(points[:, count:].copy()).reshape(len(points), *self.state.shape)
-        zero = torch.zeros(len(points), self.problem.logs, dtype=torch.float64)
+        zero = torch.zeros(len(points), self.problem.zeros.count, dtype=torch.float64)
         predicted = self.problem.predict(theta, state, zero)
         self.simulations += len(points)
         data = ((self.problem.windows.value - predicted) * self.problem.weight).flatten(1).numpy()

@@ -76,7 +76,7 @@ def held_out_gain(
     distinct = [n for n in models if not any(models[m] == models[n] for m in models if m < n)]
     states = _suited(problem, [models[n] for n in distinct])
     trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
-    found = dict(zip(distinct, problem.fit(trials, 12 if problem.zero_sd > 0 else 1), strict=True))
+    found = dict(zip(distinct, problem.fit(trials, 12 if problem.zeros.count else 1), strict=True))
     fits = {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in models}
     sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
     error = {name: (fit.residual * sd[:, None]).numpy() for name, fit in fits.items()}

@@ -112,27 +112,23 @@ class _Tangent:
         slopes = (predicted[1:] - predicted[0]) / size * problem.weight
         precision = torch.from_numpy(prior.precision(free))
         offset = torch.from_numpy(theta[columns] - prior.mean(free))
-        zeros = problem.logs if problem.zero_sd > 0 else 0
         self.residual = (problem.windows.value - predicted[0]) * problem.weight
         p = len(free)
         self.normal = NormalEquations.build(
             problem.windows,
             problem.weight,
-            problem.zero_sd,
             self.residual,
             slopes[:p],
             slopes[p:],
             precision,
             offset,
             reference.zero,
-            zeros,
+            problem.zeros,
         )
         self.slopes, self.states = slopes[:p], slopes[p:]
-        if zeros:
-            angle = torch.zeros_like(problem.weight)
-            angle[:, 0] = problem.weight[:, 0]
-            of_log = torch.from_numpy(problem.windows.log[None] == np.arange(zeros)[:, None])
-            self.slopes = torch.cat([self.slopes, angle[None] * of_log[..., None, None]])
+        if problem.zeros.count:
+            own = problem.zeros.slopes(problem.weight, problem.windows.log)
+            self.slopes = torch.cat([self.slopes, own])
 
     def respond(self, doses: Sequence[Mapping[str, float]]) -> Tensor:
         """(D, W, NM) whitened change of the measurements under each dose."""

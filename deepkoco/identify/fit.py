@@ -14,6 +14,7 @@ from deepkoco.identify.push import Push, push_torque
 from deepkoco.identify.simulate import predict
 from deepkoco.identify.trial import Fit, Trial
 from deepkoco.identify.windows import Windows, halved
+from deepkoco.identify.zeros import EncoderZeros
 from deepkoco.systems import ExtendedSystem, Parameter
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
@@ -25,7 +26,7 @@ class FitProblem:
     """Windows of measurements of one system, to which trials are fitted.
 
     The cost of a trial is the squared whitened simulation error over all windows, plus the prior's
-    penalty. Initial states of the windows and one encoder zero per log are free in every trial; the
+    penalty. Initial states of the windows and the encoder zeros of the logs are free in every trial; the
     states are eliminated from the normal equations by their Schur complement, so that the cost of a step
     grows linearly with the number of windows.
 
@@ -34,12 +35,19 @@ class FitProblem:
         windows: Data.
         late: Channels that may lag behind their time stamps, each by a delay of its own, the parameter
             ``<channel>.delay`` [s]; null 0.
+        zero_sd: Spread of encoder zeros from log to log [rad]; None takes what the channels declare.
 
     Source: Bock, Recent advances in parameter identification (1983) for multiple shooting;
         Nocedal and Wright, Numerical Optimization, ch. 10 for Levenberg-Marquardt.
     """
 
-    def __init__(self, system: ExtendedSystem, windows: Windows, late: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        system: ExtendedSystem,
+        windows: Windows,
+        late: tuple[str, ...] = (),
+        zero_sd: float | None = None,
+    ) -> None:
         self.system = system
         self.windows = windows
         delays = channel_delays(late)
@@ -51,13 +59,11 @@ class FitProblem:
         self.scale = np.array([declared[n].prior_sd for n in self.names])
         sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
         self.weight = windows.valid.to(torch.float64) / sd[None, :, None]
-        zero_sd = [c.zero_sd for c in system.measurements if c.angle]
-        self.zero_sd = zero_sd[0] if zero_sd else 0.0
-        self.logs = len(windows.commands)
+        self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
 
     def predict(self, theta: np.ndarray, initial: Tensor, zero: Tensor) -> Tensor:
-        """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), zeros (L, logs)."""
+        """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), zeros (L, count)."""
         own = len(self.system.parameters)
         nulls = self._null_values()
         values = theta[:, :own].copy()
@@ -81,8 +87,7 @@ class FitProblem:
         push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system.joints)
         delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
         result = predict(system, self.windows, named, initial, push, delays, lanes)
-        if self.zero_sd > 0:
-            result[:, :, 0] += zero[:, self.windows.log][..., None]
+        self.zeros.add(result, zero, self.windows.log)
         return result
 
     def _null_values(self) -> np.ndarray:
@@ -125,7 +130,7 @@ class FitProblem:
         states, costs = self.fit_states_each([values] * len(starts), torch.stack(starts))
         pick = costs.argmin(0)[None, :, None].expand(1, -1, self.windows.state.shape[1])
         first = states.gather(0, pick)[0]
-        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.zero_sd > 0 else 1)[0]
+        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.zeros.count else 1)[0]
 
     def fit_states(
         self, values: Mapping[str, float], state: Tensor, iterations: int = 15
@@ -149,7 +154,7 @@ class FitProblem:
             values: Parameters of each set.
             state: (K, W, S) where to start.
             iterations: Simulations at most.
-            zero: (K, logs) encoder zeros [rad]; None for zeros.
+            zero: (K, count) encoder zeros [rad]; None for zeros.
 
         Returns:
             States (K, W, S), costs (K, W).
@@ -158,7 +163,7 @@ class FitProblem:
         nudge = state_steps(size)
         theta = np.array([[float(v[n]) for n in self.names] for v in values])
         theta = np.tile(theta, (1 + size, 1))
-        zero = torch.zeros(sets, self.logs, dtype=torch.float64) if zero is None else zero
+        zero = self.zeros.none().repeat(sets, 1) if zero is None else zero
         zero = zero.repeat(1 + size, 1)
         best, trial = state.clone(), state.clone()
         cost = torch.full((sets, count), torch.inf, dtype=torch.float64)

@@ -150,7 +150,7 @@ def _inverted(question: Question, found: Fit) -> tuple[np.ndarray, np.ndarray]:
     count, full = len(question.free), found.curvature
     index = [question.prior.names.index(n) for n in question.free]
     sd = np.sqrt(np.diag(question.prior.covariance))[index]
-    sd = np.concatenate([sd, np.full(len(full) - count, question.zero_sd)])
+    sd = np.concatenate([sd, question.zeros.spread])
     values, vectors = np.linalg.eigh(full * np.outer(sd, sd))
     # The prior alone gives eigenvalues near 1 or above; less is rounding.
     inverse = (vectors / values.clip(1e-3)) @ vectors.T
@@ -163,8 +163,9 @@ def _inverted(question: Question, found: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 def _zeros(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
     result = []
-    for log in range(len(covariance)):
-        value, sd = float(answer.fit.zero[log]), float(np.sqrt(covariance[log, log]))
+    for k in range(len(covariance)):
+        value, sd = float(answer.fit.zero[k]), float(np.sqrt(covariance[k, k]))
         low, high = interval(value, sd, (-np.inf, np.inf))
-        result.append(Estimate(f"zero of log {log + 1}", value, low, high, sd, "rad", 0.0, (-np.inf, np.inf)))
+        name = answer.question.zeros.name(k, answer.question.system)
+        result.append(Estimate(name, value, low, high, sd, "rad", 0.0, (-np.inf, np.inf)))
     return tuple(result)

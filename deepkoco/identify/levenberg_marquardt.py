@@ -36,9 +36,8 @@ class Batch:
         self.width = max((len(c) for c in self.columns), default=0)
         self.theta = np.array([[float(t.values[n]) for n in names] for t in trials])
         self.initial = torch.stack([windows.state if t.state is None else t.state for t in trials]).clone()
-        logs = torch.zeros(problem.logs, dtype=torch.float64)
-        self.zero = torch.stack([logs if t.zero is None else t.zero for t in trials]).clone()
-        self.zeros = problem.logs if problem.zero_sd > 0 else 0
+        right = problem.zeros.none()
+        self.zero = torch.stack([right if t.zero is None else t.zero for t in trials]).clone()
         count = len(trials)
         self.precision = torch.zeros(count, self.width, self.width, dtype=torch.float64)
         self.mean = torch.zeros(count, self.width, dtype=torch.float64)
@@ -121,14 +120,13 @@ class Batch:
                 NormalEquations.build(
                     problem.windows,
                     problem.weight,
-                    problem.zero_sd,
                     residual,
                     slopes[:p],
                     slopes[p:],
                     prior,
                     offset,
                     zero[k],
-                    self.zeros,
+                    problem.zeros,
                 )
             )
         return result
@@ -153,7 +151,7 @@ class Batch:
         theta = self.theta[k].copy()
         theta[columns] = np.clip(at + move[:p], problem.low[columns], problem.high[columns])
         zero = self.zero[k].clone()
-        if self.zeros:
+        if problem.zeros.count:
             zero += torch.from_numpy(move[p:])
         return theta, self.initial[k] + states, zero, gain
 

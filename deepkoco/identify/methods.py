@@ -115,15 +115,14 @@ class CmaEs:
         spread = _first_spread(question)
         start = np.array([question.start[n] for n in question.free])
         low, high = (np.array([getattr(p, side) for p in question.declared]) for side in ("low", "high"))
-        logs = problem.logs if problem.zero_sd > 0 else 0
-        zeros = np.full(logs, problem.zero_sd)
+        zeros, free = problem.zeros.spread, problem.zeros.count
         objective = _Profile(problem, question)
         search = cma_es(
             objective,
-            np.concatenate([start, np.zeros(logs)]),
+            np.concatenate([start, np.zeros(free)]),
             np.concatenate([spread, zeros]),
-            np.concatenate([low, np.full(logs, -np.inf)]),
-            np.concatenate([high, np.full(logs, np.inf)]),
+            np.concatenate([low, np.full(free, -np.inf)]),
+            np.concatenate([high, np.full(free, np.inf)]),
             generator,
             population=self.population,
             generations=self.generations,
@@ -175,7 +174,7 @@ class _Profile:
         offset = points[:, : len(self.centre)] - self.centre
         total = costs.sum(-1).numpy() + np.einsum("li,ij,lj->l", offset, self.precision, offset)
         if zero.shape[1]:
-            total = total + (zero**2).sum(1) / self.problem.zero_sd**2
+            total = total + (zero**2) @ self.problem.zeros.precision.numpy()
         k = int(np.nanargmin(np.where(np.isfinite(total), total, np.inf)))
         if total[k] < self.lowest:
             self.lowest, self.state = float(total[k]), states[k]
@@ -205,4 +204,4 @@ def held(question: Question, values: dict[str, float], state: torch.Tensor, zero
     states, costs = problem.fit_states_each([values] * 2, torch.stack(list(starts)), HELD_STEPS, zeros)
     pick = costs.argmin(0)[None, :, None].expand(1, -1, states.shape[-1])
     trial = Trial("held", (), Prior.empty(), values, states.gather(0, pick)[0], zero)
-    return problem.fit([trial], HELD_STEPS if problem.zero_sd > 0 else 1)[0]
+    return problem.fit([trial], HELD_STEPS if problem.zeros.count else 1)[0]

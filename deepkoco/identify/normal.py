@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.identify.windows import Windows
+from deepkoco.identify.zeros import EncoderZeros
 
 
 @dataclass
@@ -42,39 +43,34 @@ class NormalEquations:
     def build(
         windows: Windows,
         weight: Tensor,
-        zero_sd: float,
         residual: Tensor,
         slopes: Tensor,
         state_slopes: Tensor,
         prior: Tensor,
         offset: Tensor,
         zero: Tensor,
-        zeros: int,
+        zeros: EncoderZeros,
     ) -> NormalEquations:
         """Form the equations.
 
         Args:
             windows: W windows.
             weight: (W, N, M) one over the noise, 0 where padded.
-            zero_sd: Prior spread of the encoder zeros [rad].
             residual: (W, N, M) whitened.
             slopes: (p, W, N, M) whitened derivatives by the parameters.
             state_slopes: (S, W, N, M) the same by the initial states.
             prior: (p, p) precision.
             offset: (p,) parameters minus the prior's mean.
-            zero: Encoder zeros of the logs [rad].
-            zeros: Number of encoder zeros that are free.
+            zero: (z,) encoder zeros of the logs [rad].
+            zeros: Which zeros these are.
         """
         count, p = len(windows), len(slopes)
         r = residual.reshape(count, -1)
         jp = slopes.reshape(p, count, r.shape[1])
         js = state_slopes.reshape(len(state_slopes), count, -1).permute(1, 2, 0)  # (W, NM, S)
-        if zeros:
-            of_log = torch.from_numpy(windows.log[None] == np.arange(zeros)[:, None])
-            angle = torch.zeros_like(weight)
-            angle[:, 0] = weight[:, 0]
-            jz = angle.reshape(count, -1)[None] * of_log[..., None]
-            jp = torch.cat([jp, jz])
+        if zeros.count:
+            own = zeros.slopes(weight, windows.log)
+            jp = torch.cat([jp, own.reshape(zeros.count, count, r.shape[1])])
         jp = jp.permute(1, 2, 0)  # (W, NM, q)
         chi2 = float((r * r).sum())
         hpp = torch.einsum("wmi,wmj->ij", jp, jp)
@@ -82,11 +78,11 @@ class NormalEquations:
         hpp[:p, :p] += prior
         gp[:p] -= prior @ offset
         penalty = float(offset @ prior @ offset)
-        if zeros:
-            precision = 1.0 / zero_sd**2
-            hpp[range(p, p + zeros), range(p, p + zeros)] += precision
+        if zeros.count:
+            precision = zeros.precision
+            hpp[p:, p:] += torch.diag(precision)
             gp[p:] -= precision * zero
-            penalty += precision * float(zero @ zero)
+            penalty += float(precision @ zero**2)
         hps = torch.einsum("wmi,wms->wis", jp, js)
         hss = torch.einsum("wms,wmt->wst", js, js)
         gs = torch.einsum("wms,wm->ws", js, r)

@@ -13,6 +13,7 @@ from deepkoco.identify.fit import FitProblem, channel_delays
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
 from deepkoco.identify.windows import Windows, cut_windows, moving, window_length
+from deepkoco.identify.zeros import EncoderZeros
 from deepkoco.systems import ExtendedSystem, JointSystem, Parameter, System, one_joint
 from deepkoco.systems.effects import EFFECTS
 
@@ -34,7 +35,7 @@ class Question:
         late: Channels among whose delays some are to be found.
         start: Value of every parameter at the start.
         prior: Over the free parameters.
-        zero_sd: Spread of encoder zeros from log to log [rad].
+        zero_sd: Spread of encoder zeros from log to log [rad]; None takes what the system's channels declare.
         resting: Windows left out because the joint rests in them.
     """
 
@@ -44,8 +45,13 @@ class Question:
     late: tuple[str, ...]
     start: dict[str, float]
     prior: Prior
-    zero_sd: float
+    zero_sd: float | None
     resting: int
+
+    @property
+    def zeros(self) -> EncoderZeros:
+        """The encoder zeros that are found along."""
+        return EncoderZeros.of(self.system, len(self.windows.commands), self.zero_sd)
 
     @property
     def declared(self) -> tuple[Parameter, ...]:
@@ -58,9 +64,7 @@ class Question:
         windows = self.windows if windows is None else windows
         if self.late:
             windows = _without_start(windows, self.late, self.system)
-        problem = FitProblem(self.system, windows, self.late)
-        problem.zero_sd = self.zero_sd
-        return problem
+        return FitProblem(self.system, windows, self.late, self.zero_sd)
 
 
 def known_parameters(system: JointSystem) -> tuple[Parameter, ...]:
@@ -110,9 +114,7 @@ def ask(
     values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
     found = {p.name: p for p in (*extended.parameters, *delays.values())}
     chosen = _completed(prior, [found[name] for name in free])
-    spread = [c.zero_sd for c in base.measurements if c.angle]
-    zeros = (spread[0] if spread else 0.0) if zero_sd is None else zero_sd
-    return Question(extended, kept, free, late, values, chosen, zeros, int((~moves).sum()))
+    return Question(extended, kept, free, late, values, chosen, zero_sd, int((~moves).sum()))
 
 
 def wide(parameters: Iterable[Parameter]) -> Prior:

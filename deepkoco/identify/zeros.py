@@ -1,0 +1,74 @@
+"""Encoder zeros: nuisances that differ from log to log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems import System
+
+
+@dataclass(frozen=True)
+class EncoderZeros:
+    """One unknown zero for each log and each angle channel whose sensor does not know its zero.
+
+    A vector of zeros holds those of the first such channel, one per log, then those of the next.
+
+    Attributes:
+        channels: The channels.
+        sd: Standard deviation of each channel's zeros around 0 [rad].
+        logs: How many logs.
+    """
+
+    channels: tuple[int, ...]
+    sd: tuple[float, ...]
+    logs: int
+
+    @staticmethod
+    def of(system: System, logs: int, sd: float | None = None) -> EncoderZeros:
+        """Those that a system declares; ``sd`` [rad] overrides its spreads, 0 for zeros that are known."""
+        spread = [(c.zero_sd if sd is None else sd) if c.angle else 0.0 for c in system.measurements]
+        channels = tuple(c for c, s in enumerate(spread) if s > 0.0)
+        return EncoderZeros(channels, tuple(spread[c] for c in channels), logs)
+
+    @property
+    def count(self) -> int:
+        """Length of a vector of zeros."""
+        return len(self.channels) * self.logs
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(count,) prior standard deviations [rad]."""
+        return np.repeat(np.array(self.sd), self.logs)
+
+    @property
+    def precision(self) -> Tensor:
+        """(count,) of the prior."""
+        return torch.from_numpy(1.0 / self.spread**2)
+
+    def none(self) -> Tensor:
+        """A vector in which every sensor is right."""
+        return torch.zeros(self.count, dtype=torch.float64)
+
+    def add(self, predicted: Tensor, zero: Tensor, log: np.ndarray) -> None:
+        """Add zeros (L, count) to predicted measurements (L, W, N, M) of windows from the logs (W,), in place."""
+        for k, channel in enumerate(self.channels):
+            predicted[:, :, channel] += zero[:, k * self.logs + log][..., None]
+
+    def slopes(self, weight: Tensor, log: np.ndarray) -> Tensor:
+        """(count, W, N, M) derivatives of measurements that are weighted by (W, N, M)."""
+        result = torch.zeros(self.count, *weight.shape, dtype=torch.float64)
+        of_log = torch.from_numpy(log[None] == np.arange(self.logs)[:, None])
+        for k, channel in enumerate(self.channels):
+            part = result[k * self.logs : (k + 1) * self.logs]
+            part[:, :, channel] = weight[:, channel] * of_log[..., None]
+        return result
+
+    def name(self, index: int, system: System) -> str:
+        """Name of one entry of a vector of zeros, for reports."""
+        k, log = divmod(index, self.logs)
+        of = f" of {system.measurements[self.channels[k]].name}" if len(self.channels) > 1 else ""
+        return f"zero{of} of log {log + 1}"
