@@ -32,9 +32,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--unit", required=True, type=Path, metavar="UNIT.yaml", help="what the unit really is"
     )
-    parser.add_argument("--seconds", type=float, default=30.0, help="length of the log [s] (default: 30)")
     parser.add_argument(
-        "--excitation", choices=EXCITATIONS, default="chirp", help="what drives it (default: chirp)"
+        "--seconds", type=float, help="length of the log [s] (default: 30, or that of --commands)"
+    )
+    parser.add_argument("--excitation", choices=EXCITATIONS, help="what drives it (default: chirp)")
+    parser.add_argument(
+        "--commands",
+        type=Path,
+        metavar="FILE.csv",
+        help="play these commands instead, as `deepkoco design-experiment` writes them",
     )
     parser.add_argument("--policy", type=Path, metavar="DIR", help="folder of a trained policy")
     parser.add_argument("--amplitude", type=float, help="largest command (default: the system's limit)")
@@ -61,38 +67,48 @@ def run(args: argparse.Namespace) -> int:
     for target in (out, out.with_suffix(".yaml")):
         if target.exists():
             raise InputError(f"{target}: exists; choose another name or move it away")
+    if args.commands is not None and (args.excitation or args.policy or args.amplitude):
+        raise InputError("--commands: says what drives the unit; leave --excitation, --policy and --amplitude out")
     if (args.policy is None) != (args.excitation != "policy"):
         raise InputError("--policy: goes with --excitation policy; give both, or neither")
     if args.policy is not None and args.amplitude is not None:
         raise InputError("--amplitude: a policy chooses its own commands; leave it out")
 
     from deepkoco.graph.recording import LogError, write_log
+    from deepkoco.systems import one_joint
     from deepkoco.unit.excitation import ExcitationError, load_policy_excitation
+    from deepkoco.unit.played import CommandFileError, load_commands
     from deepkoco.unit.record import RecordError, record
     from deepkoco.unit.unit_file import UnitSpecError, load_unit
 
     clock = "simulated" if args.simulated else "wall"
     try:
         spec = load_unit(args.unit, args.system)
-        excitation, rate = args.excitation, args.rate
-        if args.policy is not None:
+        excitation, rate = args.excitation or "chirp", args.rate
+        named, seconds = excitation, 30.0 if args.seconds is None else args.seconds
+        if args.commands is not None:
+            played = load_commands(args.commands, one_joint(spec.system))
+            excitation, named = played.excitation(), args.commands.name
+            rate = min(played.rate, spec.sensor.rate_hz) if rate is None else rate
+            seconds = played.seconds if args.seconds is None else args.seconds
+        elif args.policy is not None:
             excitation, trained_rate = load_policy_excitation(args.policy, spec.system)
             rate = trained_rate if rate is None else rate
         _probe(out)
-        with _progress(args.seconds, wanted=clock == "wall") as progress:
+        with _progress(seconds, wanted=clock == "wall") as progress:
             recording = record(
                 spec,
                 excitation,
-                args.seconds,
+                seconds,
                 control_rate=rate,
                 clock=clock,
                 seed=args.seed,
                 amplitude=args.amplitude,
-                meta={"excitation": args.excitation},
+                meta={"excitation": named},
                 progress=progress,
             )
         write_log(out, recording)
-    except (UnitSpecError, ExcitationError, RecordError, LogError) as error:
+    except (UnitSpecError, ExcitationError, CommandFileError, RecordError, LogError) as error:
         raise InputError(str(error)) from error
     except KeyboardInterrupt as interrupt:
         raise KeyboardInterrupt(f"{out} is written" if out.exists() else "nothing is written") from interrupt
