@@ -44,6 +44,8 @@ class BaselineConfig:
     """beta_1 of Adam for log alpha."""
     discount: float = 0.99
     """gamma, per step."""
+    reward_scale: float = 1.0
+    """Rewards are multiplied by it before they are learned from; published runs have rewards of 0 to 1 a step."""
     target_rate: float = 0.01
     """tau, share of the critics that their targets take over."""
     encoder_target_rate: float = 0.05
@@ -83,7 +85,7 @@ class BaselineConfig:
         """
         positive = (
             "total_episodes environments steps_per_update random_steps batch hidden learning_rate temperature "
-            "temperature_learning_rate actor_every target_every features frames evaluation_every "
+            "temperature_learning_rate reward_scale actor_every target_every features frames evaluation_every "
             "final_evaluation_episodes checkpoint_episodes"
         )
         check_positive(self, *positive.split())

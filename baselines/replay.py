@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -31,6 +31,10 @@ class Batch:
     rewards: Tensor
     continues: Tensor
     following: Tensor
+
+    def with_scaled_rewards(self, scale: float) -> Batch:
+        """The same transitions with rewards multiplied by a factor."""
+        return replace(self, rewards=self.rewards * scale)
 
 
 class Replay:

@@ -172,6 +172,7 @@ class BaselineTrainer:
         """
         for _ in range(updates):
             batch = self._replay.sample(self.config.batch, self._sampling)
+            batch = batch.with_scaled_rewards(self.config.reward_scale)
             for name, value in self.learner.update(batch, self._sampling).items():
                 sums = self._logged[name]
                 sums[0] += value

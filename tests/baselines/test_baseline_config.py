@@ -26,6 +26,7 @@ def test_defaults_pass_and_carry_their_name(name):
     ("config", "message"),
     [
         (SacConfig(batch=0), "batch = 0; give a value above 0"),
+        (SacConfig(reward_scale=0.0), r"reward_scale = 0.0; give a value above 0"),
         (SacConfig(discount=1.0), r"discount = 1.0; give a value in \[0, 1\)"),
         (SacConfig(target_rate=0.0), r"target_rate = 0.0; give a value in \(0, 1\]"),
         (SacConfig(evaluation_episodes=-1), "evaluation_episodes = -1"),

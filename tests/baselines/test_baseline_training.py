@@ -53,6 +53,22 @@ def test_updates_follow_the_steps(every, environments, updates, tmp_path):
     assert BaselineTrainer(make_tracking, config, 0, tmp_path).run()["updates"] == updates
 
 
+@pytest.mark.parametrize("name", ["sac", "deepmdp", "dbc"])
+def test_scaled_rewards_are_learned_as_those_of_a_task_that_pays_so_much(name, tmp_path):
+    class Cheaper(Tracking):
+        def step(self, actions):
+            shown, reward, *rest = super().step(actions)
+            return shown, reward / 4, *rest
+
+    trainers, rows = [], []
+    for folder, scale, make in (("a", 0.25, make_tracking), ("b", 1.0, lambda count, seed: Cheaper(count))):
+        (tmp_path / folder).mkdir()
+        trainers.append(BaselineTrainer(make, small(name, reward_scale=scale), 3, tmp_path / folder))
+        rows.append(trainers[-1].run())
+    assert same(*(trainer.learner.state_dict() for trainer in trainers))
+    assert rows[0]["evaluation/cost"] == pytest.approx(4 * rows[1]["evaluation/cost"])
+
+
 def test_rows_have_the_names_of_all_agents(tmp_path):
     trainer = BaselineTrainer(make_tracking, small("sac"), 0, tmp_path)
     told = []
