@@ -23,6 +23,7 @@ from deepkoco.identify.threads import one_thread
 from experiments.hidden.cases import CONDITIONS, make_case, run_case
 from experiments.hidden.machines import MACHINES
 from experiments.hidden.measures import measures
+from experiments.provenance import provenance
 
 COLUMNS: tuple[str, ...] = (
     "index",
@@ -42,6 +43,7 @@ COLUMNS: tuple[str, ...] = (
     "oracle_gain",
     "against_given",
     "cpu_s",
+    "commit",
 )
 
 
@@ -74,6 +76,7 @@ def study(
     """
     done = read_rows(path, system, condition, seed)
     path.parent.mkdir(parents=True, exist_ok=True)
+    commit = provenance()["commit"]
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if file.tell() == 0:
@@ -83,6 +86,7 @@ def study(
                 continue
             with one_thread():
                 row = run_case(make_case(index, seed, system, condition), system, condition, seconds)
+            row["commit"] = commit
             writer.writerow(row)
             file.flush()
             done[index] = {k: str(v) for k, v in row.items()}

@@ -18,52 +18,57 @@ def measures(rows: Sequence[Row]) -> dict[str, Any]:
     singles = [r for r in rows if r["kind"] == "single"]
     pairs = [r for r in rows if r["kind"] == "pair"]
     unlisted = [r for r in rows if r["kind"] == "outside"]
-    clear = [r for r in singles if _strength(r) >= CLEAR]
-    weak = [r for r in singles if 0.1 <= _strength(r) < SURE]
-    sure = [r for r in singles if _strength(r) >= SURE]
-    seen = [r for r in singles if _classes(r)]
+    clear = [r for r in singles if strength_of(r) >= CLEAR]
+    weak = [r for r in singles if 0.1 <= strength_of(r) < SURE]
+    sure = [r for r in singles if strength_of(r) >= SURE]
+    seen = [r for r in singles if classes_of(r)]
     loud = [r for r in unlisted if float(r["chi2_before"]) > 1.2]
     errors, covered = _parameters(clear)
-    judged = [r for r in [*singles, *pairs] if r["oracle_gain"] not in ("", None) and _classes(r)]
+    judged = [r for r in [*singles, *pairs] if r["oracle_gain"] not in ("", None) and classes_of(r)]
     given = [r for r in rows if r["against_given"] not in ("", None)]
     return {
-        "false_alarms": _share([r["verdict"] != "nothing" for r in controls]),
-        "detected_ES_0.1_to_0.2": _share([_detected(r) for r in weak]),
-        "detected_ES_from_0.2": _share([_detected(r) for r in sure]),
-        "top_1_in_class": _share([r["hidden"] in _first(r) for r in clear]),
-        "exact_top_1": _share([_first(r)[:1] == [r["hidden"]] for r in clear]),
-        "true_cause_in_reported_set": _share([r["hidden"] in _all(r) for r in seen]),
-        "set_size": _mean([len(_first(r)) for r in seen]),
-        "pairs_both_named": _share([all(n in _all(r) for n in r["hidden"].split(" + ")) for r in pairs]),
-        "outside_called_unknown": _share([r["verdict"] == "unknown" for r in loud]),
-        "outside_named_wrongly": _share([r["verdict"] in ("cause", "ambiguous") for r in loud]),
+        "false_alarms": wilson([r["verdict"] != "nothing" for r in controls]),
+        "detected_ES_0.1_to_0.2": wilson([detected(r) for r in weak]),
+        "detected_ES_from_0.2": wilson([detected(r) for r in sure]),
+        "top_1_in_class": wilson([r["hidden"] in first_class(r) for r in clear]),
+        "exact_top_1": wilson([first_class(r)[:1] == [r["hidden"]] for r in clear]),
+        "true_cause_in_reported_set": wilson([r["hidden"] in named(r) for r in seen]),
+        "set_size": _mean([len(first_class(r)) for r in seen]),
+        "pairs_both_named": wilson([all(n in named(r) for n in r["hidden"].split(" + ")) for r in pairs]),
+        "outside_called_unknown": wilson([r["verdict"] == "unknown" for r in loud]),
+        "outside_named_wrongly": wilson([r["verdict"] in ("cause", "ambiguous") for r in loud]),
         "parameter_error_median": _median(errors),
-        "interval_coverage": _share(covered),
-        "held_out_gain_of_oracle": _share([_near_oracle(r) for r in judged]),
-        "worse_than_given_by_2_percent": _share([float(r["against_given"]) > 1.02 for r in given]),
+        "interval_coverage": wilson(covered),
+        "held_out_gain_of_oracle": wilson([_near_oracle(r) for r in judged]),
+        "worse_than_given_by_2_percent": wilson([float(r["against_given"]) > 1.02 for r in given]),
         "cpu_s": _median([float(r["cpu_s"]) for r in rows]),
     }
 
 
-def _strength(row: Row) -> float:
+def strength_of(row: Row) -> float:
+    """ES of a case; of several effects the largest."""
     return max((float(x) for x in str(row["ES"]).split(" + ") if x), default=0.0)
 
 
-def _classes(row: Row) -> list[list[str]]:
+def classes_of(row: Row) -> list[list[str]]:
+    """Names of each finding, first finding first; none where nothing is named."""
     found = json.loads(row["classes"])
     return [] if found == [["unknown"]] else found
 
 
-def _first(row: Row) -> list[str]:
-    found = _classes(row)
+def first_class(row: Row) -> list[str]:
+    """Names of the first finding."""
+    found = classes_of(row)
     return found[0] if found else []
 
 
-def _all(row: Row) -> set[str]:
-    return {name for members in _classes(row) for name in members}
+def named(row: Row) -> set[str]:
+    """Every name of every finding."""
+    return {name for members in classes_of(row) for name in members}
 
 
-def _detected(row: Row) -> bool:
+def detected(row: Row) -> bool:
+    """Whether the diagnosis saw that something is wrong."""
     return row["verdict"] in ("cause", "ambiguous", "unknown")
 
 
@@ -85,7 +90,7 @@ def _parameters(rows: Sequence[Row]) -> tuple[list[float], list[bool]]:
     return errors, covered
 
 
-def _share(hits: Sequence[bool]) -> dict[str, Any]:
+def wilson(hits: Sequence[bool]) -> dict[str, Any]:
     """Count, number and Wilson's 95 % interval of a share."""
     n, k = len(hits), sum(map(bool, hits))
     if n == 0:
