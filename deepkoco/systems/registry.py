@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from deepkoco.systems.double_pendulum import DoublePendulum
+from deepkoco.systems.furuta_pendulum import FurutaPendulum
 from deepkoco.systems.joint import JointSystem
 from deepkoco.systems.pendulum import Pendulum
 from deepkoco.systems.quadrotor_height import QuadrotorHeight
@@ -11,7 +13,10 @@ from deepkoco.systems.torque_pendulum import TorquePendulum
 from deepkoco.systems.two_link_arm import TwoLinkArm
 
 JOINT_SYSTEMS: dict[str, type[JointSystem]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
-SYSTEMS: dict[str, type[System]] = {**JOINT_SYSTEMS, **{s.name: s for s in (TwoLinkArm, QuadrotorHeight)}}
+SYSTEMS: dict[str, type[System]] = {
+    **JOINT_SYSTEMS,
+    **{s.name: s for s in (TwoLinkArm, QuadrotorHeight, DoublePendulum, FurutaPendulum)},
+}
 
 
 class UnknownSystemError(ValueError):

@@ -34,3 +34,15 @@ def test_rounding_is_noise_of_quantum_over_root_12():
 
 def test_short_series_falls_back():
     assert estimate_noise(np.arange(10.0), np.zeros(10), 0.7).sd == 0.7
+
+
+def test_the_grid_of_an_encoder_is_found_behind_rounding():
+    """Few digits in the file, and an unwrapped turn that adds rounding of its own."""
+    ticks = np.random.default_rng(0).integers(-300, 300, 5000)
+    value = np.round(ticks * 2.0 * np.pi / 2048.0, 7)
+    value[::7] += 2.0 * np.pi
+    value[::7] -= 2.0 * np.pi
+    assert quantum_of(value) == pytest.approx(2.0 * np.pi / 2048.0, rel=1e-5)
+    assert quantum_of(np.random.default_rng(1).normal(size=5000)) == 0.0
+    # Twice each: as many levels as a grid has, but no step that fits all of them.
+    assert quantum_of(np.repeat(np.random.default_rng(2).normal(size=500), 2)) == 0.0
