@@ -180,7 +180,8 @@ class FitProblem:
             slope = ((predicted[1:] - predicted[0]) / step * self.weight).flatten(3)
             now = (residual**2).sum(-1)
             better = torch.isfinite(now) & (now <= cost)
-            moved = bool((better & (cost - now > TOLERANCE / count + 1e-4 * now)).any())
+            # A step to nowhere may end a rounding error above where it began.
+            settled = (cost - now).abs() <= TOLERANCE / count + 1e-4 * now
             curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
             hessian = torch.where(better[..., None, None], curvature, hessian)
             downhill = torch.einsum("skwm,kwm->kws", slope, residual)
@@ -188,7 +189,7 @@ class FitProblem:
             best = torch.where(better[..., None], trial, best)
             cost = torch.where(better, now, cost)
             damping = torch.where(better, damping * 0.1, damping * 20.0).clamp(1e-9, 1e9)
-            if not moved and bool((better | (damping > 1e6)).all()):
+            if bool((settled | (damping > 1e6)).all()):
                 break
             diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
             matrix = hessian + torch.diag_embed(damping[..., None] * diagonal + 1e-9)
