@@ -20,6 +20,9 @@ ENVIRONMENTS: dict[str, tuple[int, dict]] = {
     "deepkoco/ManipulatorFixedTarget-v0": (200, {"system": "two_link_arm", "task": "manipulator_fixed"}),
 }
 
+# A unit in virtual time, for policies that learn on it: task.id=deepkoco/Unit-v0 +task.kwargs.unit=UNIT.yaml
+UNIT, UNIT_STEPS = "deepkoco/Unit-v0", 200
+
 # Ten seconds of a task of the DeepMind Control Suite, decided every 0.04 s; it needs the extra dm_control.
 DM_CONTROL = "deepkoco/DmControl-v0"
 DM_CONTROL_STEPS = 250
@@ -36,6 +39,14 @@ def register_envs() -> None:
                 max_episode_steps=steps,
                 kwargs=arguments,
             )
+    if UNIT not in gymnasium.registry:
+        # Not in wall-clock time: environments that are stepped one after the other would miss their ticks.
+        gymnasium.register(
+            UNIT,
+            entry_point="deepkoco.envs.unit_env:UnitEnv",
+            max_episode_steps=UNIT_STEPS,
+            kwargs={"clock": "simulated"},
+        )
     if DM_CONTROL not in gymnasium.registry:
         gymnasium.register(
             DM_CONTROL,
