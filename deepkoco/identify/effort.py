@@ -12,8 +12,7 @@ from torch import Tensor
 from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import System
 
-CELL = 1e-3  # grid on which commands are averaged [s]
-FINE_CELL = 2.5e-4  # the same before a lag, which a coarse grid would take for a delay [s]
+CELL = 2.5e-4  # grid on which commands are averaged before a lag [s]
 
 
 def step_efforts(
@@ -61,17 +60,15 @@ def command_efforts(
         shaped = system.shape_command(index, given, torch.from_numpy(command.t), parameters)
         shaped = shaped.expand(len(given), lanes).numpy().T  # (L, n)
         edges = windows.t0[own]
-        early = np.abs(skew).max() * (edges.max() + windows.length - command.t[0])
-        first = edges.min() - delay.max() - early - 2.0 * CELL
-        first = (
-            max(first, command.t[0] - delay.max() - early - 2.0 * CELL) if not slow else command.t[0] - 1.0
-        )
-        last = edges.max() + windows.length + early
         # Lanes with the same efforts share one series, lanes with the same series and delay one result.
         key = np.column_stack([shaped[:, _probe(command, index)], *lags])
         _, distinct, member = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        cell = FINE_CELL if slow else CELL
-        series = _Integrals(command, shaped[distinct], [lag[distinct] for lag in lags], (first, last), cell)
+        if slow:
+            early = np.abs(skew).max() * (edges.max() + windows.length - command.t[0])
+            last = edges.max() + windows.length + early
+            series = _Averaged(command, shaped[distinct], [lag[distinct] for lag in lags], last)
+        else:
+            series = _Held(command, shaped[distinct])
         late = np.column_stack([member.ravel(), delay, skew])
         _, distinct, group = np.unique(late, axis=0, return_index=True, return_inverse=True)
         a, b = series.steps(
@@ -94,51 +91,82 @@ def _probe(command: CommandSeries, index: int) -> np.ndarray:
     return np.unique(np.concatenate([order[spread], spread]))
 
 
-class _Integrals:
-    """First and second integral over time of efforts (U, n), averaged on a regular grid."""
+class _Held:
+    """First and second integral over time of held efforts (U, n), exact.
+
+    A grid would blur each jump by an amount that depends on where the jump falls in its cell, so that the cost
+    would quiver with the delay: on a plant that is unstable enough to hide a small delay from a fit.
+    """
+
+    def __init__(self, command: CommandSeries, effort: np.ndarray) -> None:
+        self.t, self.effort = command.t, effort
+        gap = np.diff(command.t)
+        once, twice = np.zeros_like(effort), np.zeros_like(effort)
+        np.cumsum(effort[:, :-1] * gap, axis=1, out=once[:, 1:])
+        np.cumsum(once[:, :-1] * gap + 0.5 * effort[:, :-1] * gap**2, axis=1, out=twice[:, 1:])
+        self.once, self.twice = once, twice
+
+    def steps(
+        self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """a, b (R, W, n) for rows of this series, each with a delay (R, W) [s]."""
+        at = _nodes(delay, t0, step, steps)
+        # Before the log the first command holds: its piece reaches back without end.
+        piece = np.clip(np.searchsorted(self.t, at, side="right") - 1, 0, None)
+        lane, inside = row[:, None, None], at - self.t[piece]
+        effort, before = self.effort[lane, piece], self.once[lane, piece]
+        once = before + effort * inside
+        twice = self.twice[lane, piece] + inside * (before + 0.5 * effort * inside)
+        return _line(once, twice, step)
+
+
+class _Averaged:
+    """The same behind first-order lags, from averages over the cells of a regular grid."""
 
     def __init__(
-        self,
-        command: CommandSeries,
-        effort: np.ndarray,
-        lags: Sequence[np.ndarray],
-        span: tuple[float, float],
-        cell: float,
+        self, command: CommandSeries, effort: np.ndarray, lags: Sequence[np.ndarray], last: float
     ) -> None:
-        first, last = span
-        cells = int(np.ceil((last - first) / cell)) + 2
-        grid = first + cell * np.arange(cells + 1)
+        self.first = command.t[0] - 1.0
+        cells = int(np.ceil((last - self.first) / CELL)) + 2
+        grid = self.first + CELL * np.arange(cells + 1)
         area = np.zeros_like(effort)
         np.cumsum(effort[:, :-1] * np.diff(command.t), axis=1, out=area[:, 1:])
         held = np.clip(np.searchsorted(command.t, grid, side="right") - 1, 0, None)
         integral = area[:, held] + effort[:, held] * (grid - command.t[held])
-        self.first = first
-        self.cell = cell
-        self.mean = np.diff(integral, axis=1) / cell
+        self.mean = np.diff(integral, axis=1) / CELL
         for lag in lags:
             for row in np.flatnonzero(lag > 0):
-                self.mean[row] = _lagged(self.mean[row], lag[row], cell)
+                self.mean[row] = _lagged(self.mean[row], lag[row], CELL)
         zero = np.zeros((len(effort), 1))
-        self.once = np.concatenate([zero, np.cumsum(self.mean, axis=1) * cell], axis=1)
-        twice = np.cumsum(self.once[:, :-1] * cell + self.mean * (0.5 * cell**2), axis=1)
+        self.once = np.concatenate([zero, np.cumsum(self.mean, axis=1) * CELL], axis=1)
+        twice = np.cumsum(self.once[:, :-1] * CELL + self.mean * (0.5 * CELL**2), axis=1)
         self.twice = np.concatenate([zero, twice], axis=1)
 
     def steps(
         self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """a, b (R, W, n) for rows of this series, each with a delay (R, W) [s]."""
-        node = t0[:, None] + step * np.arange(steps + 1)
-        at = (node[None] - delay[..., None] - self.first) / self.cell
+        at = (_nodes(delay, t0, step, steps) - self.first) / CELL
         cell = np.clip(at.astype(int), 0, self.mean.shape[1] - 1)
-        inside = (at - cell) * self.cell
+        inside = (at - cell) * CELL
         lane = row[:, None, None]
         mean, before = self.mean[lane, cell], self.once[lane, cell]
         once = before + mean * inside
         twice = self.twice[lane, cell] + inside * (before + 0.5 * mean * inside)
-        first = np.diff(once, axis=2)
-        second = np.diff(twice, axis=2) - step * once[:, :, :-1]
-        b = 12.0 * (0.5 * step * first - second) / step**3
-        return first / step - 0.5 * step * b, b
+        return _line(once, twice, step)
+
+
+def _nodes(delay: np.ndarray, t0: np.ndarray, step: float, steps: int) -> np.ndarray:
+    """(R, W, n + 1) when the commands were sent that act at the nodes [s]."""
+    return (t0[:, None] + step * np.arange(steps + 1))[None] - delay[..., None]
+
+
+def _line(once: np.ndarray, twice: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """The line over each step that has the same integral and double integral, from both at the nodes."""
+    first = np.diff(once, axis=2)
+    second = np.diff(twice, axis=2) - step * once[:, :, :-1]
+    b = 12.0 * (0.5 * step * first - second) / step**3
+    return first / step - 0.5 * step * b, b
 
 
 def _lagged(mean: np.ndarray, time_constant: float, cell: float) -> np.ndarray:

@@ -73,3 +73,18 @@ def test_delay_far_before_the_log_holds_the_first_command():
     start, _ = efforts(windows, actuation_delay__delay=0.3)
     assert start == pytest.approx(1.5, abs=1e-6)
     assert replace(windows, step=0.02).length == pytest.approx(0.1)
+
+
+def test_efforts_change_smoothly_with_the_delay():
+    """A held command that jumps every 2 ms: the integral up to a node is linear in the delay within a piece."""
+    rng = np.random.default_rng(0)
+    windows = windows_of(0.002 * np.arange(600), rng.normal(size=600), [0.5], 0.0047, 40)
+
+    def area(delay):
+        start, slope = efforts(windows, actuation_delay__delay=delay)
+        return 0.0047 * start + 0.5 * 0.0047**2 * slope
+
+    # No node of a step crosses a jump between these delays (nodes are multiples of 0.1 ms off the jumps).
+    bent = area(0.00001) - 2.0 * area(0.00004) + area(0.00007)
+    assert np.abs(bent).max() < 1e-12
+    assert np.abs(area(0.00007) - area(0.00001)).max() > 1e-5
