@@ -17,12 +17,12 @@ from deepkoco.identify.prior import Prior
 from deepkoco.identify.question import FitError, Question, ask
 from deepkoco.identify.threads import one_thread
 from deepkoco.identify.trial import Fit
-from deepkoco.systems import ExtendedSystem, JointSystem
+from deepkoco.systems import ExtendedSystem, System
 
 
 def fit(
     recordings: Sequence[Recording],
-    system: str | JointSystem,
+    system: str | System,
     parameters: Sequence[str],
     *,
     method: Method | None = None,
@@ -44,7 +44,8 @@ def fit(
         recordings: Logs of one unit.
         system: Name of the system, or a system.
         parameters: What to find: the system's own parameters (``mass``), those of effects
-            (``actuation_delay.delay``, ``coulomb.torque``), or the delay of one channel (``theta.delay``).
+            (``actuation_delay.delay``, ``coulomb.torque``; of one joint of several ``coulomb(joint 2).torque``), or
+            the delay of one channel (``theta.delay``).
         method: Levenberg-Marquardt unless given.
         bounds: Parameter -> lowest and highest value; those declared where not given.
         prior: Gaussian prior over some of the parameters; very wide over the others.
@@ -60,7 +61,6 @@ def fit(
             simulation diverges at the start.
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
-        JointCountError: It has more joints than one.
     """
     began = time.perf_counter()
     method = LevenbergMarquardt() if method is None else method

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,8 +15,8 @@ from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
 from deepkoco.identify.windows import Windows, cut_windows, moving, window_length
 from deepkoco.identify.zeros import EncoderZeros
-from deepkoco.systems import ExtendedSystem, JointSystem, Parameter, System, one_joint
-from deepkoco.systems.effects import EFFECTS
+from deepkoco.systems import ExtendedSystem, Parameter, System, any_system
+from deepkoco.systems.effects import effects_of
 
 FEWEST_WINDOWS = 2
 
@@ -67,16 +68,21 @@ class Question:
         return FitProblem(self.system, windows, self.late, self.zero_sd)
 
 
-def known_parameters(system: JointSystem) -> tuple[Parameter, ...]:
+def known_parameters(system: System) -> tuple[Parameter, ...]:
     """All that can be fitted: the system's own parameters, those of every effect, one delay per channel."""
     base = system.base if isinstance(system, ExtendedSystem) else system
-    full = ExtendedSystem(base, tuple(EFFECTS), {p.name: p.value for p in system.parameters})
+    full = ExtendedSystem(base, tuple(effects_of(base)), {p.name: p.value for p in system.parameters})
     return (*full.parameters, *channel_delays([c.name for c in system.measurements]))
+
+
+def command_delays(system: System) -> tuple[str, ...]:
+    """Names of the delays of a system's commands, one for each joint that is driven."""
+    return tuple(f"{name}.delay" for name in effects_of(system) if name.split("(")[0] == "actuation_delay")
 
 
 def ask(
     recordings: Sequence[Recording],
-    system: str | JointSystem,
+    system: str | System,
     parameters: Sequence[str],
     *,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -86,7 +92,7 @@ def ask(
     zero_sd: float | None = None,
 ) -> Question:
     """Check what a user wants and cut the logs. Args and Raises as :func:`deepkoco.identify.fit`."""
-    base = one_joint(system)
+    base = any_system(system)
     known = {p.name: p for p in known_parameters(base)}
     free = tuple(dict.fromkeys(parameters))
     if not free:
@@ -137,11 +143,13 @@ def _completed(prior: Prior | None, free: Sequence[Parameter]) -> Prior:
     return Prior(names, np.concatenate([prior.centre[index], added.centre]), covariance)
 
 
-def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: JointSystem) -> None:
+def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: System) -> None:
     for name in names:
         if name not in known:
             close = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+            # "coulomb" and "coulomb.torque" mean one of "coulomb(joint 1).torque" and "coulomb(joint 2).torque".
             close += [k for k in known if k.startswith(f"{name}.") or k.endswith(f".{name}")]
+            close += [k for k in known if re.sub(r"\(.*\)", "", k).startswith(name) and "(" in k]
             said = f"; did you mean {' or '.join(dict.fromkeys(close))}?" if close else ""
             own = ", ".join(p.name for p in system.parameters)
             raise FitError(
@@ -150,7 +158,7 @@ def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: J
             )
 
 
-def _extended(base: JointSystem, names: Iterable[str], late: Sequence[str]) -> ExtendedSystem:
+def _extended(base: System, names: Iterable[str], late: Sequence[str]) -> ExtendedSystem:
     had = tuple(e.name for e in base.effects) if isinstance(base, ExtendedSystem) else ()
     delays = {f"{c}.delay" for c in late}
     asked = tuple(name.split(".")[0] for name in names if "." in name and name not in delays)
