@@ -70,6 +70,7 @@ def fit_graph(
     generations: int = 100,
     seed: int = 0,
     executor: str = "fused",
+    threads: int = 1,
     progress: Progress | None = None,
 ) -> GraphFit:
     """Replay an episode with a population of parameters until the readings are the measured ones.
@@ -88,7 +89,7 @@ def fit_graph(
         population: Points in a generation.
         generations: Most generations.
         seed: Of all draws.
-        executor: As for `BatchedRuntime`.
+        executor, threads: As for `BatchedRuntime`.
         progress: Called with stage, generation, most generations and cost.
 
     Raises:
@@ -98,26 +99,10 @@ def fit_graph(
     """
     began = time.perf_counter()
     low, high = _bounds(graph, sought)
-    actions = torch.from_numpy(np.asarray(episode.outputs[graph.supervisor]))[:, None]
-    for name, values in measured.items():
-        if name not in noise_sd:
-            raise FitError(f'noise_sd: give the standard deviation of the reading "{name}"')
-        if len(values) != len(actions):
-            raise FitError(f'measured "{name}" has {len(values)} rows for {len(actions)} actions')
-    replayed = _Replay(graph, episode, parameters, tuple(sought), actions, initial, executor)
-    targets = {n: torch.from_numpy(np.array(v, dtype=np.float64)) for n, v in measured.items()}
-
-    def residuals(points: np.ndarray) -> Tensor:
-        taken = replayed(points, tuple(targets))
-        parts = []
-        for name, target in targets.items():
-            miss = (taken[name].to(torch.float64).flatten(2) - target.flatten(1)[:, None]) / noise_sd[name]
-            parts.append(
-                torch.where(torch.isnan(target).flatten(1)[:, None], 0.0, miss).movedim(1, 0).flatten(1)
-            )
-        return torch.cat(parts, 1)  # (B, samples)
-
-    start = replayed.start(low, high)
+    residuals = _Misfit(
+        graph, episode, parameters, tuple(sought), measured, noise_sd, initial, executor, threads
+    )
+    start = residuals.start(low, high)
     search = cma_es(
         lambda points: (residuals(points) ** 2).sum(1).numpy(),
         start,
@@ -132,7 +117,7 @@ def fit_graph(
     )
     if not np.isfinite(search.cost):
         raise FitError("the replay diverges at every point of the bounds; narrow them")
-    speed = replayed.steps / (time.perf_counter() - began)
+    speed = residuals.steps / (time.perf_counter() - began)
     left, covariance = _curvature(residuals, search.best, low, high)
     estimates = {}
     for i, name in enumerate(sought):
@@ -140,7 +125,7 @@ def fit_graph(
         value = float(search.best[i])
         estimates[name] = Estimate(name, value, *interval(value, sd, bounds), sd, "", float(start[i]), bounds)
     at, rms = 0, {}
-    for name, target in targets.items():
+    for name, target in residuals.targets.items():
         own = left[at : at + target.numel()]
         there = ~torch.isnan(target).flatten().numpy()
         rms[name] = float(np.sqrt(np.mean(own[there] ** 2))) * noise_sd[name]
@@ -156,8 +141,29 @@ def fit_graph(
     return GraphFit(estimates, covariance, rms, convergence, search, speed)
 
 
-class _Replay:
-    """The episode, run with a point of the search in each environment."""
+def graph_costs(
+    graph: Graph,
+    episode: Episode,
+    parameters: NodeParameters,
+    sought: Mapping[str, tuple[float, float]],
+    measured: Mapping[str, np.ndarray],
+    noise_sd: Mapping[str, float],
+    points: np.ndarray,
+    *,
+    initial: Mapping[str, State] | None = None,
+    executor: str = "fused",
+    threads: int = 1,
+) -> np.ndarray:
+    """Cost (L,) that `fit_graph` gives to points (L, p) of the parameters sought: squared errors over variances."""
+    _bounds(graph, sought)
+    misfit = _Misfit(
+        graph, episode, parameters, tuple(sought), measured, noise_sd, initial, executor, threads
+    )
+    return (misfit(np.asarray(points, dtype=np.float64)) ** 2).sum(1).numpy()
+
+
+class _Misfit:
+    """The episode, run with a point of the search in each environment, less what was measured."""
 
     def __init__(
         self,
@@ -165,13 +171,25 @@ class _Replay:
         episode: Episode,
         parameters: NodeParameters,
         names: tuple[str, ...],
-        actions: Tensor,
+        measured: Mapping[str, np.ndarray],
+        noise_sd: Mapping[str, float],
         initial: Mapping[str, State] | None,
         executor: str,
+        threads: int,
     ) -> None:
-        self.runtime = BatchedRuntime(graph, replay_timing(graph, episode.measured), executor=executor)
-        self.parameters, self.names, self.actions, self.initial = parameters, names, actions, initial
+        self.runtime = BatchedRuntime(
+            graph, replay_timing(graph, episode.measured), executor=executor, threads=threads
+        )
+        self.actions = torch.from_numpy(np.asarray(episode.outputs[graph.supervisor]))[:, None]
+        self.parameters, self.names, self.initial = parameters, names, initial
         self.steps = 0
+        for name, values in measured.items():
+            if name not in noise_sd:
+                raise FitError(f'noise_sd: give the standard deviation of the reading "{name}"')
+            if len(values) != len(self.actions):
+                raise FitError(f'measured "{name}" has {len(values)} rows for {len(self.actions)} actions')
+        self.targets = {n: torch.from_numpy(np.array(v, dtype=np.float64)) for n, v in measured.items()}
+        self.noise_sd = noise_sd
 
     def start(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Present values (p,) inside the bounds, the middle where there is none."""
@@ -182,12 +200,28 @@ class _Replay:
             values.append(0.5 * (a + b) if present is None else float(np.clip(float(present), a, b)))
         return np.array(values)
 
-    def __call__(self, points: np.ndarray, readings: tuple[str, ...]) -> dict[str, Tensor]:
+    def __call__(self, points: np.ndarray) -> Tensor:
+        """Residuals (B, samples) of points (B, p), over the noise."""
+        taken = self._replayed(points)
+        parts = []
+        for name, target in self.targets.items():
+            miss = (taken[name].to(torch.float64).flatten(2) - target.flatten(1)[:, None]) / self.noise_sd[
+                name
+            ]
+            missing = torch.isnan(target).flatten(1)[:, None]
+            parts.append(torch.where(missing, 0.0, miss).movedim(1, 0).flatten(1))
+        return torch.cat(parts, 1)
+
+    def _replayed(self, points: np.ndarray) -> dict[str, Tensor]:
+        """Readings (steps, B, ...) of points (B, p)."""
         batch = len(points)
         own = {node: dict(values) for node, values in self.parameters.items()}
         for i, name in enumerate(self.names):
             node, parameter = name.split(".", 1)
-            own.setdefault(node, {})[parameter] = torch.from_numpy(np.ascontiguousarray(points[:, i]))
+            values = own.setdefault(node, {})
+            column = torch.from_numpy(np.ascontiguousarray(points[:, i]))
+            # A graph in single precision stays in it.
+            values[parameter] = column.to(values[parameter].dtype) if parameter in values else column
         initial = self.initial
         if initial is not None:
             initial = {
@@ -196,7 +230,7 @@ class _Replay:
             }
         rows = np.zeros(batch, dtype=np.int64)
         state, _ = self.runtime.reset(own, torch.Generator().manual_seed(0), initial, rows=rows)
-        _, taken = self.runtime.rollout(state, self.actions, len(self.actions), record=list(readings))
+        _, taken = self.runtime.rollout(state, self.actions, len(self.actions), record=list(self.targets))
         self.steps += batch * len(self.actions)
         return taken
 
