@@ -1,12 +1,18 @@
 """Study: damaged logs, read, inspected and diagnosed; each must end in one clear error or an honest diagnosis.
 
 python -m experiments.fuzz_logs --cases 1000 --seed 0 --out results/diagnose
+
+A row is kept in ``--rows`` as soon as its case is done: a study that was stopped goes on where it was, with what was
+run from the same sources. Many damaged files read back as the same recording (another delimiter, another format,
+rows out of order); a recording is diagnosed once, and its verdict stands for all cases that end in it.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
+import os
 import sys
 import tempfile
 import time
@@ -20,7 +26,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deepkoco.diagnose import Diagnosis, diagnose
+import deepkoco
+from deepkoco.diagnose import diagnose
 from deepkoco.graph.log_files import open_log
 from deepkoco.graph.recording import LogError, Recording, read_log
 from deepkoco.inspection import NoProposalError, doubts_of, propose, survey_log
@@ -28,9 +35,11 @@ from deepkoco.systems import one_joint
 from deepkoco.unit import make_unit
 from deepkoco.unit.record import record
 from experiments.log_faults import FAULTS, FORMS, DamagedLog, clean_mapping
+from experiments.provenance import provenance
 
 SECONDS = 8.0
 LONGEST = 1500  # characters of an error
+DIAGNOSING = ("diagnose", "identify", "systems")  # packages of which a verdict depends
 NAMING = ("cause", "ambiguous")
 # A command in the wrong unit that is named as such is diagnosed, not misdiagnosed.
 HONEST = {"command in other unit": {"unit_slip"}, "wrong sidecar": {"unit_slip"}}
@@ -69,6 +78,85 @@ class FuzzResult:
     wrong: str
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """What a diagnosis of one recording said: its verdict, and each named cause with all it cannot be told from."""
+
+    verdict: str
+    named: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+class Verdicts:
+    """Verdicts by content of the recording, kept in a file: the same recording is diagnosed once.
+
+    Stamps are told apart to a microsecond and values to nine digits, so that formats that store them otherwise share.
+
+    Args:
+        path: JSON lines; None keeps them in memory only.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self.path = path
+        self.known: dict[str, Verdict] = {}
+        for row in read_rows(path):
+            self.known[row["key"]] = Verdict(
+                row["verdict"], tuple((n, tuple(members)) for n, members in row["named"])
+            )
+
+    def of(self, recording: Recording, system: str) -> Verdict:
+        """The verdict of a diagnosis with the system's whole catalogue."""
+        key = content_key(recording, system)
+        if key not in self.known:
+            found = diagnose([recording], system)
+            self.known[key] = Verdict(found.verdict, tuple((c.name, tuple(c.members)) for c in found.causes))
+            append_row(self.path, {"key": key, **asdict(self.known[key])})
+        return self.known[key]
+
+
+def content_key(recording: Recording, system: str) -> str:
+    """Digest of all that a verdict depends on: what a diagnosis reads of the recording, and its own sources."""
+    digest = hashlib.sha256(f"{system} {source_digest(DIAGNOSING)}".encode())
+    start = min(float(series.t[0]) for series in recording.channels.values())
+    for name, series in sorted(recording.channels.items()):
+        digest.update(f"{name} {series.unit} {series.kind} {len(series)}".encode())
+        digest.update(np.round(1e6 * (series.t - start)).astype(np.int64).tobytes())
+        digest.update("".join(f"{value:.9g} " for value in series.value.tolist()).encode())
+    digest.update(repr([(round(a - start, 6), round(b - start, 6)) for a, b in recording.unknown]).encode())
+    return digest.hexdigest()
+
+
+@cache
+def source_digest(packages: tuple[str, ...] = ("",)) -> str:
+    """Digest of the Python sources below these folders of the package."""
+    root, digest = Path(deepkoco.__file__).parent, hashlib.sha256()
+    for package in packages:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def read_rows(path: Path | None) -> list[dict]:
+    """Rows of a file of JSON lines; none if it is not there, the last left out where it was cut off."""
+    if path is None or not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").split("\n")
+    return [json.loads(line) for line in lines[:-1]]
+
+
+def append_row(path: Path | None, row: dict) -> None:
+    """Add a row; what a kill left of a line before it is taken off first."""
+    if path is None:
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab+") as file:
+        file.seek(0)
+        whole = file.read()
+        file.truncate(whole.rfind(b"\n") + 1)
+        file.write(json.dumps(row).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
 def clean_frame(base: int) -> pd.DataFrame:
     """The clean log of a base: t [s], torque, theta, omega in the units of the system, one row per measurement."""
     return _clean_log(base).copy()
@@ -87,25 +175,27 @@ def _clean_log(base: int) -> pd.DataFrame:
 
 
 @cache
-def clean_diagnosis(base: int) -> Diagnosis:
-    """The diagnosis of a clean log, as it is read from CSV."""
+def clean_recording(base: int) -> Recording:
+    """A clean log, as it is read from CSV."""
     with tempfile.TemporaryDirectory() as folder:
         log = DamagedLog(clean_frame(base), _mapping(base, "csv"), "csv")
-        return diagnose([_read(log.write(Path(folder)), base, None)], BASES[base][0])
+        return _read(log.write(Path(folder)), base, None)
 
 
-def run_case(case: FuzzCase) -> FuzzResult:
+def run_case(case: FuzzCase, verdicts: Verdicts) -> FuzzResult:
     """Write, inspect, read and diagnose one damaged log."""
     result, recording, path = read_case(case)
     if recording is None:
         return result
+    system = BASES[case.base][0]
     try:
-        found = diagnose([recording], BASES[case.base][0])
+        found, clean = verdicts.of(recording, system), verdicts.of(clean_recording(case.base), system)
     except LogError as error:
         return FuzzResult("refused", (), str(error), _bad_error(path, str(error)))
     except Exception:
         return FuzzResult("traceback", (), "", traceback.format_exc(limit=-4))
-    return FuzzResult(found.verdict, tuple(found.names), result.text, _bad_verdict(case, found))
+    names = tuple(name for name, _ in found.named)
+    return FuzzResult(found.verdict, names, result.text, _bad_verdict(case, found, clean))
 
 
 def read_case(case: FuzzCase) -> tuple[FuzzResult, Recording | None, Path]:
@@ -200,16 +290,13 @@ def _bad_error(path: Path, text: str) -> str:
     return "the error speaks of a traceback" if "Traceback" in text else ""
 
 
-def _bad_verdict(case: FuzzCase, found: Diagnosis) -> str:
+def _bad_verdict(case: FuzzCase, found: Verdict, clean: Verdict) -> str:
     if found.verdict not in NAMING:
         return ""
-    clean = clean_diagnosis(case.base)
     known = {name for fault in case.faults for name in HONEST.get(fault, ())}
     if clean.verdict in NAMING:
-        known |= {member for cause in clean.causes for member in (cause.name, *cause.members)}
-    named = {
-        cause.name for cause in found.causes if not set(cause.members) & known and cause.name not in known
-    }
+        known |= {member for name, members in clean.named for member in (name, *members)}
+    named = {name for name, members in found.named if not set(members) & known and name not in known}
     return f"names {', '.join(sorted(named))}, which the clean log does not show" if named else ""
 
 
@@ -224,19 +311,20 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     parser.add_argument(
         "--out", type=Path, help="existing folder; fuzzed_logs.csv and .json are written into it"
     )
+    parser.add_argument(
+        "--rows", type=Path, help="folder in which rows are kept and gone on from; default runs/fuzz_logs"
+    )
     args = parser.parse_args(arguments)
     targets = [] if args.out is None else [args.out / f"fuzzed_logs{suffix}" for suffix in (".csv", ".json")]
     for target in targets:
         if target.exists():
             sys.stderr.write(f"fuzz_logs: {target}: exists; move it away\n")
             return 2
-    began, rows = time.perf_counter(), []
-    for number, case in enumerate(cases(args.cases, args.seed)):
-        result = run_case(case)
-        rows.append({"case": number, **asdict(case), **asdict(result)})
-        if result.wrong:
-            sys.stderr.write(f"case {number} {case}: {result.outcome}: {result.wrong}\n")
-    summary = summarise(rows) | {"seed": args.seed, "seconds": round(time.perf_counter() - began, 1)}
+    folder = args.rows or Path("runs/fuzz_logs")
+    rows = run_cases(
+        cases(args.cases, args.seed), folder / f"seed_{args.seed}.jsonl", folder / "verdicts.jsonl"
+    )
+    summary = summarise(rows) | {"seed": args.seed}
     if targets:
         frame = pd.DataFrame(rows).assign(
             faults=[" + ".join(row["faults"]) for row in rows], names=[" ".join(row["names"]) for row in rows]
@@ -246,6 +334,30 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     lines = [json.dumps(summary)] if args.json else [f"{name}: {value}" for name, value in summary.items()]
     write("\n".join(lines) + "\n")
     return 1 if summary["wrong"] else 0
+
+
+def run_cases(asked: Sequence[FuzzCase], path: Path, verdicts: Path) -> list[dict]:
+    """Rows of all cases; those that the file holds already are not run again."""
+    source = source_digest()
+    known = {FuzzCase(**row["case"]): row for row in map(_as_row, read_rows(path)) if row["source"] == source}
+    shared, commit, rows = Verdicts(verdicts), provenance()["commit"], []
+    for number, case in enumerate(asked):
+        if case not in known:
+            began = time.process_time()
+            row = {"case": asdict(case), **asdict(run_case(case, shared))}
+            row |= {"cpu_s": round(time.process_time() - began, 3), "commit": commit, "source": source}
+            append_row(path, row)
+            known[case] = _as_row(row)
+        row = known[case]
+        if row["wrong"]:
+            sys.stderr.write(f"case {number} {case}: {row['outcome']}: {row['wrong']}\n")
+        rows.append({**row, **row["case"], "case": number})
+    return rows
+
+
+def _as_row(row: dict) -> dict:
+    """A row of the file with what JSON has no tuples for."""
+    return {**row, "case": {**row["case"], "faults": tuple(row["case"]["faults"])}}
 
 
 def summarise(rows: Sequence[dict]) -> dict:
@@ -259,6 +371,8 @@ def summarise(rows: Sequence[dict]) -> dict:
         "wrong": len(wrong),
         "wrong_by_fault": dict(Counter(fault for row in wrong for fault in row["faults"])),
         "diagnosed_with_warning": sum(row["outcome"] != "refused" and bool(row["text"]) for row in rows),
+        "cpu_minutes": round(sum(row["cpu_s"] for row in rows) / 60.0, 1),
+        "commits": sorted({row["commit"] for row in rows}),
         "cases_by_fault": dict(sorted(Counter(fault for row in rows for fault in row["faults"]).items())),
     }
 

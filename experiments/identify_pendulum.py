@@ -7,12 +7,15 @@ nominal ones, commands act 7 ms late, and the angle comes from a camera whose fr
 comes from the motor's encoder at once. Fitted are four parameters and both delays. Then the state is estimated on a
 second log, by the filter alone (the newest belief taken for now) and with forward prediction, against the noise-free
 motion.
+
+Each unit is written as soon as it is done: a study that was stopped goes on where it was when called again.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from dataclasses import replace
@@ -161,6 +164,14 @@ def summary(table: pd.DataFrame) -> dict:
     }
 
 
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write the units found so far, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial")
+    table.to_csv(partial, index=False, lineterminator="\n", float_format="%.8g")
+    os.replace(partial, path)
+
+
 def draw(table: pd.DataFrame, path: Path) -> None:
     """Error of every parameter and delay, unit by unit."""
     with house_style():
@@ -191,19 +202,24 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--units", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, help="folder for units.csv and its figure")
+    parser.add_argument("--out", type=Path, help="folder for units.csv and its figure; units in it are kept")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     if args.units < 1:
         parser.error("--units: at least one")
-    if args.out is not None and (args.out / "units.csv").exists():
-        parser.error(f"{args.out / 'units.csv'} exists; move it away")
-    table = pd.DataFrame([study(args.seed + k) for k in range(args.units)])
+    path = None if args.out is None else args.out / "units.csv"
+    rows = [] if path is None or not path.exists() else pd.read_csv(path).to_dict("records")
+    known = {row["seed"] for row in rows}
+    for seed in range(args.seed, args.seed + args.units):
+        if seed not in known:
+            rows.append(study(seed))
+            if path is not None:
+                write_table(pd.DataFrame(rows), path)
+    table = pd.DataFrame(rows).sort_values("seed", ignore_index=True)
     result = summary(table)
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        table.to_csv(args.out / "units.csv", index=False, lineterminator="\n", float_format="%.8g")
-        draw(table, args.out / "errors.png")
+    if path is not None:
+        write_table(table, path)
+        draw(table, path.with_name("errors.png"))
     sys.stdout.write(
         json.dumps(result, indent=2) + "\n" if args.json else f"{pd.Series(result).to_string()}\n"
     )
