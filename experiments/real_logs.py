@@ -1,6 +1,10 @@
 """Study: diagnose real measured logs and compare held-out errors with the textbook model's.
 
 python -m experiments.real_logs --data FOLDER --log dfki_pendulum --json
+python -m experiments.real_logs --data FOLDER --log NEW --train a.csv b.csv:0:4.5 --test c.csv
+
+A folder that is not known by name is studied as the known one with the same columns; without --train one log in
+four is kept for tests.
 """
 
 from __future__ import annotations
@@ -10,103 +14,105 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
-
-import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
-from deepkoco.graph.recording import LogError, Recording, read_log
-from deepkoco.systems import one_joint
+from deepkoco.graph.recording import LogError
+from experiments.real_log_studies import Question, Study, parse_piece, study_of
 
 
-class Split(NamedTuple):
-    """One study: which stretches of which logs are fitted, and which logs only tested."""
+def answer(folder: Path, study: Study, question: Question) -> Diagnosis:
+    """Diagnose the training stretches; measure on the test logs.
 
-    system: str
-    mapping: dict
-    train: tuple[tuple[str, float, float], ...]  # file, from [s], to [s]
-    test: tuple[tuple[str, float, float], ...]
-    window: float  # [s]
-
-
-DFKI_PENDULUM = Split(
-    system="torque_pendulum",
-    mapping={
-        "system": "torque_pendulum",
-        "time": {"column": "t", "unit": "s"},
-        "channels": {
-            # The torque from the motor current is the input: the commanded one passes a controller.
-            "torque": {"column": "tau_meas", "unit": "N m", "kind": "command"},
-            "theta": {"column": "pos", "unit": "rad", "kind": "measurement"},
-            "omega": {"column": "vel", "unit": "rad/s", "kind": "measurement"},
-        },
-    },
-    # Later on people push the pendulum.
-    train=(("energy_shaping.csv", 0.0, 4.5), ("sac.csv", 0.1, 4.1)),
-    test=(("ddp_pd.csv", 0.0, 6.0), ("direct_collocation_pd.csv", 0.0, 3.5)),
-    window=1.0,
-)
-STUDIES = {"dfki_pendulum": DFKI_PENDULUM}
-
-
-def run_study(folder: Path, split: Split) -> Diagnosis:
-    """Diagnose the training stretches; measure on the test logs."""
-    train, test = (
-        [_stretch(folder, split, *piece) for piece in pieces] for pieces in (split.train, split.test)
+    Raises:
+        LogError: A log is missing or cannot be used.
+    """
+    train, test, healthy = (
+        study.recordings(folder, pieces) for pieces in (question.train, question.test, question.healthy)
     )
-    return diagnose(train, split.system, holdout=test, window=split.window)
+    return diagnose(train, study.system, healthy=healthy, holdout=test, window=study.window)
 
 
 def summary(diagnosis: Diagnosis, seconds: float) -> dict:
-    """The figures of one study, errors of the first channel in its unit."""
-    channel = diagnosis.gain.channels[0] if diagnosis.gain else None
+    """The figures of one question; the errors without a channel's name are those of the first channel."""
+    channels = diagnosis.gain.channels if diagnosis.gain else ()
     first = diagnosis.causes[0] if diagnosis.causes else None
     return {
         "verdict": diagnosis.verdict,
         "first": first.name if first else None,
         "class": list(first.members) if first else [],
-        "rmse_baseline": channel.baseline if channel else None,
-        "rmse_refit": channel.refit if channel else None,
-        "rmse_extended": channel.extended if channel else None,
+        "rmse_baseline": channels[0].baseline if channels else None,
+        "rmse_refit": channels[0].refit if channels else None,
+        "rmse_extended": channels[0].extended if channels else None,
         "seconds": round(seconds, 2),
+        "causes": [
+            {
+                "name": found.name,
+                "class": list(found.members),
+                "delta_bic": found.delta_bic,
+                "parameters": {n: [p.value, p.low, p.high, p.unit] for n, p in found.parameters.items()},
+            }
+            for found in diagnosis.causes
+        ],
+        "channels": {c.name: [c.baseline, c.refit, c.extended, c.unit] for c in channels},
+        "windows": diagnosis.windows,
+        "window_s": diagnosis.window_s,
+        "chi2_per_sample": [diagnosis.chi2_before, diagnosis.chi2_after],
+        "refit": {n: [p.value, p.low, p.high, p.unit] for n, p in diagnosis.refit.items()},
+        "candidates": [[c.name, c.delta_bic] for c in diagnosis.candidates[:10]],
+        "not_identified": diagnosis.unexplained["not_identified"] if diagnosis.unexplained else [],
     }
 
 
-def _stretch(folder: Path, split: Split, name: str, start: float, stop: float) -> Recording:
-    system = one_joint(split.system)
-    channels = [(c.name, c.unit, c.kind) for c in (system.command, *system.measurements)]
-    recording = read_log(folder / name, split.mapping, split.system, channels=channels).between(start, stop)
-    # A measured torque is a sample in the middle of the time that it stands for, not a command that
-    # begins to hold at its stamp.
-    torque = recording.channels[system.command.name]
-    centred = replace(torque, t=torque.t - 0.5 * np.median(np.diff(torque.t)))
-    return replace(recording, channels={**recording.channels, system.command.name: centred})
-
-
 def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] = sys.stdout.write) -> int:
-    """Run one study and print its figures."""
+    """Answer the questions of one study and print the figures."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--data", type=Path, required=True, help="folder that holds one folder per log")
-    parser.add_argument("--log", choices=sorted(STUDIES), required=True, help="which study")
+    parser.add_argument("--log", required=True, help="which folder in it, or the path of another")
+    parser.add_argument("--question", help="answer only this one of the study's questions")
+    parser.add_argument("--train", nargs="+", metavar="FILE[:FROM:TO]", help="logs to explain")
+    parser.add_argument(
+        "--test", nargs="+", default=[], metavar="FILE[:FROM:TO]", help="logs never fitted, beside --train"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--out", type=Path, help="also write the report into this new folder")
+    parser.add_argument("--out", type=Path, help="also write the reports into this new folder")
     args = parser.parse_args(arguments)
-    began = time.perf_counter()
+    folder = args.data / args.log
     try:
-        diagnosis = run_study(args.data / args.log, STUDIES[args.log])
-    except LogError as error:
+        study, questions = study_of(folder)
+        if args.train:
+            given = ([parse_piece(text) for text in texts] for texts in (args.train, args.test))
+            questions = {"given": Question(*(tuple(pieces) for pieces in given))}
+        if args.question is not None:
+            if args.question not in questions:
+                raise ValueError(f'--question "{args.question}" is none of: {", ".join(questions)}')
+            questions = {args.question: questions[args.question]}
+        figures = {}
+        for name, question in questions.items():
+            began = time.perf_counter()
+            diagnosis = answer(folder, study, question)
+            figures[name] = summary(diagnosis, time.perf_counter() - began)
+            if args.out:
+                write_report(diagnosis, args.out / name.replace(" ", "_"))
+    except (LogError, ValueError) as error:
         sys.stderr.write(f"real_logs: {error}\n")
         return 2
-    figures = summary(diagnosis, time.perf_counter() - began)
-    if args.out:
-        write_report(diagnosis, args.out)
-    lines = [json.dumps(figures)] if args.json else [f"{name}: {value}" for name, value in figures.items()]
+    main_question = next(iter(figures.values()))
+    result = {**main_question, "log": args.log, "system": study.system, "questions": figures}
+    lines = [json.dumps(result)] if args.json else [_line(name, value) for name, value in figures.items()]
     write("\n".join(lines) + "\n")
     return 0
+
+
+def _line(name: str, figures: dict) -> str:
+    errors = "; ".join(
+        f"{channel} {before:.4g} -> refit {refit:.4g} -> {after:.4g} {unit}"
+        for channel, (before, refit, after, unit) in figures["channels"].items()
+    )
+    named = ", ".join(cause["name"] for cause in figures["causes"]) or "no cause"
+    return f"{name}: {figures['verdict']} ({named}); {errors}; {figures['seconds']:.0f} s"
 
 
 if __name__ == "__main__":

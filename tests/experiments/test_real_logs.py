@@ -33,7 +33,7 @@ def test_friction_is_named_and_pays(tmp_path):
     printed = []
     assert main(["--data", str(tmp_path), "--log", "dfki_pendulum", "--json"], printed.append) == 0
     result = json.loads(printed[0])
-    assert list(result) == [
+    assert list(result)[:7] == [
         "verdict",
         "first",
         "class",
