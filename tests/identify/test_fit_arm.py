@@ -1,6 +1,7 @@
 """Fits of a system with two joints, to motion integrated by SciPy."""
 
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -30,13 +31,15 @@ def arm_log(seed: int, zero: float = 0.0, late: bool = False, seconds: float = 8
     def slope(t: float, x: np.ndarray) -> np.ndarray:
         # A hair later, so that the command of an instant acts from it on.
         held = [torque[max(int((t - delay[j] + 1e-9) / PERIOD), 0), j] * (t >= delay[j]) for j in (0, 1)]
-        return arm.derivative(torch.from_numpy(x), torch.tensor(held, dtype=torch.float64), parameters).numpy()
+        return arm.derivative(
+            torch.from_numpy(x), torch.tensor(held, dtype=torch.float64), parameters
+        ).numpy()
 
     jumps = np.unique(np.round(np.concatenate([sent + d for d in delay]), 9))
     state, edges = np.array([0.3, 0.5, 0.0, 0.0]), np.append(jumps[jumps < seconds], seconds)
     t = np.arange(0.0, seconds - 0.005, 0.01)
     states = np.zeros((len(t), 4))
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         inside = (t >= begin - 1e-9) & (t < end - 1e-9)
         run = solve_ivp(
             lambda u, x, middle=0.5 * (begin + end): slope(middle, x),
@@ -45,7 +48,9 @@ def arm_log(seed: int, zero: float = 0.0, late: bool = False, seconds: float = 8
         states[inside], state = run.y.T[:-1], run.y[:, -1]
     noise = [c.noise_sd for c in arm.measurements] * rng.standard_normal(states.shape)
     values = states + noise + np.array([0.0, zero, 0.0, 0.0])
-    channels = {c.name: Series(t, values[:, i], c.unit, "measurement") for i, c in enumerate(arm.measurements)}
+    channels = {
+        c.name: Series(t, values[:, i], c.unit, "measurement") for i, c in enumerate(arm.measurements)
+    }
     for i, c in enumerate(arm.commands):
         channels[c.name] = Series(sent, torque[:, i], c.unit, "command")
     return Recording(channels, system="two_link_arm")
