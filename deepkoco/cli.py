@@ -34,6 +34,10 @@ COMMANDS = {
         "deepkoco.diagnose.command",
         "name what the simulation of a logged robot gets wrong, and extend it",
     ),
+    "design-experiment": (
+        "deepkoco.diagnose.design.command",
+        "find the commands that tell causes apart best, to be played by record",
+    ),
     "show": (
         "deepkoco.commands.show_command",
         "show what a recording of a graph holds, or what a trained model has learned",

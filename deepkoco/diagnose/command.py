@@ -88,8 +88,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
     try:
         check_new(out)
-        system, logs = _read(args, args.recording, None)
-        healthy, holdout = (_read(args, paths, system)[1] for paths in (args.healthy, args.holdout))
+        system, logs = read_logs(args, args.recording, None)
+        healthy, holdout = (read_logs(args, paths, system)[1] for paths in (args.healthy, args.holdout))
         result = diagnose(logs, system, healthy, holdout, args.seed, args.window)
         page = write_report(result, out)
     except (LogError, FolderExistsError) as error:
@@ -107,15 +107,21 @@ def run(args: argparse.Namespace) -> int:
     return INSUFFICIENT if result.verdict == "insufficient" else 0
 
 
-def _read(
+def read_logs(
     args: argparse.Namespace, paths: Sequence[Path], system: System | None
 ) -> tuple[System, list[Recording]]:
+    """Read logs of one system; where none is given yet, the one that the arguments or the first log name.
+
+    Raises:
+        InputError: The system is unknown, or none is named.
+        LogError: A log cannot be read.
+    """
     from deepkoco.graph.recording import read_log
     from deepkoco.systems import SYSTEMS
 
     name = args.system
     if system is None and name is not None:
-        system = _system(name)
+        system = named_system(name)
     recordings = []
     for path in paths:
         if system is None:
@@ -124,7 +130,7 @@ def _read(
                 raise InputError(
                     f"{path}: the sidecar names no system; give --system, one of {', '.join(SYSTEMS)}"
                 )
-            system = _system(said)
+            system = named_system(said)
         channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
         recordings.append(
             read_log(path, args.map, system.name, channels=channels, systems=tuple(SYSTEMS), fill=args.fill)
@@ -133,7 +139,12 @@ def _read(
     return system, recordings  # type: ignore[return-value]
 
 
-def _system(name: str) -> System:
+def named_system(name: str) -> System:
+    """System of a name, or of a model.yaml.
+
+    Raises:
+        InputError: There is none.
+    """
     from deepkoco.systems import ModelFileError, UnknownSystemError, load_model, make_system
 
     try:

@@ -12,7 +12,7 @@ import numpy as np
 
 from deepkoco.graph.recording import Recording, Series
 from deepkoco.systems import make_system
-from experiments.hidden.excitations import make_drive
+from experiments.hidden.excitations import Drive, make_drive
 from experiments.hidden.machines import MACHINES, Body, soft_sign
 
 Hidden = Mapping[str, Mapping[str, Any]]
@@ -103,7 +103,7 @@ class HiddenUnit:
 
 
 def hidden_log(
-    system: str, hidden: Hidden, excitation: str, seed: int, seconds: float = 30.0, noisy: bool = True
+    system: str, hidden: Hidden, excitation: str | Drive, seed: int, seconds: float = 30.0, noisy: bool = True
 ) -> Recording:
     """Record a unit in simulated time.
 
@@ -111,7 +111,7 @@ def hidden_log(
         system: Name of the system.
         hidden: Effects by the names of the catalogue, and besides ``turbulence``, ``position_friction`` and
             ``cubic_gain``, which it does not know.
-        excitation: ``steps``, ``chirp``, ``closed-loop`` or ``bang-bang``.
+        excitation: ``steps``, ``chirp``, ``closed-loop`` or ``bang-bang``; or commands of one's own.
         seed: Seed of parameters, excitation and noise.
         seconds: Length of the log [s].
         noisy: Whether sensors have noise, quantisation and jitter.
@@ -125,10 +125,13 @@ def hidden_log(
 class _Run:
     """One recording under way: time goes from event to event (samples, commands that begin to act)."""
 
-    def __init__(self, unit: HiddenUnit, excitation: str, seed: int, seconds: float, noisy: bool) -> None:
+    def __init__(
+        self, unit: HiddenUnit, excitation: str | Drive, seed: int, seconds: float, noisy: bool
+    ) -> None:
         self.unit, self.seconds, self.noisy = unit, seconds, noisy
         system = unit.system
-        self.drive = make_drive(excitation, system, seconds, seed)
+        named = isinstance(excitation, str)
+        self.drive = make_drive(excitation, system, seconds, seed) if named else excitation
         self.joints, self.count = system.joints, len(system.commands)
         self.q, self.v = list(self.drive.start), [0.0] * self.joints
         self.slow = [[self.drive.rest[k]] * len(unit.lags[k]) for k in range(self.count)]
