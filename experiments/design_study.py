@@ -1,0 +1,208 @@
+"""Study of designed experiments: does the log that a design asks for name the cause that a usual log leaves open?
+
+    python -m experiments.design_study --out runs/design_study [--cases 16] [--json]
+
+A unit of `experiments.hidden` hides a cause; its log under a usual excitation is diagnosed. Where the class of the
+named cause holds several, an experiment is designed for them from that log, the same unit is recorded with it, and
+the new log is diagnosed alone and together with the first. Beside it stands a log of the same length with usual steps.
+One row per case is appended to OUT/rows.jsonl, so that a study that was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepkoco.diagnose import Diagnosis, diagnose
+from deepkoco.diagnose.design import Design, DesignError, InseparableError, design_experiment
+from deepkoco.graph.recording import Recording
+from experiments.hidden.doses import dosed, scaled
+from experiments.hidden.excitations import Drive
+from experiments.hidden.unit import Hidden, hidden_log
+
+USUAL = 12.0  # length of the usual log [s]
+DESIGNED = 12.0  # length of the designed one [s]
+LARGEST_CLASS = 5  # causes that one design is asked to tell apart
+# System, causes that are taken for each other, usual excitation, strength ES. Each is hidden in turn.
+PAIRS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (
+    ("rod_pendulum", ("payload", "gain"), "bang-bang", 0.3),
+    ("rod_pendulum", ("dead_zone", "saturation"), "bang-bang", 0.4),
+    ("rod_pendulum", ("coulomb", "stribeck"), "chirp", 0.3),
+    ("pendulum", ("viscous", "quadratic"), "steps", 0.3),
+    ("pendulum", ("payload", "length"), "bang-bang", 0.3),
+    ("rod_pendulum", ("lag", "low_pass"), "steps", 0.4),
+    ("two_link_arm", ("coulomb(joint 1)", "load_friction(joint 1)"), "bang-bang", 0.3),
+    ("quadrotor_height", ("gain", "saturation"), "bang-bang", 0.5),
+    ("pendulum", ("gain", "saturation"), "bang-bang", 0.4),
+    ("two_link_arm", ("gain(joint 2)", "saturation(joint 2)"), "bang-bang", 0.3),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A cause hidden in a unit."""
+
+    system: str
+    truth: str
+    excitation: str
+    strength: float
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """What tells it from the others."""
+        return f"{self.system}/{self.truth}/{self.excitation}/{self.seed}"
+
+
+def all_cases(seed: int) -> Iterator[Case]:
+    """Every cause of every pair, hidden in units of further seeds without end."""
+    number = seed
+    while True:
+        for system, causes, excitation, strength in PAIRS:
+            for truth in causes:
+                yield Case(system, truth, excitation, strength, number)
+                number += 1
+
+
+def play(design: Design) -> Drive:
+    """The designed commands, feedback included, as a drive of the hidden unit."""
+    stage, sequence = design.stage, design.sequence
+    low, high = stage.limits.command.T
+
+    def wanted(t: float, reading: Sequence[float]) -> list[float]:
+        k = min(int(t * stage.frame.rate + 0.25), len(sequence) - 1)
+        command = sequence[k]
+        if stage.hold is not None:
+            command = np.clip(command - stage.hold.gain @ (np.array(reading) - stage.hold.place), low, high)
+        return [float(u) for u in command]
+
+    return Drive(stage.initial.tolist(), stage.rest.tolist(), wanted)
+
+
+def run(case: Case) -> dict[str, Any]:
+    """One row of the study."""
+    began = time.perf_counter()
+    hidden, strength = scaled(
+        lambda x: dosed(case.truth, case.system, x),
+        case.system,
+        case.excitation,
+        case.seed,
+        USUAL,
+        case.strength,
+    )
+    usual = hidden_log(case.system, hidden, case.excitation, case.seed, USUAL)
+    first = diagnose([usual], case.system)
+    row: dict[str, Any] = {**asdict(case), "name": case.name, "hidden": hidden, "found_strength": strength}
+    row |= {"usual": _said(first, case.truth)}
+    members = first.causes[0].members if first.verdict in ("cause", "ambiguous") else ()
+    row["ambiguous"] = len(members) > 1
+    if len(members) > 1:
+        row |= _settle(case, hidden, usual, members)
+    return {**row, "seconds": round(time.perf_counter() - began, 1)}
+
+
+def _settle(case: Case, hidden: Hidden, usual: Recording, members: Sequence[str]) -> dict[str, Any]:
+    asked, alike = list(members[:LARGEST_CLASS]), []
+    design = None
+    while len(asked) > 1 and design is None:
+        try:
+            design = design_experiment(case.system, asked, [usual], seconds=DESIGNED, seed=case.seed)
+        except InseparableError as error:
+            alike.append(list(error.pair))
+            asked.remove(error.pair[1])
+        except DesignError as error:
+            return {"asked": asked, "alike": alike, "refused": str(error)}
+    if design is None:
+        return {"asked": asked, "alike": alike}
+    log = hidden_log(case.system, hidden, play(design), case.seed, DESIGNED)
+    plain = hidden_log(case.system, hidden, "steps", case.seed, DESIGNED)
+    return {
+        "asked": asked,
+        "alike": alike,
+        "design": {
+            "family": design.family,
+            "expected_ratio": design.smallest,
+            "chance": design.chance,
+            "to_first_order": float(np.min(design.linear[~np.eye(len(asked), dtype=bool)])),
+            "log_at_hand": design.at_hand,
+            "usual_steps": design.typical["steps"],
+        },
+        "designed": _said(diagnose([log], case.system), case.truth),
+        "both": _said(diagnose([usual, log], case.system), case.truth),
+        "steps": _said(diagnose([plain], case.system), case.truth),
+    }
+
+
+def _said(diagnosis: Diagnosis, truth: str) -> dict[str, Any]:
+    first = diagnosis.causes[0] if diagnosis.causes else None
+    members = first.members if first else ()
+    return {
+        "verdict": diagnosis.verdict,
+        "names": list(diagnosis.names),
+        "class": list(members),
+        "right": bool(first) and first.name == truth,  # type: ignore[union-attr]
+        "in_class": truth in members,
+        "alone": tuple(members) == (truth,),
+    }
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Counts over the cases that a usual log leaves open."""
+    open_ = [r for r in rows if r["ambiguous"]]
+    designed = [r for r in open_ if "designed" in r]
+    sure = [r for r in designed if r["design"]["chance"] >= 0.95]
+
+    def count(which: Sequence[dict[str, Any]], key: str, what: str) -> str:
+        return f"{sum(r[key][what] for r in which)} of {len(which)}"
+
+    return {
+        "cases": len(rows),
+        "left_open_by_the_usual_log": len(open_),
+        "designed": len(designed),
+        "no_command_can": sum(1 for r in open_ if "designed" not in r),
+        "named_alone": {key: count(designed, key, "alone") for key in ("usual", "designed", "both", "steps")},
+        "right": {key: count(designed, key, "right") for key in ("usual", "designed", "both", "steps")},
+        "in_class": {key: count(designed, key, "in_class") for key in ("usual", "designed", "both", "steps")},
+        "where_the_design_promised_95_percent": {
+            key: count(sure, key, "alone") for key in ("usual", "designed", "both", "steps")
+        },
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the cases that are not there yet and print the summary."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of rows.jsonl")
+    parser.add_argument("--cases", type=int, default=2 * len(PAIRS))
+    parser.add_argument("--seed", type=int, default=5000)
+    parser.add_argument("--json", action="store_true", help="print the rows, too")
+    args = parser.parse_args(arguments)
+    args.out.mkdir(parents=True, exist_ok=True)
+    path = args.out / "rows.jsonl"
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = {row["name"] for row in rows}
+    cases = all_cases(args.seed)
+    for case in (next(cases) for _ in range(args.cases)):
+        if case.name in done:
+            continue
+        row = run(case)
+        rows.append(row)
+        with path.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        sys.stderr.write(f"{case.name}: {row['usual']['class']} -> {row.get('designed', {}).get('class')}\n")
+    result = {"summary": summary(rows)} | ({"rows": rows} if args.json else {})
+    print(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    main()
