@@ -2,7 +2,7 @@
 
 from deepkoco.identify.estimator import DelayedEstimator, Memory, system_derivative
 from deepkoco.identify.fit import FitProblem
-from deepkoco.identify.graph_fit import GraphFit, fit_graph, graph_costs, seen_by_supervisor
+from deepkoco.identify.graph_fit import GraphFit, GraphMisfit, fit_graph, seen_by_supervisor
 from deepkoco.identify.hidden_delay import HiddenDelays, hidden_delays
 from deepkoco.identify.identifiability import Direction, unidentified
 from deepkoco.identify.identification import Convergence, Estimate, Identification
@@ -29,6 +29,7 @@ __all__ = [
     "FitError",
     "FitProblem",
     "GraphFit",
+    "GraphMisfit",
     "HiddenDelays",
     "Identification",
     "LevenbergMarquardt",
@@ -45,7 +46,6 @@ __all__ = [
     "estimate_noise",
     "fit",
     "fit_graph",
-    "graph_costs",
     "hidden_delays",
     "moving",
     "seen_by_supervisor",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,12 +99,10 @@ def fit_graph(
     """
     began = time.perf_counter()
     low, high = _bounds(graph, sought)
-    residuals = _Misfit(
-        graph, episode, parameters, tuple(sought), measured, noise_sd, initial, executor, threads
-    )
-    start = residuals.start(low, high)
+    misfit = GraphMisfit(graph, episode, parameters, sought, measured, noise_sd, initial, executor, threads)
+    start = misfit.start(low, high)
     search = cma_es(
-        lambda points: (residuals(points) ** 2).sum(1).numpy(),
+        misfit.costs,
         start,
         0.25 * (high - low),
         low,
@@ -117,18 +115,17 @@ def fit_graph(
     )
     if not np.isfinite(search.cost):
         raise FitError("the replay diverges at every point of the bounds; narrow them")
-    speed = residuals.steps / (time.perf_counter() - began)
-    left, covariance = _curvature(residuals, search.best, low, high)
+    speed = misfit.steps / (time.perf_counter() - began)
+    left, covariance = _curvature(misfit.residuals, search.best, low, high)
     estimates = {}
     for i, name in enumerate(sought):
         sd, bounds = float(np.sqrt(covariance[i, i])), (float(low[i]), float(high[i]))
         value = float(search.best[i])
         estimates[name] = Estimate(name, value, *interval(value, sd, bounds), sd, "", float(start[i]), bounds)
     at, rms = 0, {}
-    for name, target in residuals.targets.items():
+    for name, (target, weight) in misfit.targets.items():
         own = left[at : at + target.numel()]
-        there = ~torch.isnan(target).flatten().numpy()
-        rms[name] = float(np.sqrt(np.mean(own[there] ** 2))) * noise_sd[name]
+        rms[name] = float(np.sqrt(np.mean(own[weight.flatten().numpy() > 0] ** 2))) * noise_sd[name]
         at += target.numel()
     convergence = Convergence(
         "cma",
@@ -141,55 +138,37 @@ def fit_graph(
     return GraphFit(estimates, covariance, rms, convergence, search, speed)
 
 
-def graph_costs(
-    graph: Graph,
-    episode: Episode,
-    parameters: NodeParameters,
-    sought: Mapping[str, tuple[float, float]],
-    measured: Mapping[str, np.ndarray],
-    noise_sd: Mapping[str, float],
-    points: np.ndarray,
-    *,
-    initial: Mapping[str, State] | None = None,
-    executor: str = "fused",
-    threads: int = 1,
-) -> np.ndarray:
-    """Cost (L,) that `fit_graph` gives to points (L, p) of the parameters sought: squared errors over variances."""
-    _bounds(graph, sought)
-    misfit = _Misfit(
-        graph, episode, parameters, tuple(sought), measured, noise_sd, initial, executor, threads
-    )
-    return (misfit(np.asarray(points, dtype=np.float64)) ** 2).sum(1).numpy()
-
-
-class _Misfit:
-    """The episode, run with a point of the search in each environment, less what was measured."""
+class GraphMisfit:
+    """An episode, run with other parameters in each environment, less what was measured. Args as for `fit_graph`."""
 
     def __init__(
         self,
         graph: Graph,
         episode: Episode,
         parameters: NodeParameters,
-        names: tuple[str, ...],
+        sought: Iterable[str],
         measured: Mapping[str, np.ndarray],
         noise_sd: Mapping[str, float],
-        initial: Mapping[str, State] | None,
-        executor: str,
-        threads: int,
+        initial: Mapping[str, State] | None = None,
+        executor: str = "fused",
+        threads: int = 1,
     ) -> None:
         self.runtime = BatchedRuntime(
             graph, replay_timing(graph, episode.measured), executor=executor, threads=threads
         )
         self.actions = torch.from_numpy(np.asarray(episode.outputs[graph.supervisor]))[:, None]
-        self.parameters, self.names, self.initial = parameters, names, initial
+        self.parameters, self.names, self.initial = parameters, tuple(sought), initial
         self.steps = 0
         for name, values in measured.items():
             if name not in noise_sd:
                 raise FitError(f'noise_sd: give the standard deviation of the reading "{name}"')
             if len(values) != len(self.actions):
                 raise FitError(f'measured "{name}" has {len(values)} rows for {len(self.actions)} actions')
-        self.targets = {n: torch.from_numpy(np.array(v, dtype=np.float64)) for n, v in measured.items()}
-        self.noise_sd = noise_sd
+        self.targets: dict[str, tuple[Tensor, Tensor]] = {}  # values and weights (steps, n), 0 where missing
+        for name, values in measured.items():
+            target = torch.from_numpy(np.array(values, dtype=np.float64)).flatten(1)
+            there = ~torch.isnan(target)
+            self.targets[name] = target.nan_to_num(), there / noise_sd[name]
 
     def start(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Present values (p,) inside the bounds, the middle where there is none."""
@@ -200,17 +179,22 @@ class _Misfit:
             values.append(0.5 * (a + b) if present is None else float(np.clip(float(present), a, b)))
         return np.array(values)
 
-    def __call__(self, points: np.ndarray) -> Tensor:
-        """Residuals (B, samples) of points (B, p), over the noise."""
+    def residuals(self, points: np.ndarray) -> Tensor:
+        """(B, samples) over the noise, of points (B, p)."""
+        return torch.cat([part.movedim(1, 0).flatten(1) for part in self._parts(points)], 1)
+
+    def costs(self, points: np.ndarray) -> np.ndarray:
+        """(B,) sums of their squares, for a search."""
+        return torch.stack([part.square_().sum((0, 2)) for part in self._parts(points)]).sum(0).numpy()
+
+    def _parts(self, points: np.ndarray) -> list[Tensor]:
+        """Reading by reading (steps, B, n)."""
         taken = self._replayed(points)
         parts = []
-        for name, target in self.targets.items():
-            miss = (taken[name].to(torch.float64).flatten(2) - target.flatten(1)[:, None]) / self.noise_sd[
-                name
-            ]
-            missing = torch.isnan(target).flatten(1)[:, None]
-            parts.append(torch.where(missing, 0.0, miss).movedim(1, 0).flatten(1))
-        return torch.cat(parts, 1)
+        for name, (target, weight) in self.targets.items():
+            miss = taken[name].flatten(2).to(torch.float64)
+            parts.append(miss.sub_(target[:, None]).mul_(weight[:, None]))
+        return parts
 
     def _replayed(self, points: np.ndarray) -> dict[str, Tensor]:
         """Readings (steps, B, ...) of points (B, p)."""
