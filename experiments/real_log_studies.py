@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deepkoco.graph.recording import LogError, Recording, read_log
+from deepkoco.identify.known import KEY
 from deepkoco.systems import any_system
 
 HELD_OUT = 4  # of further logs, one in four is only tested
@@ -24,11 +25,13 @@ class Piece:
         file: Name in the folder.
         start: From [s].
         stop: To [s].
+        known: What is known to differ in this log: parameter -> amount.
     """
 
     file: str
     start: float = 0.0
     stop: float = ENDLESS
+    known: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,6 @@ class Study:
     questions: Mapping[str, Question]
     measured: frozenset[str] = frozenset()
     time: str = "t"
-    constant: frozenset[str] = field(default=frozenset())
 
     @property
     def mapping(self) -> dict:
@@ -97,7 +99,8 @@ class Study:
             # begins to hold at its stamp.
             series = log.channels[name]
             shifted[name] = replace(series, t=series.t - 0.5 * np.median(np.diff(series.t)))
-        return replace(log, channels={**log.channels, **shifted})
+        meta = {**log.meta, KEY: dict(piece.known)} if piece.known else log.meta
+        return replace(log, channels={**log.channels, **shifted}, meta=meta)
 
     def recordings(self, folder: Path, pieces: Sequence[Piece]) -> list[Recording]:
         """Several stretches."""
@@ -155,7 +158,33 @@ QUBE_FURUTA = Study(
         )
     },
 )
+
+
+def _go1(kilograms: int, *names: str, told: bool = True) -> tuple[Piece, ...]:
+    """Logs with that mass at the tip; ``told``: the diagnosis knows of it."""
+    known = {"payload.mass": float(kilograms)} if told and kilograms else {}
+    return tuple(Piece(f"{kilograms}kg_{name}.csv", known=known) for name in names)
+
+
+_FITTED, _TESTED = ("sin_time_square", "lift_and_drop"), ("sin_sin", "up_and_down")
+_GO1_BASELINE = (*_go1(0, *_FITTED), *_go1(1, *_FITTED))
+GO1_PENDULUM = Study(
+    "servo_pendulum",
+    # The goal is replayed through the servo's law; the logged speed mixes rotor and output and is left out.
+    {"goal": ("goal_position", "rad"), "enable": ("torque_enable", "1"), "theta": ("position", "rad")},
+    window=2.9,  # two to a log
+    questions={
+        "what the textbook lacks": Question(_GO1_BASELINE, (*_go1(0, *_TESTED), *_go1(1, *_TESTED))),
+        "control 0 kg": Question(_go1(0, *_TESTED), healthy=_GO1_BASELINE),
+        "control 1 kg": Question(_go1(1, *_TESTED), healthy=_GO1_BASELINE),
+        "told 0 kg, given 1 kg": Question(_go1(1, *_TESTED, told=False), healthy=_GO1_BASELINE),
+        "told 0 kg, given 1 kg, baseline of 0 kg": Question(
+            _go1(1, *_TESTED, told=False), healthy=_go1(0, *_FITTED)
+        ),
+    },
+)
 STUDIES = {
+    "go1_pendulum": GO1_PENDULUM,
     "dfki_pendulum": DFKI_PENDULUM,
     "dfki_double_pendulum_A": DOUBLE_PENDULUM,
     "qube_furuta": QUBE_FURUTA,

@@ -88,8 +88,8 @@ def evidence_for(
             "likelihood_ratio",
             candidate.likelihood_ratio,
             needed,
-            f"Simulating with it lowers the squared error by {candidate.likelihood_ratio:.0f} noise variances; "
-            f"chance and model error explain up to {needed:.0f}.",
+            f"Simulating with it lowers the squared error by {candidate.likelihood_ratio:,.0f} noise variances; "
+            f"chance and model error explain up to {needed:,.0f}.",
         )
     ]
     shape, torque = cause.signature(motion), missing.torque.ravel()
@@ -154,7 +154,7 @@ def advice_for(findings: Sequence[Finding], windows: Windows, system: System) ->
             kinds = [kind_of(n) for n in found.members]
             hints = dict.fromkeys(CAUSES[n].advice for n in kinds if n in CAUSES)
             advice.append(f"To tell apart {names}: " + " ".join(hints))
-    for k, channel in enumerate(system.commands):
+    for k, channel in enumerate(system.commands[: len(system.command_joints)]):
         command = np.concatenate([c.column(k) for c in windows.commands]) if windows.commands else np.zeros(0)
         levels = np.unique(np.round(command / max(np.ptp(command), 1e-12), 2)) if len(command) else command
         if 0 < len(levels) <= 3:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepkoco.identify.dispersion import Dispersion, dispersion
 from deepkoco.identify.fit import Fit, FitProblem
+from deepkoco.identify.known import effects_in
 from deepkoco.identify.push import Push, push_torque
 from deepkoco.identify.simulate import predict, trajectories
 from deepkoco.identify.windows import Windows
@@ -155,7 +156,7 @@ def acting_system(problem: FitProblem, fit: Fit) -> ExtendedSystem:
     full = ExtendedSystem(problem.system.base, tuple(e.name for e in problem.system.effects))
     null = {p.name: p.value for p in full.parameters}
     moved = {n.split(".")[0] for n in null if "." in n and fit.values[n] != null[n]}
-    return ExtendedSystem(problem.system.base, tuple(moved))
+    return ExtendedSystem(problem.system.base, tuple(moved | effects_in(problem.windows.known)))
 
 
 def push_of(problem: FitProblem, theta: np.ndarray) -> Tensor | None:

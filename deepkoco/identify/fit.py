@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.identify.known import effects_in
 from deepkoco.identify.levenberg_marquardt import TOLERANCE, Batch, state_steps
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push, push_torque
@@ -76,6 +77,7 @@ class FitProblem:
             acting = np.flatnonzero(given[columns].any(0))
             if len(acting):
                 lanes[effect] = slice(int(acting[0]), int(acting[-1]) + 1)
+        lanes |= {effect: slice(0, len(theta)) for effect in effects_in(self.windows.known)}
         # Effects that no lane uses are left out of the equations: they cost time and change nothing.
         system = self._extended(tuple(lanes))
         same = (values == values[:1]).all(0)

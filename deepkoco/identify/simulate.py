@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.identify.effort import command_efforts
+from deepkoco.identify.known import with_known
 from deepkoco.identify.sensor_filter import filtered
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import ExtendedSystem, Motion, System
@@ -71,10 +72,9 @@ def integrate(
 ) -> Nodes:
     """As :func:`trajectories`; ``lanes`` says which lanes each effect concerns (None: all)."""
     h, joints, count = windows.step, system.joints, initial.shape[0]
-    if isinstance(system, ExtendedSystem):
-        law = system.accelerations(parameters, lanes)
-    else:
-        law = system.accelerations(parameters)
+    own = with_known(parameters, windows.known, windows.log)
+    extended = isinstance(system, ExtendedSystem)
+    law = system.accelerations(own, lanes) if extended else system.accelerations(own)
     start, slope = zip(
         *(command_efforts(system, windows, parameters, count, k) for k in range(len(system.commands))),
         strict=True,

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.recording import LogError, Recording
+from deepkoco.identify.known import Known, known_of
 from deepkoco.identify.noise import Noise, estimate_noise
 from deepkoco.systems import Motion, System
 
@@ -58,6 +59,7 @@ class Windows:
         state: (W, S) first guess of the initial states.
         rests: (W,) True where the joint rests for a while inside or across an end of the window.
         shows: State that each channel shows.
+        known: What is known to differ, of each log; empty where nothing is.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -72,6 +74,7 @@ class Windows:
     state: Tensor
     rests: np.ndarray
     shows: tuple[int, ...] = (0, 1)
+    known: Known = ()
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -193,6 +196,7 @@ def cut_windows(
         torch.from_numpy(state),
         np.array([row[3] for row in rows], dtype=bool),
         shows,
+        known_of(recordings, system),
     )
 
 
@@ -304,7 +308,7 @@ def _channels(
 ) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
     where = recording.path or "the recording"
     for command in system.commands:
-        if command.name not in recording.channels:
+        if command.name not in recording.channels and command.default is None:
             raise LogError(
                 f'{where}: the command "{command.name}" of {system.name} is missing; map it in the sidecar'
             )
@@ -319,13 +323,16 @@ def _channels(
     if not series:
         wanted = ", ".join(c.name for c in system.measurements)
         raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
-    logged = [recording.channels[command.name] for command in system.commands]
-    if len(logged) == 1:
+    names = [command.name for command in system.commands if command.name in recording.channels]
+    logged = [recording.channels[name] for name in names]
+    if len(system.commands) == 1:
         return CommandSeries(logged[0].t, logged[0].value), series
     # Each command holds until its next stamp: on the union of all stamps they are one series.
     t = np.unique(np.concatenate([command.t for command in logged]))
     t = t[t >= max(command.t[0] for command in logged)]
-    return CommandSeries(t, np.column_stack([command.hold(t) for command in logged])), series
+    held = {name: command.hold(t) for name, command in zip(names, logged, strict=True)}
+    columns = [held.get(command.name, np.full(len(t), command.default)) for command in system.commands]
+    return CommandSeries(t, np.column_stack(columns)), series
 
 
 def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple[np.ndarray, np.ndarray]:

@@ -121,13 +121,15 @@ class ExtendedSystem(System):
             return law
         parts = [_part(placed, p, None if lanes is None else lanes.get(placed.name)) for placed, p in loads]
         driven = {joint: k for k, joint in enumerate(self.base.command_joints)}
+        deliver = self.base.delivery(self._body(parameters))
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             total: list[Tensor | None] = [None] * self.joints if motion.loads is None else list(motion.loads)
             own: dict[int, Tensor] = {}
+            delivered = motion.efforts if deliver is None else deliver(motion)
             for placed, p, part in parts:
                 j = placed.index
-                effort = motion.efforts[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
+                effort = delivered[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
                 smoothing = None if motion.smoothing is None else motion.smoothing[j]
                 joint = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
                 if part is None:

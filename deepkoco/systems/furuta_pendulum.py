@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.system import Acceleration, Channel, Motion, Parameter, Parameters, System
+from deepkoco.systems.system import Acceleration, Channel, Delivery, Motion, Parameter, Parameters, System
 
 GRAVITY = 9.81  # [m/s2]
 
@@ -95,6 +95,18 @@ class FurutaPendulum(System):
         value = {p.name: p.value for p in self.parameters}
         motor = value["motor_constant"] / value["resistance"] * self.commands[0].high
         return motor, 0.5 * value["pendulum_mass"] * value["pendulum_length"] * GRAVITY
+
+    @property
+    def delivered_scales(self) -> tuple[tuple[float, str], ...]:
+        return ((self.load_scales[0], "N m"),)
+
+    def delivery(self, parameters: Parameters) -> Delivery:
+        constant, resistance = parameters["motor_constant"], parameters["resistance"]
+
+        def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            return (constant * (motion.efforts[0] - constant * motion.speeds[0]) / resistance,)
+
+        return deliver
 
     @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:

@@ -8,6 +8,7 @@ from deepkoco.systems.joint import JointSystem
 from deepkoco.systems.pendulum import Pendulum
 from deepkoco.systems.quadrotor_height import QuadrotorHeight
 from deepkoco.systems.rod_pendulum import RodPendulum
+from deepkoco.systems.servo_pendulum import ServoPendulum
 from deepkoco.systems.system import System
 from deepkoco.systems.torque_pendulum import TorquePendulum
 from deepkoco.systems.two_link_arm import TwoLinkArm
@@ -15,7 +16,7 @@ from deepkoco.systems.two_link_arm import TwoLinkArm
 JOINT_SYSTEMS: dict[str, type[JointSystem]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
 SYSTEMS: dict[str, type[System]] = {
     **JOINT_SYSTEMS,
-    **{s.name: s for s in (TwoLinkArm, QuadrotorHeight, DoublePendulum, FurutaPendulum)},
+    **{s.name: s for s in (TwoLinkArm, QuadrotorHeight, DoublePendulum, FurutaPendulum, ServoPendulum)},
 }
 
 
@@ -50,7 +51,8 @@ def one_joint(system: str | System) -> JointSystem:
     """
     found = any_system(system)
     if not isinstance(found, JointSystem) or found.name not in JOINT_SYSTEMS:
-        what = f"{found.joints} joints" if found.joints > 1 else "a joint that does not turn"
+        turns = "a joint behind a servo" if found.state_units[0] == "rad" else "a joint that does not turn"
+        what = f"{found.joints} joints" if found.joints > 1 else turns
         raise JointCountError(
             f"{found.name} has {what}; this takes one that turns: choose one of {', '.join(sorted(JOINT_SYSTEMS))}"
         )

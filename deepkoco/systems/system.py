@@ -66,6 +66,7 @@ class Channel:
         description: One phrase.
         angle: Whether the signal is an angle that may be wrapped by a sensor.
         zero_sd: Standard deviation of the sensor's zero from one log to the next, in ``unit``.
+        default: Value of a command that a log does not show; None if every log must show it.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Channel:
     description: str = ""
     angle: bool = False
     zero_sd: float = 0.0
+    default: float | None = None
 
 
 class Timing(NamedTuple):
@@ -107,6 +109,7 @@ class Motion(NamedTuple):
 
 
 Acceleration = Callable[[Motion], tuple[Tensor, ...]]
+Delivery = Callable[[Motion], tuple[Tensor, ...]]
 
 
 class System(ABC):
@@ -187,7 +190,7 @@ class System(ABC):
 
     @property
     def command_joints(self) -> tuple[int, ...]:
-        """Joint that each command drives."""
+        """Joint that each command drives; commands beyond these only switch something."""
         return tuple(range(len(self.commands)))
 
     @property
@@ -214,6 +217,15 @@ class System(ABC):
     def per_speed_squared_units(self) -> tuple[str, ...]:
         """Unit of a load per squared speed of each joint."""
         return tuple(f"{load} s2/{u}2" for load, u in zip(self.load_units, self.state_units, strict=False))
+
+    def delivery(self, parameters: Parameters) -> Delivery | None:
+        """What actuators deliver, for each command that drives a joint; None where it is the effort itself."""
+        return None
+
+    @property
+    def delivered_scales(self) -> tuple[tuple[float, str], ...]:
+        """Size and unit of what the actuator of each driving command delivers at most, or typically."""
+        return tuple((c.high, c.unit) for c in self.commands[: len(self.command_joints)])
 
     def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
         """Effort that answers the log of one command, before lag and delay.

@@ -70,9 +70,9 @@ def _quadratic_load(joint: JointState, p: Parameters) -> Tensor:
 def _load_friction(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     if not system.dry_friction or joint not in system.command_joints:
         return ()
-    command = system.commands[system.command_joints.index(joint)]
-    scale = system.load_scales[joint] / command.high
-    unit = f"{system.load_units[joint]}/({command.unit})"
+    most, of = system.delivered_scales[system.command_joints.index(joint)]
+    scale = system.load_scales[joint] / most
+    unit = f"{system.load_units[joint]}/({of})"
     text = "mu, dry friction per effort of the actuator"
     return (Parameter("coefficient", 0.0, unit, -0.5 * scale, 0.5 * scale, 0.1 * scale, text),)
 

@@ -1,0 +1,71 @@
+"""What is known to differ from log to log: the payload of one, the friction of another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.recording import LogError, Recording
+from deepkoco.systems import ExtendedSystem, Parameters, System
+from deepkoco.systems.effects import effects_of
+
+KEY = "known"  # of a recording's meta data
+PLACES = ("body", "load")  # where effects act that may differ from log to log
+
+Known = tuple[Mapping[str, float], ...]
+
+
+def known_of(recordings: Sequence[Recording], system: System) -> Known:
+    """What each log says to be known of it: parameter -> amount by which it differs from the other logs.
+
+    Raises:
+        LogError: A name is no parameter of the system or of an effect on its body or joints, or no number is given.
+    """
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    names = {p.name for p in base.parameters}
+    for placed in effects_of(base).values():
+        if placed.effect.place in PLACES:
+            names |= {f"{placed.name}.{p.name}" for p in placed.parameters(base)}
+    return tuple(
+        _checked(r.meta.get(KEY), names, str(r.path or "the recording"), base.name) for r in recordings
+    )
+
+
+def _checked(known: Any, names: set[str], where: str, system: str) -> dict[str, float]:
+    if known is None:
+        return {}
+    if not isinstance(known, Mapping):
+        raise LogError(f"{where}: known: expected parameters and numbers, got {known!r}")
+    for name, value in known.items():
+        if name not in names:
+            raise LogError(
+                f'{where}: known: {system} has no parameter "{name}" that may differ from log to log'
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise LogError(
+                f"{where}: known: {name}: expected a number in the parameter's unit, got {value!r}"
+            )
+    return {str(name): float(value) for name, value in known.items() if value != 0}
+
+
+def effects_in(known: Known) -> set[str]:
+    """Effects whose parameters differ from log to log."""
+    return {name.split(".")[0] for own in known for name in own if "." in name}
+
+
+def with_known(parameters: Parameters, known: Known, log: np.ndarray) -> Parameters:
+    """Parameters, scalar or (L,), with what is known of the logs (W,) of the windows added: (W, 1) or (W, L)."""
+    changed = dict(parameters)
+    for name in {name for own in known for name in own}:
+        amount = np.array([own.get(name, 0.0) for own in known])[log]
+        changed[name] = torch.as_tensor(parameters[name], dtype=torch.float64) + _column(amount)
+    return changed
+
+
+def _column(amount: np.ndarray) -> Tensor:
+    return torch.from_numpy(amount)[:, None]
