@@ -282,8 +282,7 @@ def _decide(
     nominal = judge(stage, tried[best : best + 1], doses, [stage.start.values])[0]
     at_hand = None
     if log is not None:
-        found = log.separation(doses)
-        per_second = smallest_pair(found.ratio.sum(0)) / log.seconds
+        per_second = smallest_pair(log.separation(doses).ratio.sum(0)) / log.seconds
         at_hand = TRAINED * per_second * stage.frame.seconds
     return Design(
         tuple(d.cause.name for d in doses),
