@@ -58,7 +58,8 @@ class Study:
         columns: Channel of the system -> column of the file, and its unit.
         window: Length of a window [s].
         questions: By name; the first one is the study's main question.
-        measured: Commands whose column is a measurement, not a command.
+        measured: Commands whose column is a measurement, not a command: a motor current, which has spikes.
+        time: Column of the time stamps [s].
     """
 
     system: str
@@ -77,7 +78,7 @@ class Study:
             "system": self.system,
             "time": {"column": self.time, "unit": "s"},
             "channels": {
-                name: {"column": column, "unit": unit, "kind": kinds[name]}
+                name: {"column": column, "unit": unit, "kind": kinds[name], "checked": name in self.measured}
                 for name, (column, unit) in self.columns.items()
             },
         }
