@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
+from deepkoco.diagnose.layout import COLOURS, Layout
 from deepkoco.identify.fit import Fit
 from deepkoco.picture import Picture
 from deepkoco.systems import ExtendedSystem, Motion
@@ -83,7 +84,7 @@ def _odd_load(model: ExtendedSystem, named: dict, joint: int, speed: torch.Tenso
     return (0.5 * against / lightness).numpy()
 
 
-def friction_picture(diagnosis: Diagnosis, details: Details) -> Picture | None:
+def friction_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | None:
     """Friction before and after, where a cause of the friction family is named."""
     named = [c for c in diagnosis.causes if c.family == "friction"]
     if not named:
@@ -98,10 +99,10 @@ def friction_picture(diagnosis: Diagnosis, details: Details) -> Picture | None:
             details.system, details.final, joint, fastest, details.inflation
         ),
     }
-    figure = Figure(figsize=(9.0, 3.4))
+    figure = Figure(figsize=(layout.width, 3.4))
     axis = figure.subplots()
     frame: dict[str, np.ndarray] = {}
-    for (label, curve), colour in zip(curves.items(), ("#3b7dd8", "#e4572e"), strict=True):
+    for (label, curve), colour in zip(curves.items(), (COLOURS["refit"], COLOURS["extended"]), strict=True):
         axis.fill_between(curve.speed, curve.low, curve.high, color=colour, alpha=0.2, lw=0)
         axis.plot(curve.speed, curve.load, color=colour, label=f"simulation {label}")
         short = label.split()[0].replace("with", "extended")
@@ -115,9 +116,9 @@ def friction_picture(diagnosis: Diagnosis, details: Details) -> Picture | None:
     of_joint = f" of joint {joint + 1}" if details.system.joints > 1 else ""
     axis.set_xlabel(f"speed{of_joint} [{unit}]")
     axis.set_ylabel(f"friction [{details.missing[joint].unit}]")
-    axis.legend()
+    figure.legend(loc="outside upper center", ncols=min(2, layout.entries))
     caption = (
-        "The whole load against the motion, at zero command, with 95 % bands. Different friction laws can draw nearly "
-        "the same curve over the speeds that the log covers: believe the curve before the name of the law."
+        "The whole load that opposes the motion, at zero command, with 95 % bands. Different friction laws can draw "
+        "nearly the same curve over the speeds that the log covers: believe the curve before the name of the law."
     )
     return Picture("friction_curve", "Friction over speed", caption, figure, pd.DataFrame(frame))

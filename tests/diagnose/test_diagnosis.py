@@ -82,6 +82,8 @@ def test_every_picture_has_its_table_and_the_page_needs_no_other_file(report):
         "before_after",
         "candidates",
         "error_by_horizon",
+        "error_map",
+        "found_parameters",
         "friction_curve",
         "missing_torque",
         "parameters",
@@ -89,7 +91,8 @@ def test_every_picture_has_its_table_and_the_page_needs_no_other_file(report):
     ]
     assert all((report / f"{name}.csv").stat().st_size > 50 for name in pictures)
     page = (report / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == len(pictures)
+    # Each for a wide window and for a phone.
+    assert page.count("data:image/png;base64,") == 2 * len(pictures)
     assert 'src="http' not in page
     assert "The simulation lacks: coulomb" in page
 
