@@ -10,14 +10,17 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from deepkoco.diagnose.advice import class_advice, level_advice
 from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
-from deepkoco.diagnose.findings import advice_for, estimates, evidence_for, finding, localise, motion_of
+from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import Hints
+from deepkoco.diagnose.pushed import train_on_pushed
+from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.scattered import scatter_findings
 from deepkoco.diagnose.selection import (
@@ -26,8 +29,10 @@ from deepkoco.diagnose.selection import (
     Candidate,
     Ranking,
     rank,
+    settled,
     without_events_first,
 )
+from deepkoco.diagnose.shortage import missing_for_diagnosis
 from deepkoco.diagnose.unknown import describe, explained_share
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
@@ -45,11 +50,12 @@ EXPLAINED = 0.6
 
 @dataclass(frozen=True)
 class _Data:
-    """Windows of one diagnosis: what is fitted, what is kept back."""
+    """Windows of one diagnosis: what is fitted, what is kept back, and whether both are of the same logs."""
 
     train: Windows
     held: Windows | None
     resting: int
+    own: bool
 
 
 def diagnose(
@@ -106,6 +112,8 @@ class _Study:
         self.system, self.start, self.detection = system, start, detection
         train, self.reference = refit_sharply(start, data.train)
         held = None if data.held is None else replace(data.held, noise=train.noise)
+        if held is not None and data.own:
+            train, held, self.reference = train_on_pushed(start, train, held, self.reference)
         self.data = replace(data, train=train, held=held)
         self.problem = FitProblem(start.system, train)
         self.accepted: list[Cause] = []
@@ -130,7 +138,11 @@ class _Study:
             verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
         if not self.accepted or verdict not in ("cause", "ambiguous"):
             final = reference
-        gain = self._gain(reference, final, seed)
+        learned = None
+        if verdict == "unknown":
+            learned = learn_residual(start, data.train, data.held, reference, missing, seed)
+        kept = learned is not None and learned.accepted
+        gain = learned.gain if learned is not None and kept else self._gain(reference, final, seed)
         left = describe(missing if final is reference else missing_torque(problem, final), after)
         if verdict == "unknown":
             named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
@@ -148,14 +160,19 @@ class _Study:
             windows=len(data.train),
             window_s=length,
             localisation=localise(missing),
-            advice=advice_for(named, data.train, self.system),
+            advice=self._advice(named, recordings, seed),
             data=describe_data(recordings, data),
             refit=estimates(problem, reference, reference.free, first.deflation),
-            model=self._model(final),
+            model=self._model(final, learned if kept else None),
             seed=seed,
             versions=versions(),
             seconds=time.perf_counter() - began,
-            unexplained={**left, "not_identified": [vars(d) for d in loose], "white": not structure},
+            unexplained={
+                **left,
+                "not_identified": [vars(d) for d in loose],
+                "white": not structure,
+                **({} if learned is None else {"residual_model": learned.to_json()}),
+            },
             detection=self.detection,
             details=self._details(reference, final, missing),
         )
@@ -179,6 +196,15 @@ class _Study:
             inflation=dispersion(final, self.data.train).deflation,
         )
 
+    def _advice(
+        self, named: Sequence[Finding], recordings: Sequence[Recording], seed: int
+    ) -> tuple[str, ...]:
+        logs = [str(r.path) for r in recordings if r.path is not None]
+        train, classes = self.data.train, ()
+        if any(len(found.members) > 1 for found in named):
+            classes = class_advice(self.system, self.start, train, self.reference, self.steps, logs, seed)
+        return (*classes, *level_advice(train, self.system))
+
     def _select(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Fit]:
         """Forward selection: the first ranking (over the whole catalogue) and the last fit."""
         problem, start = self.problem, self.start
@@ -187,6 +213,8 @@ class _Study:
         first, final = ranking, reference
         while ranking.candidates and ranking.best.delta_bic > (FURTHER if self.accepted else self.detection):
             ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
+            best = replace(ranking.best, fit=settled(problem, start, self.accepted, ranking.best))
+            ranking = replace(ranking, candidates=(best, *ranking.candidates[1:]))
             members = equivalent(problem, start, ranking, tuple(self.accepted))
             self.steps.append((ranking, members))
             self.accepted.append(ranking.best.cause)
@@ -233,9 +261,11 @@ class _Study:
         }
         return held_out_gain(self.start.system, self.data.held, models, seed)
 
-    def _model(self, final: Fit) -> ExtendedSystem:
+    def _model(self, final: Fit, learned: ResidualModel | None) -> ExtendedSystem:
         had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()
         found = tuple(c.effect for c in self.accepted if c.effect != "event")
+        if learned is not None:
+            final, found = learned.fit, (*found, *learned.effects)
         effects = tuple(dict.fromkeys((*had, *self.start.effects, *found)))
         kept = {
             p.name: final.values[p.name]
@@ -261,18 +291,14 @@ def _cut(
         held = cut_windows(holdout, system, length, estimate_channels(holdout, system), cover=True)
     else:
         held = windows.take(moves & keep_back) if keep_back.any() else None
-    return _Data(train, held, int((~moves).sum()))
+    return _Data(train, held, int((~moves).sum()), not holdout)
 
 
 def _insufficient(
     data: _Data, system: System, recordings: Sequence[Recording], length: float, seed: int, began: float
 ) -> Diagnosis:
     found = len(data.train)
-    advice = (
-        f"Only {found} windows of {length:.2g} s in which the joint moves; at least {FEWEST_WINDOWS} are needed. "
-        f"Record at least {2 * FEWEST_WINDOWS * length:.0f} s of motion with steps, prbs or a chirp that moves the "
-        f"joint well beyond its sensor noise.",
-    )
+    advice = missing_for_diagnosis(recordings, system, data.train.noise, length, found, FEWEST_WINDOWS)
     return Diagnosis(
         "insufficient",
         (),

@@ -11,6 +11,8 @@ from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import System
 
+WIDTHS = (1, 2, 3, 4, 6)  # slots that a push may last, to begin with
+
 
 class Hints:
     """Hints for every cause, from the windows to be fitted.
@@ -65,7 +67,7 @@ def pushes_from(missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...
     """Starts of a push: the slots (and runs of slots) where an outside load would help most, for each joint."""
     found = []
     for joint in missing:
-        for width in (1, 3):
+        for width in WIDTHS:
             score = np.lib.stride_tricks.sliding_window_view(joint.score, width, axis=1).sum(-1)
             w, k = np.unravel_index(int(np.argmax(score)), score.shape)
             found.append(

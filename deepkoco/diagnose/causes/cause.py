@@ -65,6 +65,7 @@ class Cause:
         counted: Number of parameters that the penalty counts; None counts all.
         searched: Whether it was looked for at many places in time, which the penalty must pay for.
         choices: Number of discrete values that were tried, which the penalty must pay for.
+        valley: Values, by full names, along a valley of the cost through given ones; None where there is none.
         scatter: For a cause that changes how measurements scatter: its test; None for the others.
         effect: Name of the placed effect that carries it (or "event").
         joint: Joint that it acts on; None for the whole system.
@@ -82,6 +83,7 @@ class Cause:
     counted: int | None = None
     searched: bool = False
     choices: int = 1
+    valley: Callable[[Mapping[str, float]], list[dict[str, float]]] | None = None
     scatter: Callable[[Scatter, int], Verdict | None] | None = None
     effect: str = ""
     joint: int | None = None
