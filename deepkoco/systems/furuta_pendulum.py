@@ -30,16 +30,17 @@ class FurutaPendulum(System):
 
     With A = J_a + m_p L_a^2, J = m_p L_p^2 / 3, S = m_p L_p / 2, K = S L_a, s = sin alpha and c = cos alpha
 
-        (A + J s^2) theta'' + K c alpha'' + 2 J s c theta' alpha' - K s alpha'^2 = tau - b_1 theta',
+        (A + J s^2) theta'' + K c alpha'' + 2 J s c theta' alpha' - K s alpha'^2 = tau - b_1 theta' - k_c theta,
         K c theta'' + J alpha'' - J s c theta'^2 - S g s = -b_2 alpha',
         tau = k (u - k theta') / R,
 
     where u is the motor's voltage, k its torque and back-electromotive constant, R its resistance; inductance is left
-    out. Positive voltage turns the arm to positive theta, and a positive alpha leans to where the tip then moves.
-    A payload m at the pendulum's tip adds m L_a^2, m L_p^2, m L_p to A, J and S. On a base that is tilted, gravity
-    has the horizontal parts g_x, g_y.
+    out. k_c is the stiffness of the cable to the pendulum's sensor, which the arm winds up; theta is 0 where it is at
+    rest, which may be at another reading of the arm's sensor in every log. Positive voltage turns the arm to positive
+    theta, and a positive alpha leans to where the tip then moves. A payload m at the pendulum's tip adds m L_a^2,
+    m L_p^2, m L_p to A, J and S. On a base that is tilted, gravity has the horizontal parts g_x, g_y.
 
-    Nominal values are those of the maker for the QUBE-Servo 2; friction is not published, so its prior is wide.
+    Nominal values are those of the maker for the QUBE-Servo 2; friction and cable are not published: wide priors.
 
     Source: Furuta, Yamakita, Kobayashi, Swing-up control of inverted pendulum (1992); the signs are those of the
         Lagrangian with the places above, from which a test derives the equations anew.
@@ -60,12 +61,21 @@ class FurutaPendulum(System):
             Parameter("motor_constant", 0.042, "N m/A", 0.001, 1.0, 0.004, "k, torque per current"),
             Parameter("resistance", 8.4, "ohm", 0.1, 100.0, 0.4, "R, of the motor's winding"),
             Parameter("viscous_1", 1e-4, "N m s/rad", 0.0, 0.05, 1e-4, "b_1, friction of the arm"),
+            Parameter("cable_stiffness", 0.0, "N m/rad", 0.0, 0.1, 5e-4, "k_c, of the cable along the arm"),
             Parameter(
                 "viscous_2", 1e-5, "N m s/rad", 0.0, 0.01, 2e-5, "b_2, friction of the pendulum's joint"
             ),
         )
         self.measurements = (
-            Channel("arm_angle", "rad", "measurement", noise_sd=0.001, description="arm", angle=True),
+            Channel(
+                "arm_angle",
+                "rad",
+                "measurement",
+                noise_sd=0.001,
+                description="arm, 0 where its cable rests",
+                angle=True,
+                zero_sd=0.3,
+            ),
             Channel(
                 "pendulum_angle",
                 "rad",
@@ -121,6 +131,7 @@ class FurutaPendulum(System):
         weight = body.first * GRAVITY
         per_volt = p["motor_constant"] / p["resistance"]
         damping_1, damping_2 = p["viscous_1"] + per_volt * p["motor_constant"], p["viscous_2"]
+        cable = p["cable_stiffness"]
         tilted = "gravity_x" in p or "gravity_y" in p
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
@@ -128,7 +139,7 @@ class FurutaPendulum(System):
             s, c = torch.sin(alpha), torch.cos(alpha)
             m11, m12, m22 = body.arm + body.pendulum * s * s, body.coupling * c, body.pendulum
             swirl = body.pendulum * s * c
-            torque_1 = per_volt * motion.efforts[0] - damping_1 * turn
+            torque_1 = per_volt * motion.efforts[0] - damping_1 * turn - cable * theta
             torque_1 = torque_1 - 2.0 * swirl * turn * swing + body.coupling * s * swing**2
             torque_2 = swirl * turn**2 + weight * s - damping_2 * swing
             if tilted:
@@ -156,11 +167,12 @@ class FurutaPendulum(System):
 
     def energy(self, state: Tensor, parameters: Parameters) -> Tensor:
         """Kinetic energy plus potential energy (...) of a state (..., 4) on a level base [J]."""
-        _, alpha, turn, swing = state.unbind(-1)
+        theta, alpha, turn, swing = state.unbind(-1)
         body = _moments(parameters)
         kinetic = 0.5 * (body.arm + body.pendulum * torch.sin(alpha) ** 2) * turn**2
         kinetic = kinetic + body.coupling * torch.cos(alpha) * turn * swing + 0.5 * body.pendulum * swing**2
-        return kinetic + body.first * GRAVITY * torch.cos(alpha)
+        lift = body.first * GRAVITY * torch.cos(alpha)
+        return kinetic + lift + 0.5 * parameters["cable_stiffness"] * theta**2
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return {**parameters, "tip_mass": mass}

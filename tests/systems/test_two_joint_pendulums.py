@@ -51,7 +51,7 @@ def furuta_equations(p):
     total = p["pendulum_mass"] / p["pendulum_length"] * rod
     total += p["tip_mass"] * energy.subs(x, p["pendulum_length"])
     arm_mass = 3 * p["arm_inertia"] / p["arm_length"] ** 2
-    total += p["arm_inertia"] * theta.diff(T) ** 2 / 2
+    total += p["arm_inertia"] * theta.diff(T) ** 2 / 2 - p["cable_stiffness"] * theta**2 / 2
     total -= arm_mass * lift.dot(radial * p["arm_length"] / 2)
     current = (u - p["motor_constant"] * theta.diff(T)) / p["resistance"]
     forces = [
@@ -90,7 +90,7 @@ def double_equations(gear=-6.0):
     return euler_lagrange(lagrangian, forces), lumped
 
 
-FURUTA = nominal("furuta_pendulum", tip_mass=0.004, gravity_x=0.3, gravity_y=-0.2)
+FURUTA = nominal("furuta_pendulum", tip_mass=0.004, gravity_x=0.3, gravity_y=-0.2, cable_stiffness=8e-4)
 FURUTA_EQUATIONS = furuta_equations(FURUTA)
 DOUBLE_EQUATIONS, DOUBLE = double_equations()
 
