@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,17 +13,17 @@ from deepkoco.graph.delay import Delay, Deterministic, Gaussian, Mixture
 from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.identification import NORMAL_95, Identification
 from deepkoco.identify.levenberg_marquardt import PARAMETER_STEP
+from deepkoco.identify.linear_delays import SMALLEST_SPREAD, LinearDelays, mixture_law
 from deepkoco.identify.methods import TOLERANCE
-from deepkoco.identify.question import FitError
+from deepkoco.identify.question import FitError, command_delays
 from deepkoco.identify.threads import one_thread
 from deepkoco.identify.trial import Fit, Trial
 from deepkoco.identify.windows import CommandSeries
 
 SHIFT = 1e-3  # finite difference of one message's delay [s]
-SMALLEST_SPREAD = 2e-5  # of a component [s]
-ROUNDS = 3  # linearisations about the delays found so far
-SWEEPS, WARM_UP = 600, 200
-DELAY = "actuation_delay.delay"
+ROUNDS, MIXTURE_ROUNDS = 8, 2  # linearisations about the delays found so far, at most
+SETTLED = 0.1  # movement of the delays, in their standard deviations, after which they stay
+LARGEST_STEP = 0.01  # of a delay from one linearisation to the next [s]
 
 
 @dataclass(frozen=True)
@@ -105,14 +104,26 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
             linear = messages.linearise(fit, shift)
             single = _normal_law(linear)
             posterior = linear.posterior(np.full(len(shift), single[0]), np.full(len(shift), single[1]))
-            if components > 1:
-                means, spreads, weights, posterior = _mixture_law(linear, components, generator)
-            shift = posterior[0]
+            moved = messages.towards(shift, posterior[0])
+            settled = float(np.sqrt(np.mean(((moved - shift) / posterior[1]) ** 2))) < SETTLED
+            shift = moved
             fit = messages.refit(values, shift, fit)
             values = fit.values
-    base = values.get(DELAY, 0.0)
-    if components == 1:
+            if settled:
+                break
+        law = None
+        for _ in range(MIXTURE_ROUNDS if components > 1 else 0):
+            linear = messages.linearise(fit, shift)
+            law = mixture_law(linear, posterior[0] if law is None else law, components, generator)
+            posterior = law.centre, law.sd
+            shift = messages.towards(shift, law.centre)
+            fit = messages.refit(values, shift, fit)
+            values = fit.values
+    base = messages.base
+    if law is None:
         means, spreads, weights = np.array([single[0]]), np.array([single[1]]), np.ones(1)
+    else:
+        means, spreads, weights = law.means, law.spreads, law.weights
     order = np.argsort(means)
     means, spreads, weights = base + means[order], spreads[order], weights[order]
     reach = NORMAL_95 * single[2]
@@ -144,53 +155,16 @@ def _law(means: np.ndarray, spreads: np.ndarray, weights: np.ndarray) -> Delay:
     return parts[0] if len(parts) == 1 else Mixture(tuple(parts), tuple(weights.tolist()))
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """Likelihood of the messages' delays, window by window: exp(-eps' A eps / 2 + h' eps)."""
-
-    members: Sequence[np.ndarray]  # per window, its messages
-    information: Sequence[np.ndarray]  # A
-    pull: Sequence[np.ndarray]  # h
-
-    def posterior(self, mean: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Posterior means and standard deviations under independent normal priors (K,)."""
-        centre, spread = mean.copy(), sd.copy()
-        for own, a, h in zip(self.members, self.information, self.pull, strict=True):
-            covariance = np.linalg.inv(a + np.diag(sd[own] ** -2))
-            centre[own] = covariance @ (h + mean[own] / sd[own] ** 2)
-            spread[own] = np.sqrt(np.diag(covariance))
-        return centre, spread
-
-    def draw(self, mean: np.ndarray, sd: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """One draw (K,) of the delays under independent normal priors."""
-        result = mean + sd * generator.standard_normal(len(mean))
-        for own, a, h in zip(self.members, self.information, self.pull, strict=True):
-            root = np.linalg.cholesky(a + np.diag(sd[own] ** -2))
-            white = np.linalg.solve(root, h + mean[own] / sd[own] ** 2) + generator.standard_normal(len(own))
-            result[own] = np.linalg.solve(root.T, white)
-        return result
-
-    def log_marginal(self, mean: float, sd: float) -> float:
-        """Log marginal likelihood of one normal law, up to a constant."""
-        total = 0.0
-        for a, h in zip(self.information, self.pull, strict=True):
-            # About the mean: eps = mean + sd z with z standard normal.
-            ones = np.full(len(a), mean)
-            left = h - a @ ones
-            inner = np.eye(len(a)) + sd**2 * a
-            total += float(ones @ h - 0.5 * ones @ a @ ones)
-            total += 0.5 * sd**2 * float(left @ np.linalg.solve(inner, left))
-            total -= 0.5 * float(np.linalg.slogdet(inner)[1])
-        return total
-
-
 class _Messages:
     """The command messages that act inside the windows of a fit."""
 
     def __init__(self, found: Identification) -> None:
         self.question = found.question
         self.windows = found.question.windows
-        base = found.fit.values.get(DELAY, 0.0)
+        self.delays = command_delays(found.question.system.base)
+        own = [found.fit.values[n] for n in self.delays if n in found.fit.values]
+        # A message carries the commands of all joints: what it adds to their fitted delays is one number.
+        self.base = base = float(np.mean(own)) if own else 0.0
         sent, log, index, members = [], [], [], [[] for _ in range(len(self.windows))]
         for number, command in enumerate(self.windows.commands):
             value = command.value.reshape(len(command.t), -1)
@@ -218,7 +192,12 @@ class _Messages:
             commands.append(CommandSeries(np.maximum.accumulate(t + 1e-9 * np.arange(len(t))), command.value))
         return self.question.problem(replace(self.windows, commands=tuple(commands)))
 
-    def linearise(self, fit: Fit, shift: np.ndarray) -> _Linear:
+    def towards(self, shift: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """Delays nearer to those wanted: a step within reach of the linearisation, and no delay below zero."""
+        step = np.clip(wanted - shift, -LARGEST_STEP, LARGEST_STEP)
+        return np.maximum(shift + step, -self.base)
+
+    def linearise(self, fit: Fit, shift: np.ndarray) -> LinearDelays:
         """Residuals of a fit as linear in the delays of all messages, states projected out."""
         problem = self.problem(shift)
         base, states = self._predict(problem, fit)
@@ -246,11 +225,11 @@ class _Messages:
             members.append(mine)
             information.append(a)
             pull.append(g.T @ r + a @ shift[mine])
-        return _Linear(members, information, pull)
+        return LinearDelays(members, information, pull)
 
     def refit(self, values: dict[str, float], shift: np.ndarray, fit: Fit) -> Fit:
         """Parameters under the messages' delays; the fitted delay stays, the messages carry the rest."""
-        free = tuple(n for n in self.question.free if n != DELAY)
+        free = tuple(n for n in self.question.free if n not in self.delays)
         trial = Trial("delays", free, self.question.prior, values, fit.state, fit.zero)
         return self.problem(shift).fit([trial], 12, TOLERANCE)[0]
 
@@ -266,7 +245,7 @@ class _Messages:
         return predicted[0], predicted[1:]
 
 
-def _normal_law(linear: _Linear) -> tuple[float, float, float, float, float]:
+def _normal_law(linear: LinearDelays) -> tuple[float, float, float, float, float]:
     """Mean, spread, standard errors of mean and log spread, and evidence against a constant delay."""
     sd0 = 3e-3
 
@@ -289,38 +268,3 @@ def _normal_law(linear: _Linear) -> tuple[float, float, float, float, float]:
     errors = np.sqrt(np.diag(np.linalg.pinv(hessian)).clip(0.0))
     evidence = 2.0 * float(constant.fun - found.fun)
     return 1e-3 * mean, 1e-3 * math.exp(log_sd), 1e-3 * float(errors[0]), float(errors[1]), evidence
-
-
-def _mixture_law(
-    linear: _Linear, components: int, generator: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Means, spreads, weights, and the messages' posterior, by stochastic-approximation EM."""
-    mean, sd, *_ = _normal_law(linear)
-    count = max(int(max(m.max() for m in linear.members)) + 1, 1)
-    # Start from the quantiles of a draw under the single normal law.
-    eps = linear.draw(np.full(count, mean), np.full(count, sd), generator)
-    means = np.quantile(eps, (np.arange(components) + 0.5) / components)
-    spreads = np.full(components, max(eps.std() / components, 2 * SMALLEST_SPREAD))
-    weights = np.full(components, 1.0 / components)
-    held = None
-    total, square, kept = np.zeros(count), np.zeros(count), 0
-    for sweep in range(SWEEPS):
-        score = np.log(weights) - np.log(spreads) - 0.5 * ((eps[:, None] - means) / spreads) ** 2
-        share = np.exp(score - score.max(1, keepdims=True))
-        share /= share.sum(1, keepdims=True)
-        label = (generator.random((count, 1)) > share.cumsum(1)[:, :-1]).sum(1)
-        eps = linear.draw(means[label], spreads[label], generator)
-        one = np.eye(components)[label]
-        now = np.stack([one.sum(0), one.T @ eps, one.T @ eps**2])
-        gain = 1.0 if sweep < WARM_UP else (sweep - WARM_UP + 1.0) ** -0.7
-        held = now if held is None else held + gain * (now - held)
-        size = held[0] + 1e-9
-        weights = (size + 1.0) / (size + 1.0).sum()
-        means = np.where(size > 0.5, held[1] / size, means)
-        variance = held[2] / size - means**2
-        # An inverse-gamma prior of weight one on the spread keeps a component from closing on one message.
-        spreads = np.sqrt(np.maximum((size * variance + (0.1 * sd) ** 2) / (size + 1.0), SMALLEST_SPREAD**2))
-        if sweep >= WARM_UP:
-            total, square, kept = total + eps, square + eps**2, kept + 1
-    centre = total / kept
-    return means, spreads, weights, (centre, np.sqrt((square / kept - centre**2).clip(0.0)))
