@@ -84,7 +84,7 @@ def play(design: Design) -> Drive:
             command = np.clip(command - stage.hold.gain @ (np.array(reading) - stage.hold.place), low, high)
         return [float(u) for u in command]
 
-    return Drive(stage.initial.tolist(), stage.rest.tolist(), wanted)
+    return Drive(stage.initial[: stage.system.joints].tolist(), stage.rest.tolist(), wanted)
 
 
 def run(case: Case) -> dict[str, Any]:
