@@ -24,6 +24,7 @@ Exit status: 0 fitted, 2 bad input."""
 EXAMPLE = """\
 example:
   deepkoco identify logs/steps.csv --system rod_pendulum --parameters mass length viscous --delays
+  deepkoco identify logs/prbs.csv --system rod_pendulum --parameters mass --hidden-delays 2
   deepkoco identify a.csv b.csv --system pendulum --parameters mass --bounds mass=0.04:0.08 --method cma"""
 
 
@@ -44,6 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="CHANNEL",
         help="find the delay of the commands too, and those of the channels named here",
+    )
+    parser.add_argument(
+        "--hidden-delays",
+        type=int,
+        nargs="?",
+        const=1,
+        metavar="N",
+        help="recover the distribution of the commands' delays too, from N normal components (default 1)",
     )
     parser.add_argument(
         "--method", default="lm", help="lm: Levenberg-Marquardt; cma: CMA-ES (extra cma); default lm"
@@ -85,9 +94,10 @@ def run(args: argparse.Namespace) -> int:
         InputError: A log, a name, a number or the output folder cannot be used.
     """
     from deepkoco.graph.recording import LogError
+    from deepkoco.identify.hidden_delay import hidden_delays
     from deepkoco.identify.identify import fit
-    from deepkoco.identify.question import FitError
-    from deepkoco.identify.report import terminal_report, write_identification
+    from deepkoco.identify.question import FitError, command_delays
+    from deepkoco.identify.report import as_json, terminal_report, write_identification
     from deepkoco.identify.search import MissingExtraError
     from deepkoco.new_folder import FolderExistsError, check_new
 
@@ -107,22 +117,27 @@ def run(args: argparse.Namespace) -> int:
         check_new(out)
         system, logs = _read(args)
         names = list(args.parameters or [p.name for p in system.parameters])
-        if args.delays is not None:
-            names += ["actuation_delay.delay", *(f"{channel}.delay" for channel in args.delays)]
+        if args.delays is not None or args.hidden_delays is not None:
+            names += [n for n in command_delays(system) if n not in names]
+            names += [f"{channel}.delay" for channel in args.delays or ()]
         with _Progress(args.json) as report:
             found = fit(logs, system, names, progress=report, **options)
-        write_identification(found, out)
+            hidden = None
+            if args.hidden_delays is not None:
+                report("hidden delays", 0, 1, found.fit.cost)
+                hidden = hidden_delays(found, args.hidden_delays, args.seed)
+        write_identification(found, out, hidden)
     except (LogError, FitError, FolderExistsError, MissingExtraError) as error:
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
     if args.json:
-        sys.stdout.write(json.dumps(found.to_json(), indent=2) + "\n")
+        sys.stdout.write(json.dumps(as_json(found, hidden), indent=2) + "\n")
     else:
         from rich.console import Console
 
         console = Console()
-        console.print(terminal_report(found))
+        console.print(terminal_report(found, hidden))
         console.print(f"written to {out}: identify.json, model.yaml, pictures", highlight=False)
     return 0
 
@@ -132,6 +147,8 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
     if args.zero_sd is not None and not 0.0 <= args.zero_sd < 10.0:
         raise InputError(f"--zero-sd {args.zero_sd:g}: give a spread between 0 and 10 rad")
+    if args.hidden_delays is not None and not 1 <= args.hidden_delays <= 8:
+        raise InputError(f"--hidden-delays {args.hidden_delays}: give 1 to 8 components")
 
 
 def _method(args: argparse.Namespace) -> Any:
@@ -200,11 +217,11 @@ def _read(args: argparse.Namespace) -> tuple[Any, list[Recording]]:
 
 
 def _system(name: str) -> Any:
-    from deepkoco.systems import JointCountError, ModelFileError, UnknownSystemError, load_model, one_joint
+    from deepkoco.systems import ModelFileError, UnknownSystemError, load_model, make_system
 
     try:
-        return load_model(name) if name.endswith((".yaml", ".yml")) else one_joint(name)
-    except (ModelFileError, UnknownSystemError, JointCountError) as error:
+        return load_model(name) if name.endswith((".yaml", ".yml")) else make_system(name)
+    except (ModelFileError, UnknownSystemError) as error:
         raise InputError(f"--system: {error}") from error
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from deepkoco.identify.hidden_delay import HiddenDelays
 from deepkoco.identify.identification import Identification
 from deepkoco.picture import Picture, house_style
 
@@ -13,11 +14,13 @@ COLOURS = {"measured": "#222222", "before": "#9a9a9a", "fitted": "#3b7dd8"}
 SHOWN_WINDOWS = 4
 
 
-def draw_all(found: Identification) -> list[Picture]:
-    """Replay, intervals, correlation (of two parameters or more) and convergence."""
+def draw_all(found: Identification, hidden: HiddenDelays | None = None) -> list[Picture]:
+    """Replay, intervals, correlation (of two parameters or more), convergence, and the law of hidden delays."""
     drawings = (replay, intervals, correlation, convergence)
     with house_style():
         pictures = [draw(found) for draw in drawings]
+        if hidden is not None:
+            pictures.append(delays(hidden))
     return [picture for picture in pictures if picture is not None]
 
 
@@ -131,3 +134,26 @@ def convergence(found: Identification) -> Picture:
     axis.legend()
     caption = "Costs of different stages cannot be compared: the windows or the assumed noise differ."
     return Picture("convergence", "Convergence", caption, figure, pd.concat(rows))
+
+
+def delays(hidden: HiddenDelays) -> Picture:
+    """Delay of each command message, and the law that they follow."""
+    figure = Figure(figsize=(9.0, 3.0))
+    left, right = figure.subplots(1, 2, width_ratios=[3, 1], sharey=True)
+    late, sd = 1e3 * hidden.delay, 1e3 * hidden.delay_sd
+    left.errorbar(
+        hidden.sent, late, yerr=sd, fmt=".", color=COLOURS["measured"], elinewidth=0.7, markersize=4
+    )
+    left.set_xlabel("sent [s]")
+    left.set_ylabel("delay [ms]")
+    reach = 4.0 * 1e3 * float(hidden.spreads.max())
+    at = np.linspace(max(min(1e3 * hidden.means) - reach, 0.0), max(1e3 * hidden.means) + reach, 400)
+    score = (at[:, None] - 1e3 * hidden.means) / (1e3 * hidden.spreads)
+    part = hidden.weights / (1e3 * hidden.spreads) * np.exp(-0.5 * score**2) / np.sqrt(2.0 * np.pi)
+    right.plot(part.sum(1), at, color=COLOURS["fitted"])
+    right.set_xlabel("density [1/ms]")
+    table = pd.DataFrame(
+        {"log": hidden.log + 1, "sent_s": hidden.sent, "delay_s": hidden.delay, "delay_sd_s": hidden.delay_sd}
+    )
+    caption = "Each message as the motion shows it, with its standard deviation, and the distribution of the delays."
+    return Picture("delays", "Hidden delays of the commands", caption, figure, table)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -66,6 +67,19 @@ class HiddenDelays:
     def spread(self) -> float:
         """Standard deviation of the delay [s]."""
         return math.sqrt(float(self.weights @ (self.spreads**2 + self.means**2)) - self.mean**2)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists; the single messages are left to a table."""
+        known = math.isfinite(self.spread_interval[0])
+        return {
+            "law": self.law.to_dict(),
+            "mean_s": self.mean,
+            "mean_interval_s": list(self.mean_interval),
+            "spread_s": self.spread,
+            "spread_interval_s": list(self.spread_interval) if known else None,
+            "evidence": self.evidence,
+            "messages": len(self.sent),
+        }
 
 
 def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> HiddenDelays:

@@ -77,7 +77,8 @@ def known_parameters(system: System) -> tuple[Parameter, ...]:
 
 def command_delays(system: System) -> tuple[str, ...]:
     """Names of the delays of a system's commands, one for each joint that is driven."""
-    return tuple(f"{name}.delay" for name in effects_of(system) if name.split("(")[0] == "actuation_delay")
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    return tuple(f"{name}.delay" for name in effects_of(base) if name.split("(")[0] == "actuation_delay")
 
 
 def ask(

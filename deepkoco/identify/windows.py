@@ -18,6 +18,7 @@ from deepkoco.systems import Motion, System
 LONGEST_STEP = 0.01  # integration step [s]
 STEPS_PER_PERIOD = 100  # integration steps in a period of the system, at least
 HISTORY = 0.1  # commands that must be known before a window begins, for delays and lags [s]
+WARM_UP = 0.15  # or this share of a window: what the actuator did before the log fades in a slow lag
 MIN_SAMPLES = 6  # of a channel inside a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
 DWELL = 0.1  # share of a window during which a joint may rest
@@ -161,7 +162,7 @@ def cut_windows(
         command, series = _channels(recording, system)
         commands.append(command)
         still = _resting(system, series, noise, length)
-        history = 0.0 if cover else HISTORY
+        history = 0.0 if cover else max(HISTORY, WARM_UP * length)
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
         for t0 in _starts(start, stop, length, cover):

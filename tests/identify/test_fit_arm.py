@@ -1,59 +1,11 @@
 """Fits of a system with two joints, to motion integrated by SciPy."""
 
-from functools import lru_cache
-from itertools import pairwise
-
-import numpy as np
 import pytest
-import torch
-from scipy.integrate import solve_ivp
 
-from deepkoco.graph.recording import Recording, Series
 from deepkoco.identify import FitError, fit
-from deepkoco.systems import make_system
+from tests.identify.identify_logs import LATE, TRUE, arm_log
 
-TRUE = {"mass_2": 2.6, "viscous_1": 1.8, "viscous_2": 0.6}
-LATE = {1: 0.012, 2: 0.03}  # [s], by joint
 ZEROS = (0.04, -0.03)  # of the second encoder, by log [rad]
-PERIOD = 0.05  # of the commands [s]
-
-
-@lru_cache
-def arm_log(seed: int, zero: float = 0.0, late: bool = False, seconds: float = 8.0) -> Recording:
-    """The arm under random torques; each command may act late, each joint by a time of its own."""
-    rng = np.random.default_rng(seed)
-    arm = make_system("two_link_arm")
-    parameters = arm.default_parameters() | {n: torch.tensor(v, dtype=torch.float64) for n, v in TRUE.items()}
-    sent = PERIOD * np.arange(round(seconds / PERIOD))
-    torque = rng.uniform(-1.0, 1.0, (len(sent), 2)) * [6.0, 3.0]
-    delay = np.array([LATE[1], LATE[2]]) if late else np.zeros(2)
-
-    def slope(t: float, x: np.ndarray) -> np.ndarray:
-        # A hair later, so that the command of an instant acts from it on.
-        held = [torque[max(int((t - delay[j] + 1e-9) / PERIOD), 0), j] * (t >= delay[j]) for j in (0, 1)]
-        return arm.derivative(
-            torch.from_numpy(x), torch.tensor(held, dtype=torch.float64), parameters
-        ).numpy()
-
-    jumps = np.unique(np.round(np.concatenate([sent + d for d in delay]), 9))
-    state, edges = np.array([0.3, 0.5, 0.0, 0.0]), np.append(jumps[jumps < seconds], seconds)
-    t = np.arange(0.0, seconds - 0.005, 0.01)
-    states = np.zeros((len(t), 4))
-    for begin, end in pairwise(edges):
-        inside = (t >= begin - 1e-9) & (t < end - 1e-9)
-        run = solve_ivp(
-            lambda u, x, middle=0.5 * (begin + end): slope(middle, x),
-            (begin, end), state, t_eval=np.append(np.clip(t[inside], begin, end), end), rtol=1e-7, atol=1e-9,
-        )  # fmt: skip
-        states[inside], state = run.y.T[:-1], run.y[:, -1]
-    noise = [c.noise_sd for c in arm.measurements] * rng.standard_normal(states.shape)
-    values = states + noise + np.array([0.0, zero, 0.0, 0.0])
-    channels = {
-        c.name: Series(t, values[:, i], c.unit, "measurement") for i, c in enumerate(arm.measurements)
-    }
-    for i, c in enumerate(arm.commands):
-        channels[c.name] = Series(sent, torque[:, i], c.unit, "command")
-    return Recording(channels, system="two_link_arm")
 
 
 def test_parameters_of_two_joints_are_recovered():

@@ -6,9 +6,12 @@ import pandas as pd
 import pytest
 
 from deepkoco.cli import main
+from deepkoco.graph.delay import make_delay
 from deepkoco.graph.recording import write_log
 from deepkoco.systems import load_model
-from tests.identify.identify_logs import DELAY, MASS, pendulum_log
+from deepkoco.unit import make_unit
+from deepkoco.unit.record import record
+from tests.identify.identify_logs import DELAY, MASS, TRUE, arm_log, pendulum_log
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +42,31 @@ def test_from_a_log_to_a_folder(log, tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
+def test_the_distribution_of_hidden_delays(tmp_path, capsys):
+    effects = {"actuation_delay": {"delay": {"mean": 0.02, "sd": 0.004}}}
+    unit = make_unit("rod_pendulum", effects=effects, sensor={"rate_hz": 200}, seed=4)
+    log = write_log(tmp_path / "prbs.csv", record(unit, "prbs", 15.0, clock="simulated", seed=4))
+    out = tmp_path / "found"
+    arguments = ["--parameters", "mass", "--hidden-delays", "--out", str(out)]
+    assert main(["identify", str(log), *arguments]) == 0
+    assert "message by message: mean" in capsys.readouterr().out
+    found = json.loads((out / "identify.json").read_text())["hidden_delays"]
+    assert found["mean_s"] == pytest.approx(0.02, abs=0.002)
+    assert found["spread_interval_s"][0] < 0.004 < found["spread_interval_s"][1]
+    assert make_delay(found["law"]).mean == pytest.approx(found["mean_s"], rel=0.01)
+    table = pd.read_csv(out / "delays.csv")
+    assert len(table) == found["messages"]
+    assert (out / "delays.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_system_of_two_joints(tmp_path, capsys):
+    log = write_log(tmp_path / "arm.csv", arm_log(0))
+    arguments = ["--parameters", "mass_2", "--start", "viscous_1=1.8", "viscous_2=0.6", "--json"]
+    assert main(["identify", str(log), *arguments, "--out", str(tmp_path / "found")]) == 0
+    found = json.loads(capsys.readouterr().out)["parameters"]["mass_2"]
+    assert found["value"] == pytest.approx(TRUE["mass_2"], rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -48,6 +76,7 @@ def test_from_a_log_to_a_folder(log, tmp_path, capsys):
         (["--prior", "mass=1:0"], "must be positive"),
         (["--population", "20"], "belongs to --method cma"),
         (["--system", "rocket"], 'unknown system "rocket"'),
+        (["--hidden-delays", "0"], "1 to 8 components"),
         (["--window", "0"], "between 0.05 and 60 s"),
     ],
 )
