@@ -126,6 +126,12 @@ def _derivatives(survey: Survey, proposal: Proposal) -> list[str]:
             ):
                 continue
             relation = proposal.relations.get((first.column.label, second.column.label))
+            # Joints that move together look like each other's derivatives: of a speed, the angle that fits best.
+            others = [
+                proposal.relations.get((c.column.label, second.column.label)) for c in found if c.column
+            ]
+            if relation is None or any(o is not None and o.agreement > relation.agreement for o in others):
+                continue
             clock = survey.clock(first.column)
             if relation is None or relation.agreement < AGREES or clock is None:
                 continue

@@ -202,6 +202,11 @@ class Proposer:
     ) -> tuple[float, list[str]]:
         hints, why = column.hints, []
         quantity = parse_unit(channel.unit).quantity
+        if channel.default is not None:
+            # A log need not show it: only its own name, and values that it can have, speak for a column.
+            inside = channel.low <= (column.low or 0.0) and (column.high or 0.0) <= channel.high
+            named = bool({channel.name, f"{channel.name}d"} & set(hints.words))
+            return (6.0, [f'its name says "{channel.name}"']) if inside and named else (-6.0, [])
         score = hints.speaks_for(quantity)
         if score > 0:
             why.append(f"its name says {quantity}")
@@ -216,6 +221,8 @@ class Proposer:
         if channel.kind == "command":
             named = hints.commanded or (hints.wanted and not hints.measured)
             score += 1.0 * named - 0.5 * hints.measured
+            # A command that is an angle is a goal, of which the measured angle is not one.
+            score += (2.0 * named - 2.0 * (not named)) * (quantity in POSITIONS)
             if named:
                 why.append("its name says that it is a command")
             score -= 2.0 * ("feedforward" in hints.words or "ff" in hints.words)

@@ -238,3 +238,46 @@ def test_a_table_without_time_is_no_log(tmp_path):
 def test_names_are_taken_apart(name, unit, number, joint):
     hints = read_name(name)
     assert (hints.unit, hints.number, hints.joint) == (unit, number, joint)
+
+
+def test_a_switch_is_taken_for_what_its_name_says_only(tmp_path):
+    """A servo's goal, its switch, and a torque that is neither."""
+    t = np.arange(0.0, 6.0, 0.016)
+    goal = np.sin(1.5 * t) + 0.4 * np.sin(7.0 * t)
+    frame = pd.DataFrame(
+        {
+            "t": t,
+            "goal_position": goal,
+            "position": np.convolve(goal, np.ones(5) / 5.0, "same"),
+            "torque_demand": 0.9 * np.gradient(goal),
+            "torque_enable": np.ones(len(t)),
+        }
+    )
+    _, _, choices = proposed(tmp_path / "log.csv", frame, "servo_pendulum")
+    assert choices["goal"].column.name == "goal_position"
+    assert choices["theta"].column.name == "position"
+    assert choices["enable"].column is None or choices["enable"].column.name == "torque_enable"
+    frame["torque_enable"] = (t < 2.0).astype(float)
+    _, _, choices = proposed(tmp_path / "other.csv", frame, "servo_pendulum")
+    assert choices["enable"].column.name == "torque_enable"
+
+
+def test_joints_that_move_together_raise_no_doubt_about_units(tmp_path):
+    t = np.arange(0.0, 8.0, 0.004)
+    wave = np.sin(3.0 * t) + 0.3 * np.sin(8.0 * t)
+    rate = 3.0 * np.cos(3.0 * t) + 2.4 * np.cos(8.0 * t)
+    extra, faster = 0.2 * np.sin(5.0 * t), np.cos(5.0 * t)
+    frame = pd.DataFrame(
+        {
+            "t": t,
+            "pos_meas1": -0.3 * wave + extra,
+            "pos_meas2": wave,
+            "vel_meas1": -0.3 * rate + faster,
+            "vel_meas2": rate,
+            "tau_con1": np.sin(2.0 * t),
+            "tau_con2": np.sin(4.0 * t),
+        }
+    )
+    survey, fitting, choices = proposed(tmp_path / "log.csv", frame, "double_pendulum")
+    assert {c.column.name for c in choices.values()} == set(frame.columns) - {"t"}
+    assert not [d for d in doubts_of(survey, fitting) if "times the integral" in d]
