@@ -51,6 +51,7 @@ def test_examples_go_on_from_the_first_graph(
         "identify.md",
         "planning.md",
         "runtimes.md",
+        "systems.md",
     ],
 )
 def test_examples_run_from_top_to_bottom(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
