@@ -36,7 +36,8 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     ticks = [0.0, *(10.0**k for k in range(1, int(np.ceil(np.log10(top))) + 1))]
     if score[:shown].min(initial=0.0) < -5.0:
         ticks = [-10.0, *ticks]
-    thinned = ticks if len(ticks) * 0.6 < layout.width - 1.5 else ticks[::2]
+    every = -(-len(ticks) // max(int((layout.width - 1.9) / 0.7), 1))
+    thinned = [t for k, t in enumerate(ticks) if (k - ticks.index(0.0)) % every == 0]
     axis.set_xticks(thinned, [f"{t:,.0f}" for t in thinned])
     axis.axvline(diagnosis.detection, color="#222222", lw=1, ls="--")
     axis.text(
