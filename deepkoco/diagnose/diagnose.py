@@ -202,7 +202,7 @@ class _Study:
         logs = [str(r.path) for r in recordings if r.path is not None]
         train, classes = self.data.train, ()
         if any(len(found.members) > 1 for found in named):
-            classes = class_advice(self.system, self.start, train, self.reference, self.steps, logs, seed)
+            classes = class_advice(self.system, self.start, train, self.steps, logs, seed)
         return (*classes, *level_advice(train, self.system))
 
     def _select(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Fit]:

@@ -320,10 +320,13 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
         raise FileExistsError(f"{path} exists; choose another name")
     base = system.base if isinstance(system, ExtendedSystem) else system
     effects = [e.name for e in system.effects] if isinstance(system, ExtendedSystem) else []
+    learned = [e for e in effects if e.split("(")[0] == "learned"]
     document = {
         "version": MODEL_VERSION,
         "system": base.name,
         "effects": effects,
+        # Fitted to data, without a mechanism behind it: for readers of the file.
+        **({"learned": learned} if learned else {}),
         "parameters": {p.name: {"value": p.value, "unit": p.unit} for p in system.parameters},
         "provenance": dict(provenance or {}),
     }
