@@ -5,8 +5,11 @@ import importlib
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from deepkoco.identify import CmaEs, MissingExtraError, cma_es, fit
+from deepkoco.identify.search import Box
 from tests.identify.identify_logs import DELAY, MASS, pendulum_log
 
 cma = pytest.importorskip("cma")
@@ -58,6 +61,45 @@ def test_it_goes_the_way_of_the_library_itself():
     )
     assert ours.cost == pytest.approx(theirs.result.fbest, rel=1e-12)
     assert ours.reason == "maxiter"
+
+
+@given(
+    st.lists(st.tuples(st.floats(-50, 50), st.floats(1e-3, 100)), min_size=1, max_size=4), st.integers(0, 99)
+)
+@settings(max_examples=40, deadline=None)
+def test_the_box_is_folded_as_the_library_does(bounds, seed):
+    low = np.array([b[0] for b in bounds])
+    high = low + [b[1] for b in bounds]
+    theirs = cma.transformations.BoxConstraintsLinQuadTransformation(list(zip(low, high, strict=True)))
+    box, points = Box(low, high), np.random.default_rng(seed).normal(0.0, 60.0, (20, len(low)))
+    assert box.fold(points) == pytest.approx(np.array([theirs(p) for p in points]), rel=1e-9, abs=1e-9)
+    inside = np.random.default_rng(seed).uniform(low, high)
+    assert box.fold(box.inverse(inside)) == pytest.approx(inside, rel=1e-9, abs=1e-9)
+    assert box.inverse(inside) == pytest.approx(theirs.inverse(inside), rel=1e-6, abs=1e-6)
+
+
+def test_a_bound_on_one_side_leaves_the_other_free():
+    box = Box(np.array([0.0, -np.inf]), np.array([np.inf, np.inf]))
+    points = np.array([[-3.0, -3.0], [0.0, 1e6], [7.0, 2.0]])
+    assert (box.fold(points)[:, 1] == points[:, 1]).all()
+    # 3 below a bound at 0 with its margin of 0.05: 0.05 + (3 - 0.05) beyond where the map turns round, less 0.05.
+    assert box.fold(points)[:, 0] == pytest.approx([2.9, 0.0125, 7.0])
+
+
+def test_in_a_box_it_goes_the_way_of_the_library_itself():
+    low, high, start, spread = np.full(3, -0.2), np.full(3, 0.9), np.full(3, 0.3), np.full(3, 0.5)
+    draws = np.random.default_rng(5)
+    options = {
+        "verbose": -9, "maxiter": 25, "randn": lambda *shape: draws.standard_normal(shape), "seed": np.nan,
+        "bounds": [((low - start) / spread).tolist(), ((high - start) / spread).tolist()],
+    }  # fmt: skip
+    theirs = cma.CMAEvolutionStrategy([0.0] * 3, 1.0, options)
+    while not theirs.stop():
+        points = theirs.ask()
+        theirs.tell(points, [cma.ff.rosen(0.3 + 0.5 * p) for p in points])
+    args = (batched(cma.ff.rosen), start, spread, low, high, np.random.default_rng(5))
+    ours = cma_es(*args, generations=25, tolerance=0.0)
+    assert ours.cost == pytest.approx(theirs.result.fbest, rel=1e-9)
 
 
 def test_bounds_hold_and_a_seed_repeats_without_touching_global_draws():
