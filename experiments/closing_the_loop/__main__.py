@@ -158,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.json:
         print(as_json(summary))
     else:
-        print((args.out / "table.md").read_text(encoding="utf-8"))
+        print((args.out / "README.md").read_text(encoding="utf-8"))
     return 0
 
 

@@ -12,7 +12,7 @@ from deepkoco.unit import load_unit
 from experiments.closing_the_loop.__main__ import main
 from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, SYSTEM, Case, cases
 from experiments.closing_the_loop.steps import evaluate, refusal, run_folder, training_command, write_once
-from experiments.closing_the_loop.summary import as_table, summarise
+from experiments.closing_the_loop.summary import READING, as_table, summarise, write_results
 from experiments.settings import ExperimentError
 
 
@@ -67,6 +67,24 @@ def test_the_table_tells_what_was_hidden_and_what_it_cost():
     line = as_table(summary, found).splitlines()[-1]
     assert line.startswith("| gain.factor 0.5 | gain.factor 0.49 | 610 [")
     assert line.endswith("| 400 [400, 400] |")
+
+
+def test_results_are_written_again_without_losing_what_was_said_about_them(tmp_path):
+    (tmp_path / "study.json").write_text('{"training_episodes": 400}')
+    table = episodes({("baseline", 0): [600.0, 620.0], ("extended", 0): [200.0, 220.0]})
+    out = tmp_path / "out"
+    write_results(out, tmp_path, [], table)
+    readme = out / "README.md"
+    assert "67 minutes" in readme.read_text().replace("\n", " ")
+    said = f"{READING}\n\nFeedback makes up for the rest.\n"
+    readme.write_text(readme.read_text() + said)
+    write_results(out, tmp_path, [], table)
+    assert readme.read_text().endswith(said)
+    assert readme.read_text().count(READING) == 1
+    assert {p.name for p in out.iterdir()} == {
+        *("README.md", "PROVENANCE.md", "closing_the_loop.png"),
+        *("episodes.csv", "summary.csv", "findings.csv"),
+    }
 
 
 def test_strong_units_come_first_and_each_has_a_unit_file(tmp_path):
