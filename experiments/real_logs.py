@@ -3,6 +3,7 @@
 python -m experiments.real_logs --data FOLDER --log dfki_pendulum --json
 python -m experiments.real_logs --data FOLDER --log NEW --train a.csv b.csv:0:4.5 --test c.csv
 
+With --answers FOLDER the figures of each question are kept there, and what is answered there is not asked again.
 A folder that is not known by name is studied as the known one with the same columns; without --train one log in
 four is kept for tests.
 """
@@ -11,6 +12,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -78,6 +81,7 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--out", type=Path, help="also write the reports into this new folder")
+    parser.add_argument("--answers", type=Path, help="keep the figures of each question in this folder")
     args = parser.parse_args(arguments)
     folder = args.data / args.log
     try:
@@ -91,11 +95,17 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
             questions = {args.question: questions[args.question]}
         figures = {}
         for name, question in questions.items():
+            kept = args.answers / f"{folder.name}_{_file_name(name)}.json" if args.answers else None
+            if kept is not None and kept.exists():
+                figures[name] = json.loads(kept.read_text())
+                continue
             began = time.perf_counter()
             diagnosis = answer(folder, study, question)
             figures[name] = summary(diagnosis, time.perf_counter() - began)
             if args.out:
-                write_report(diagnosis, args.out / name.replace(" ", "_"))
+                write_report(diagnosis, args.out / _file_name(name))
+            if kept is not None:
+                _keep(kept, figures[name])
     except (LogError, ValueError) as error:
         sys.stderr.write(f"real_logs: {error}\n")
         return 2
@@ -104,6 +114,17 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     lines = [json.dumps(result)] if args.json else [_line(name, value) for name, value in figures.items()]
     write("\n".join(lines) + "\n")
     return 0
+
+
+def _file_name(question: str) -> str:
+    return re.sub(r"\W+", "_", question)
+
+
+def _keep(path: Path, figures: dict) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    partial.write_text(json.dumps(figures, indent=1) + "\n")
+    os.replace(partial, path)
 
 
 def _line(name: str, figures: dict) -> str:

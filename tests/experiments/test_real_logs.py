@@ -37,8 +37,12 @@ def write_logs(folder, names=NAMES):
 def test_friction_is_named_and_pays(tmp_path):
     write_logs(tmp_path / "mine", ("one", "three", "two", "zero"))  # another folder with the same columns
     printed = []
-    assert main(["--data", str(tmp_path), "--log", "mine", "--json"], printed.append) == 0
+    command = ["--data", str(tmp_path), "--log", "mine", "--json", "--answers", str(tmp_path / "kept")]
+    assert main(command, printed.append) == 0
     result = json.loads(printed[0])
+    assert main(command, printed.append) == 0
+    assert printed[1] == printed[0], "what is answered is not asked again"
+    assert [f.name for f in (tmp_path / "kept").iterdir()] == ["mine_held_out_logs.json"]
     assert list(result)[:7] == [
         "verdict",
         "first",
