@@ -291,10 +291,11 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             for clock, pair in pairs.items():
                 row |= _spread(clock, mine[clock].to_numpy(dtype=float))
                 row |= _spread(f"{clock}_rex_over_this", (pair["rex"] / pair[name]).to_numpy(dtype=float))
-            row["first_s"] = mine["first_s"].max()
+            row["first_s"] = float(np.nanmax(mine["first_s"].to_numpy(dtype=float)))
             row["steps_per_s"] = POPULATION * GENERATIONS * len(actions()) / row["seconds"]
-            if "largest_error" in mine and mine["largest_error"].notna().any():
-                row["largest_error_median"] = float(mine["largest_error"].median())
+            error = mine["largest_error"].to_numpy(dtype=float)
+            if np.isfinite(error).any():
+                row["largest_error_median"] = float(np.median(error))
             rows.append(row)
     return pd.DataFrame(rows)
 
