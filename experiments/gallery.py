@@ -149,7 +149,7 @@ def index(out: Path) -> str:
         if not path.exists():
             continue
         report = json.loads(path.read_text(encoding="utf-8"))
-        named = "; ".join(_named(cause) for cause in report["causes"]) or "nothing"
+        named = "; ".join(_named(c) for c in report["causes"] if c["name"] != "unknown") or "nothing"
         cells = (
             f"[{exhibit.name}]({exhibit.name}/report.html)",
             exhibit.about,
@@ -162,7 +162,9 @@ def index(out: Path) -> str:
 
 
 def _named(cause: dict) -> str:
-    values = ", ".join(f"{e['value']:.3g} {e['unit']}" for e in cause["parameters"].values())
+    values = ", ".join(
+        f"{e['value']:.3g} {e['unit']}".removesuffix(" 1") for e in cause["parameters"].values()
+    )
     return f"{cause['name']} ({values})" if values else cause["name"]
 
 

@@ -36,7 +36,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     shown = np.concatenate([c[2][np.isfinite(c[2])] for c in cells.values()])
     scale = LogNorm(max(float(shown.min()), 1e-3 * float(shown.max()), 1e-12), max(float(shown.max()), 1e-11))
     rows, columns = layout.grid(len(fits))
-    figure = Figure(figsize=(layout.width if columns > 1 else min(layout.width, 5.5), 0.6 + 2.9 * rows))
+    figure = Figure(figsize=(layout.width, 0.6 + 2.9 * rows))
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     mesh = None
     for axis, (name, (across, up, mean)) in zip(axes.ravel(), cells.items(), strict=True):

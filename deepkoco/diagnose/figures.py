@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
 from deepkoco.diagnose.error_map import error_map
 from deepkoco.diagnose.friction_figure import friction_picture
-from deepkoco.diagnose.layout import COLOURS, DESKTOP, LABELS, Layout, shown_models
+from deepkoco.diagnose.layout import COLOURS, DESKTOP, Layout, held_out_models, shown_models
 from deepkoco.diagnose.missing_figure import missing_picture
 from deepkoco.diagnose.parameter_figures import found_parameters, own_parameters
 from deepkoco.diagnose.ranking_figure import candidates
@@ -61,7 +61,7 @@ def replay(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
     channel = details.channels[0]
     sd = windows.noise[0].sd
     rows = []
-    models = shown_models(diagnosis)
+    models = shown_models(diagnosis) if gain is None else held_out_models(diagnosis)
     for column, w in enumerate(chosen):
         valid = windows.valid[w, 0].numpy()
         t = windows.t[w, 0].numpy()[valid] + windows.t0[w]
@@ -70,7 +70,7 @@ def replay(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
         frame = {"window": w, "time_s": t, "measured": value}
         for model in models:
             error = fits[model].residual[w, 0].numpy()[valid] * sd
-            upper[column].plot(t, value - error, color=COLOURS[model], label=LABELS[model])
+            upper[column].plot(t, value - error, color=COLOURS[model], label=models[model])
             lower[column].plot(t, -error, color=COLOURS[model])
             frame[model] = value - error
         lower[column].axhspan(-2 * sd, 2 * sd, color="#000000", alpha=0.12, lw=0, label="sensor noise, 2 sd")
@@ -107,9 +107,9 @@ def error_by_horizon(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     frame: dict[str, np.ndarray] = {"horizon_s": gain.curve_time}
     for axis, channel in zip(axes, gain.channels, strict=False):
-        for model in shown_models(diagnosis):
+        for model, label in held_out_models(diagnosis).items():
             curve = gain.curves[model][channel.name]
-            axis.plot(gain.curve_time, curve, color=COLOURS[model], label=LABELS[model])
+            axis.plot(gain.curve_time, curve, color=COLOURS[model], label=label)
             frame[f"{model}_{channel.name}"] = curve
         axis.set_ylim(bottom=0.0)
         axis.set_xlabel("time since the start of the simulation [s]")
@@ -135,7 +135,7 @@ def before_after(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pict
         return None
     figure = Figure(figsize=(layout.width, 3.0 + 0.2 * (5 - layout.entries)))
     axis = figure.subplots()
-    models = shown_models(diagnosis)
+    models = held_out_models(diagnosis)
     valid = gain.replayed.valid[:, 0].numpy()
     sd = gain.replayed.noise[0].sd
     frame: dict[str, np.ndarray] = {
@@ -148,13 +148,13 @@ def before_after(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pict
         frame[model] = np.sqrt(square.sum(1) / valid.sum(1).clip(1))
     if gain.windows > MOST_BARS:
         for model in models:
-            axis.plot(frame["window"], frame[model], ".", color=COLOURS[model], label=LABELS[model])
+            axis.plot(frame["window"], frame[model], ".", color=COLOURS[model], label=models[model])
         shown = "Each dot is one held-out window"
     else:
         width = 0.8 / len(models)
         for i, model in enumerate(models):
             place = np.arange(gain.windows) + (i - 0.5 * (len(models) - 1)) * width
-            axis.bar(place, frame[model], width, color=COLOURS[model], label=LABELS[model])
+            axis.bar(place, frame[model], width, color=COLOURS[model], label=models[model])
         axis.set_xticks(range(gain.windows))
         shown = "Each group of bars is one held-out window"
     axis.axhline(sd, color="#222222", lw=1, ls=":", label="sensor noise")

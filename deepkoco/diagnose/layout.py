@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from deepkoco.diagnose.diagnosis import Diagnosis
 
@@ -37,7 +37,21 @@ DESKTOP = Layout(9.0, 4, 5)
 PHONE = Layout(4.1, 1, 1)
 
 
-def shown_models(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Models that the pictures compare: the extended one where something is named."""
+def shown_models(diagnosis: Diagnosis) -> dict[str, str]:
+    """Models that the pictures compare on the fitted windows -> label: the extended one where something is named."""
     named = bool(diagnosis.names) and diagnosis.verdict != "unknown"
-    return ("baseline", "refit", "extended") if named else ("baseline", "refit")
+    return {name: label for name, label in LABELS.items() if named or name != "extended"}
+
+
+def held_out_models(diagnosis: Diagnosis) -> dict[str, str]:
+    """Models that are compared on windows kept back -> label: a learned load stands where no cause is named."""
+    models = shown_models(diagnosis)
+    if learned_load(diagnosis):
+        models["extended"] = "simulation with a learned load"
+    return models
+
+
+def learned_load(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """The residual model that was added in place of a cause, as in report.json; None where there is none."""
+    found = diagnosis.unexplained.get("residual_model")
+    return found if diagnosis.verdict == "unknown" and found and found["accepted"] else None

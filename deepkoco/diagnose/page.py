@@ -12,6 +12,8 @@ import jinja2
 
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding
+from deepkoco.diagnose.layout import held_out_models
+from deepkoco.diagnose.remains import remains
 from deepkoco.diagnose.words import headline, lead, spoken
 from deepkoco.picture import Picture
 
@@ -72,11 +74,13 @@ def render(
         ],
         causes=[_cause(c) for c in diagnosis.causes],
         localisation=diagnosis.localisation,
+        remains=remains(diagnosis),
         logs=logs,
         windows=diagnosis.windows,
         window_s=diagnosis.window_s,
         held=diagnosis.data["windows_held_out"],
         resting=diagnosis.data["windows_resting"],
+        named=diagnosis.verdict in ("cause", "ambiguous"),
         before=f"{diagnosis.chi2_before:.3g}",
         after=f"{diagnosis.chi2_after:.3g}" if suffices else "",
         glossary=GLOSSARY,
@@ -118,7 +122,8 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})
     if gain is not None:
         c = gain.channels[0]
-        text = f"error of {c.name} on those windows: simulation as given, and at the end"
+        last = next(reversed(held_out_models(diagnosis).values()))
+        text = f"error of {c.name} on windows that no fit has seen: simulation as given, and {last}"
         tiles.append({"value": f"{c.baseline:.3g} → {c.extended:.3g} {c.unit}", "text": text})
     return tiles
 
