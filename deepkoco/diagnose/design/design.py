@@ -17,7 +17,17 @@ from deepkoco.diagnose.design.doses import Dose, unit_dose
 from deepkoco.diagnose.design.families import FAMILIES
 from deepkoco.diagnose.design.hand import LogAtHand, fit_log
 from deepkoco.diagnose.design.rehearsal import Rehearsal
-from deepkoco.diagnose.design.search import Scan, costs, draw_unit, evolve, judge, scan, sequences
+from deepkoco.diagnose.design.search import (
+    GENERATIONS,
+    SCANNED,
+    Scan,
+    costs,
+    draw_unit,
+    evolve,
+    judge,
+    scan,
+    sequences,
+)
 from deepkoco.diagnose.design.stage import COMMAND_RATE, SENSOR_RATE, DesignError, Stage, make_stage
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.threads import one_thread
@@ -128,6 +138,8 @@ def design_experiment(
     command_rate: float = COMMAND_RATE,
     sensor_rate: float = SENSOR_RATE,
     seed: int = 0,
+    scanned: int = SCANNED,
+    generations: int = GENERATIONS,
     progress: Callable[[str, int, float], None] | None = None,
 ) -> Design:
     """Find the command sequence that tells causes apart best.
@@ -147,6 +159,8 @@ def design_experiment(
         command_rate: Commands per second [Hz].
         sensor_rate: Samples per second [Hz].
         seed: Seed of the search.
+        scanned: Sequences of each family that are tried first.
+        generations: Rounds by which the best two families are evolved.
         progress: Called with family, generation and best ratio so far.
 
     Raises:
@@ -163,9 +177,9 @@ def design_experiment(
         doses = sized(stage, causes, log, strength, generator)
         # A sequence that hangs on the nominal parameters, as a balance on the top does, fails on the unit.
         units = [draw_unit(stage, dose, generator) for dose in doses]
-        scans = scan(stage, doses, units, generator)
+        scans = scan(stage, doses, units, generator, scanned)
         check_separable(stage, doses, scans)
-        candidates = evolve(stage, doses, units, scans, generator, progress=progress)
+        candidates = evolve(stage, doses, units, scans, generator, generations, progress)
         return _decide(stage, doses, log, scans, candidates[:TRIED], generator, seed)
 
 

@@ -1,0 +1,175 @@
+"""Experiments that are designed to tell causes apart."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from deepkoco.cli import main
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.design import DesignError, InseparableError, design_experiment, write_design
+from deepkoco.diagnose.design.confirm import confirm
+from deepkoco.diagnose.design.design import chance_of, check_separable, known_causes, smallest_pair
+from deepkoco.diagnose.design.doses import unit_dose
+from deepkoco.diagnose.design.families import FAMILIES, Frame
+from deepkoco.diagnose.design.search import judge, scan, sequences
+from deepkoco.diagnose.design.stage import make_stage
+from deepkoco.systems import make_system
+
+QUICK = {"scanned": 5, "generations": 1, "seconds": 7.0}
+
+
+def staged(system: str, names: list[str], seconds: float = 7.0, size: float = 1.0, **limits):
+    stage = make_stage(make_system(system), seconds, limits or None)
+    known = catalogue(make_system(system))
+    return stage, [unit_dose(known[n], stage.system).scaled(size, stage.system) for n in names]
+
+
+@pytest.fixture(scope="module")
+def design():
+    return design_experiment("rod_pendulum", ["coulomb", "quadratic"], seed=3, **QUICK)
+
+
+def test_design_separates_and_beats_usual_sequences(design):
+    assert design.smallest > 24.0
+    assert design.settles
+    assert design.chance > 0.95
+    assert design.worst > max(design.typical.values())
+
+
+def test_commands_keep_the_limits(design):
+    low, high = design.stage.limits.command[0]
+    assert low <= design.sequence.min()
+    assert design.sequence.max() <= high
+    assert all((played.excess == 0.0).all() for played in design.rehearsals)
+
+
+def test_same_seed_same_sequences():
+    stage, doses = staged("rod_pendulum", ["coulomb", "gain"])
+    units = [d.on(stage.start.values) for d in doses]
+    first, again = (scan(stage, doses, units, np.random.default_rng(4), 2) for _ in range(2))
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(first, again, strict=True))
+    assert all(np.array_equal(a.cost, b.cost) for a, b in zip(first, again, strict=True))
+
+
+def test_files_hold_what_was_designed_and_the_recorder_plays_it(design, tmp_path):
+    commands = write_design(design, tmp_path / "design")
+    said = yaml.safe_load((tmp_path / "design" / "design.yaml").read_text())
+    assert said["distinguish"] == ["coulomb", "quadratic"]
+    assert said["settles"] is True
+    assert {p.name for p in commands.parent.iterdir()} == {
+        "commands.csv",
+        "design.yaml",
+        "outcome.csv",
+        "outcome.png",
+        "sequence.csv",
+        "sequence.png",
+    }
+    unit = tmp_path / "unit.yaml"
+    unit.write_text("system: rod_pendulum\nsensor: {rate_hz: 100}\n")
+    log = tmp_path / "log.csv"
+    status = main(
+        ["record", "--unit", str(unit), "--commands", str(commands), "--simulated", "--out", str(log)]
+    )
+    assert status == 0
+    import pandas as pd
+
+    table = pd.read_csv(log)
+    sent = table[[c for c in table if "torque" in c]].dropna().to_numpy()[:, -1]
+    # The recorder's first command is zero; from then on every command is the one of its time.
+    assert sent[1 : len(design.sequence)] == pytest.approx(design.sequence[1:, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("pair", [["sensing_delay", "actuation_delay"], ["sensor_bias", "tilt"]])
+def test_exact_twins_are_told_so(pair):
+    stage, doses = staged("rod_pendulum", pair)
+    scans = scan(stage, doses, [d.on(stage.start.values) for d in doses], np.random.default_rng(0), 4)
+    with pytest.raises(InseparableError, match="cannot be told apart by any command") as error:
+        check_separable(stage, doses, scans)
+    assert set(error.value.pair) == set(pair)
+    assert error.value.advice
+
+
+@pytest.mark.parametrize(
+    ("system", "pair"),
+    [
+        ("pendulum", ["viscous", "quadratic"]),
+        ("two_link_arm", ["coulomb(joint 1)", "viscous(joint 2)"]),
+        ("quadrotor_height", ["gain", "quadratic"]),
+    ],
+)
+def test_first_order_agrees_with_refits_at_small_doses(system, pair):
+    stage, doses = staged(system, pair, size=0.2)
+    generator = np.random.default_rng(2)
+    family = FAMILIES["steps"]
+    points = generator.random((1, family.dimension(stage.frame)))
+    tried = sequences(stage, family, points)
+    ratio, played = confirm(stage, tried[0], doses)
+    for a, dose in enumerate(doses):
+        first = judge(stage, tried, doses, [dose.on(stage.start.values)])[0].ratio[0]
+        assert ratio[a, 1 - a] == pytest.approx(first[a, 1 - a], rel=0.25, abs=0.1)
+    assert all(len(p.windows) >= 3 for p in played)
+
+
+def test_narrow_limits_of_speed_are_kept_or_refused():
+    stage, doses = staged("rod_pendulum", ["coulomb", "viscous"], omega=(-2.0, 2.0))
+    units = [d.on(stage.start.values) for d in doses]
+    scans = scan(stage, doses, units, np.random.default_rng(0), 6)
+    assert any(s.allowed.any() for s in scans)
+    with pytest.raises(DesignError, match="no sequence keeps the limits"):
+        design_experiment(
+            "rod_pendulum", ["coulomb", "viscous"], limits={"theta": (0.0, 0.1)}, **{**QUICK, "scanned": 5}
+        )
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["coulomb"], "two or more"),
+        (["coulomb", "magic"], 'no cause "magic"'),
+        (["coulomb", "jitter"], "scatter"),
+        (["coulomb", "event"], "nothing that commands bring out"),
+    ],
+)
+def test_senseless_questions_are_refused(names, message):
+    with pytest.raises(DesignError, match=message):
+        known_causes(make_system("rod_pendulum"), names)
+
+
+def test_signals_stay_in_their_range_for_every_family():
+    frame = Frame(500, 50.0, 2, 1.6)
+    for family in FAMILIES.values():
+        points = np.random.default_rng(0).random((9, family.dimension(frame)))
+        signals = family.signals(points, frame)
+        assert signals.shape == (9, 500, 2)
+        assert np.abs(signals).max() <= 1.0
+        assert np.ptp(signals, axis=1).min() > 0.0
+
+
+def test_chance_follows_the_scatter_of_the_ratio():
+    # N(24, (2 sqrt 24)^2) exceeds 6 with probability Phi(18 / 9.798) = 0.967.
+    assert chance_of(24.0) == pytest.approx(0.967, abs=1e-3)
+    assert smallest_pair(np.array([[0.0, 3.0], [2.0, 0.0]])) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--limits", "omega"], "NAME=LOW:HIGH"),
+        (["--limits", "torque=-9:9"], "exceed what the actuator takes"),
+        (["--limits", "speed=-1:1"], 'has no "speed"'),
+        (["--duration", "1"], "needs several"),
+    ],
+)
+def test_command_line_says_what_is_wrong(arguments, message, tmp_path, capsys):
+    base = ["design-experiment", "--system", "rod_pendulum", "--distinguish", "coulomb", "gain"]
+    assert main([*base, "--out", str(tmp_path / "out"), *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_yaml_is_json_too(design):
+    from deepkoco.diagnose.design.design_files import describe
+
+    assert json.loads(json.dumps(describe(design)))["family"] == design.family

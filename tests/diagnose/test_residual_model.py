@@ -1,0 +1,80 @@
+"""A learned load for effects outside of the catalogue."""
+
+import pytest
+import torch
+import yaml
+
+from deepkoco.diagnose import diagnose
+from deepkoco.systems import ExtendedSystem, load_model, make_system, rk4_step, save_model
+from deepkoco.systems.effects.learned import SCALES, terms_at
+from experiments.hidden.unit import hidden_log
+
+HIDDEN = {"position_friction": {"size": 0.1}}  # no cause of the catalogue
+FEW = ["gain", "lag"]
+
+
+@pytest.fixture(scope="module")
+def diagnosis():
+    return diagnose([hidden_log("rod_pendulum", HIDDEN, "steps", 5, 16.0)], "rod_pendulum", only=FEW)
+
+
+def test_unknown_effect_is_learned_and_cuts_the_held_out_error(diagnosis):
+    assert diagnosis.verdict == "unknown"
+    learned = diagnosis.unexplained["residual_model"]
+    assert learned["accepted"]
+    assert learned["low"] > 0.2
+    assert learned["chi2_per_sample_after"] < 0.3 * learned["chi2_per_sample_before"]
+    # The friction is -size (1 + cos q) v: its share with cos q is what the baseline has no word for.
+    first = learned["terms"][0]
+    scale = diagnosis.model.parameter("learned.speed_scale").value
+    assert first["name"] == "learned.v_cos"
+    assert first["weight"] / scale == pytest.approx(-0.1, rel=0.1)
+
+
+def test_model_file_is_marked_and_round_trips(diagnosis, tmp_path):
+    path = tmp_path / "model.yaml"
+    save_model(path, diagnosis.model)
+    assert yaml.safe_load(path.read_text())["learned"] == ["learned"]
+    back = load_model(path)
+    assert {p.name: p.value for p in back.parameters} == {p.name: p.value for p in diagnosis.model.parameters}
+    state, effort = torch.tensor([2.0, 3.0], dtype=torch.float64), torch.tensor(0.5, dtype=torch.float64)
+    stepped = [rk4_step(m, state, effort, 0.01, m.default_parameters()) for m in (back, diagnosis.model)]
+    assert torch.equal(*stepped)
+
+
+def test_diagnosing_again_from_it_finds_nothing_on_another_excitation(diagnosis):
+    log = hidden_log("rod_pendulum", HIDDEN, "chirp", 5, 12.0)
+    again = diagnose([log], diagnosis.model, only=FEW)
+    assert again.verdict == "nothing"
+
+
+def test_null_weights_recover_the_baseline():
+    for name in ("rod_pendulum", "two_link_arm", "quadrotor_height"):
+        base = make_system(name)
+        effects = ("learned",) if base.joints == 1 else ("learned(joint 1)", "learned(joint 2)")
+        extended = ExtendedSystem(base, effects)
+        generator = torch.Generator().manual_seed(0)
+        state = torch.randn(7, 2 * base.joints, generator=generator, dtype=torch.float64)
+        commands = torch.randn(7, len(base.commands), generator=generator, dtype=torch.float64)
+        effort = base.effort_of(commands)
+        plain = base.derivative(state, effort, base.default_parameters())
+        assert torch.equal(extended.derivative(state, effort, extended.default_parameters()), plain)
+
+
+def test_every_term_acts_where_it_is_declared():
+    base = make_system("rod_pendulum")
+    state, effort = torch.tensor([1.0, 0.7], dtype=torch.float64), torch.tensor(0.5, dtype=torch.float64)
+    plain = base.derivative(state, effort, base.default_parameters())
+    for term in terms_at(base, 0):
+        moved = ExtendedSystem(base, ("learned",), {f"learned.{term}": 0.3})
+        assert not torch.equal(moved.derivative(state, effort, moved.default_parameters()), plain)
+    assert not any(s in terms_at(base, 0) for s in SCALES)
+
+
+def test_load_without_a_law_is_rejected():
+    log = hidden_log("rod_pendulum", {"turbulence": {"size": 0.05}}, "steps", 6, 16.0)
+    result = diagnose([log], "rod_pendulum", only=["gain"])
+    assert result.verdict == "unknown"
+    learned = result.unexplained["residual_model"]
+    assert not learned["accepted"]
+    assert [e.name for e in result.model.effects] == []
