@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import ndtri
 from scipy.stats import rankdata, spearmanr
 
@@ -14,6 +15,7 @@ from deepkoco.graph.delay import (
     DelayError,
     Empirical,
     Lossy,
+    OrnsteinUhlenbeck,
     RankCorrelation,
     Stalls,
     make_correlation,
@@ -24,6 +26,7 @@ from deepkoco.graph.fitting.mixture_fit import fit_mixture
 from deepkoco.graph.fitting.stall_detection import FoundStall, find_stalls, fit_stalls
 
 _SURE = 4.0  # a correlation counts from this many standard errors on
+_IRREGULAR = 0.2  # spread of the times between samples, over their mean, from which they are irregular
 
 
 class FitError(ValueError):
@@ -68,6 +71,7 @@ def fit_delays(
     recording: Any,
     rates: Mapping[str, float] | None = None,
     *,
+    times: Mapping[str, np.ndarray] | None = None,
     publishers: Mapping[str, str] | None = None,
     family: str = "mixture",
     warm_up: float = 0.0,
@@ -77,7 +81,8 @@ def fit_delays(
 
     1. Stalls are found across channels, and the samples that they held up are set aside.
     2. Each channel gets a mixture (family and size by BIC) or its samples as an empirical law, with the
-       share of lost messages, and the correlation of the normal scores from one sample to the next.
+       share of lost messages, and the correlation of the normal scores from one sample to the next; where the
+       samples come at irregular times, the time constant with which the scores forget.
     3. Channels of one publisher get the rank correlation of samples with the same number.
 
     Args:
@@ -85,6 +90,7 @@ def fit_delays(
             or "sender->receiver" (communication), infinite where a message got lost.
         rates: for bare arrays, samples a second by channel; None: all channels span the same time, counted
             in samples of the longest.
+        times: of bare arrays, stamps (n,) [s] by channel in the place of a rate.
         publishers: node behind each channel whose name does not tell it.
         family: "mixture" or "empirical".
         warm_up: seconds at the begin that are left out.
@@ -95,7 +101,7 @@ def fit_delays(
     """
     if family not in ("mixture", "empirical"):
         raise FitError(f'family "{family}" is none of mixture, empirical')
-    delays, times = _samples(recording, rates)
+    delays, times = _samples(recording, rates, times or {})
     for key in delays:
         kept = times[key] >= warm_up
         delays[key], times[key] = delays[key][kept], times[key][kept]
@@ -117,15 +123,21 @@ def fit_delays(
         clean = delay[usual[key]]
         law = fit_mixture(clean) if family == "mixture" else Empirical(tuple(clean.tolist()))
         factor = _autocorrelation(delay, usual[key])
-        if not law.constant and abs(factor) > _SURE / np.sqrt(len(clean)):
+        seconds = None if law.constant else time_constant(delay, usual[key], times[key])
+        if seconds is not None:
+            law = OrnsteinUhlenbeck(law, seconds)
+        elif not law.constant and abs(factor) > _SURE / np.sqrt(len(clean)):
             law = Autoregressive(law, float(np.clip(factor, -0.99, 0.99)))
         lost = 1.0 - arrived[key].mean()
         laws[key] = Lossy(law, float(lost)) if lost > 0 else law
-    correlations = _correlations(delays, usual, laws, publishers or {})
+    periods = {key: float(np.median(np.diff(time))) for key, time in times.items()}
+    correlations = _correlations(delays, usual, laws, publishers or {}, periods)
     return DelayModel(laws, correlations, () if stalls is None else (stalls,), tuple(found))
 
 
-def _samples(recording: Any, rates: Mapping[str, float] | None) -> tuple[dict, dict]:
+def _samples(
+    recording: Any, rates: Mapping[str, float] | None, stamps: Mapping[str, np.ndarray]
+) -> tuple[dict, dict]:
     measured = getattr(recording, "measured", recording)
     if isinstance(measured, Mapping):
         delays = {key: np.array(delay, dtype=np.float64) for key, delay in measured.items()}
@@ -134,11 +146,21 @@ def _samples(recording: Any, rates: Mapping[str, float] | None) -> tuple[dict, d
         for key, delay in delays.items():
             if delay.ndim != 1:
                 raise FitError(f'"{key}": delays have shape {delay.shape}; expected one number a sample')
-            if rates is not None and not (key in rates and 0 < rates[key] < np.inf):
+            if key in stamps:
+                given = np.asarray(stamps[key], dtype=np.float64)
+                if given.shape != delay.shape or not (np.diff(given) > 0).all():
+                    raise FitError(
+                        f'"{key}": times must be {len(delay)} growing stamps [s], one for each delay'
+                    )
+            elif rates is not None and not (key in rates and 0 < rates[key] < np.inf):
                 raise FitError(f'"{key}": no rate, or one that is not positive; give samples a second')
         longest = max(len(delay) for delay in delays.values())
-        step = {k: longest / max(len(d), 1) if rates is None else 1 / rates[k] for k, d in delays.items()}
-        return delays, {key: step[key] * np.arange(len(delay)) for key, delay in delays.items()}
+        known = {} if rates is None else rates
+        step = {k: 1 / known[k] if k in known else longest / max(len(d), 1) for k, d in delays.items()}
+        regular = {key: step[key] * np.arange(len(delay)) for key, delay in delays.items()}
+        return delays, regular | {
+            key: np.asarray(t, dtype=np.float64) for key, t in stamps.items() if key in delays
+        }
     delays, times = {}, {}
     outputs = getattr(recording, "outputs", {})
     for name, end in measured.t_end.items():
@@ -177,11 +199,47 @@ def _autocorrelation(delay: np.ndarray, usual: np.ndarray) -> float:
     return float(np.corrcoef(before, after)[0, 1])
 
 
+def time_constant(delay: np.ndarray, usual: np.ndarray, time: np.ndarray) -> float | None:
+    """Time constant [s] with which the normal scores of delays forget, by maximum likelihood.
+
+    An Ornstein-Uhlenbeck process seen at any stamps: z_{k+1} given z_k is normal with mean a z_k and variance
+    1 - a^2, a = exp(-(t_{k+1} - t_k) / time_constant).
+
+    Args:
+        delay: (n,) [s].
+        usual: (n,) which samples count.
+        time: (n,) stamps [s].
+
+    Returns:
+        None where stamps are regular (one correlation says it all) or nothing is sure to be correlated.
+    """
+    pairs = usual[1:] & usual[:-1]
+    gap = np.diff(time[: len(delay)])[pairs]
+    if len(gap) < 10 or (gap <= 0).any() or np.std(gap) < _IRREGULAR * np.mean(gap):
+        return None
+    scores = np.zeros(len(delay))
+    scores[usual] = normal_scores(delay[usual])
+    before, after = scores[:-1][pairs], scores[1:][pairs]
+
+    def cost(log_seconds: float) -> float:
+        factor = np.exp(-gap / np.exp(log_seconds))
+        variance = -np.expm1(2.0 * np.log(np.maximum(factor, 1e-300)))
+        return float((np.log(variance) + (after - factor * before) ** 2 / variance - after**2).sum())
+
+    # From forgetting within the shortest of gaps to remembering through hundreds.
+    grid = np.log(np.median(gap)) + np.linspace(np.log(0.05), np.log(300.0), 60)
+    best = int(np.argmin([cost(x) for x in grid]))
+    ends = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    found = minimize_scalar(cost, bounds=ends, method="bounded")
+    return float(np.exp(found.x)) if found.fun < -(_SURE**2) else None
+
+
 def _correlations(
     delays: dict[str, np.ndarray],
     usual: dict[str, np.ndarray],
     laws: dict[str, Delay],
     publishers: Mapping[str, str],
+    periods: Mapping[str, float],
 ) -> tuple[RankCorrelation, ...]:
     groups: dict[str, list[str]] = {}
     for key in delays:
@@ -204,13 +262,15 @@ def _correlations(
         kept = np.flatnonzero(sure.any(axis=1))
         if len(kept):
             names = tuple(channels[i] for i in kept.tolist())
-            found.append(_joint(names, matrix[np.ix_(kept, kept)], laws))
+            found.append(_joint(names, matrix[np.ix_(kept, kept)], laws, periods))
     return tuple(found)
 
 
-def _joint(names: tuple[str, ...], matrix: np.ndarray, laws: dict[str, Delay]) -> RankCorrelation:
+def _joint(
+    names: tuple[str, ...], matrix: np.ndarray, laws: dict[str, Delay], periods: Mapping[str, float]
+) -> RankCorrelation:
     """Weaken correlations that were estimated pair by pair until there is a joint law with them."""
-    factors = np.array([_plain(laws[name]).autocorrelation(1.0) for name in names])
+    factors = np.array([_plain(laws[name]).autocorrelation(periods[name]) for name in names])
     for _ in range(200):
         try:
             correlation = RankCorrelation(names, tuple(map(tuple, matrix.tolist())))
