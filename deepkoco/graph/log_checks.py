@@ -90,7 +90,9 @@ def check_units(
         span = float(np.ptp(np.unwrap(series.value))) if series.unit == "rad" else 0.0
         if columns[name].checked or series.kind != "measurement":
             continue
-        if span > TURNS and np.ptp(series.value) > TURNS:
+        # Steps of a scale that is far off look like turns to unwrapping; a few wild samples are another matter.
+        bulk = float(np.ptp(np.quantile(series.value, [0.02, 0.98]))) if series.unit == "rad" else 0.0
+        if (span > TURNS and np.ptp(series.value) > TURNS) or bulk > TURNS:
             raise LogError(
                 f'{path}: channel "{name}" (column "{columns[name].value.name}") spans {np.ptp(series.value):.4g} rad, '
                 f"{np.ptp(series.value) / (2 * math.pi):.0f} turns; if it is in deg, say so in the sidecar; if it is "
