@@ -1,0 +1,33 @@
+"""Lines in the spectrum of a missing load."""
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose.residuals import MissingTorque
+from deepkoco.diagnose.spectrum import spectrum_of
+
+
+def missing(load) -> tuple[MissingTorque]:
+    windows, slots, slot = 10, 20, 0.08
+    time = (1.7 * np.arange(windows))[:, None] + slot * (np.arange(slots) + 0.5)
+    torque = load(time)
+    zero = np.zeros_like(time)
+    log = np.zeros(windows, dtype=int)
+    return (MissingTorque(0, "N m", time, log, torque, zero + 0.1, zero, zero, zero, zero),)
+
+
+def test_a_sine_is_found_at_its_frequency():
+    noise = np.random.default_rng(0).standard_normal((10, 20))
+    found = spectrum_of(missing(lambda t: np.sin(9.0 * t) + 0.3 * noise))
+    assert found["peak_rad_s"] == pytest.approx(9.0, abs=0.2)
+    # A sine of power 1/2 over noise of 0.09 takes 0.5 / 0.59 of the whole.
+    assert found["peak_share"] == pytest.approx(0.5 / 0.59, abs=0.05)
+
+
+def test_noise_stays_below_the_level_of_chance():
+    draws = np.random.default_rng(1).standard_normal((100, 10, 20))
+    above = [
+        found["peak_share"] > found["chance_share"]
+        for found in (spectrum_of(missing(lambda t, d=d: d)) for d in draws)
+    ]
+    assert sum(above) <= 6
