@@ -33,6 +33,7 @@ from deepkoco.diagnose.selection import (
     without_events_first,
 )
 from deepkoco.diagnose.shortage import missing_for_diagnosis
+from deepkoco.diagnose.spectrum import spectrum_of
 from deepkoco.diagnose.unknown import describe, explained_share
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
@@ -143,7 +144,8 @@ class _Study:
             learned = learn_residual(start, data.train, data.held, reference, missing, seed)
         kept = learned is not None and learned.accepted
         gain = learned.gain if learned is not None and kept else self._gain(reference, final, seed)
-        left = describe(missing if final is reference else missing_torque(problem, final), after)
+        remaining = missing if final is reference else missing_torque(problem, final)
+        left = describe(remaining, after)
         if verdict == "unknown":
             named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
         candidates = tuple(finding(problem, c, first) for c in first.candidates)
@@ -171,6 +173,7 @@ class _Study:
                 **left,
                 "not_identified": [vars(d) for d in loose],
                 "white": not structure,
+                "spectrum": spectrum_of(remaining),
                 **({} if learned is None else {"residual_model": learned.to_json()}),
             },
             detection=self.detection,
