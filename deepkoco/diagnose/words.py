@@ -73,6 +73,11 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
             f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} at the end (1 is sensor noise)"
         )
         table.add_row("error / noise variance", text)
+    learned = diagnosis.unexplained.get("residual_model")
+    if learned is not None:
+        names = ", ".join(t["name"].split(".")[-1] for t in learned["terms"]) or "none"
+        kept = "kept in model.yaml" if learned["accepted"] else "rejected"
+        table.add_row("learned term", f"{names}; {kept}: {learned['reason']}")
     for log in diagnosis.data["logs"]:
         for text in log["warnings"]:
             table.add_row("assumed", text)
