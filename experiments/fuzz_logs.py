@@ -357,7 +357,8 @@ def run_cases(asked: Sequence[FuzzCase], path: Path, verdicts: Path) -> list[dic
 
 def _as_row(row: dict) -> dict:
     """A row of the file with what JSON has no tuples for."""
-    return {**row, "case": {**row["case"], "faults": tuple(row["case"]["faults"])}}
+    case = {**row["case"], "faults": tuple(row["case"]["faults"])}
+    return {**row, "case": case, "names": tuple(row["names"])}
 
 
 def summarise(rows: Sequence[dict]) -> dict:
