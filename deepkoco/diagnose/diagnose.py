@@ -34,7 +34,7 @@ from deepkoco.diagnose.selection import (
 )
 from deepkoco.diagnose.shortage import missing_for_diagnosis
 from deepkoco.diagnose.spectrum import spectrum_of
-from deepkoco.diagnose.unknown import describe, explained_share
+from deepkoco.diagnose.unknown import carries_over, describe, explained_share
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.identifiability import unidentified
@@ -45,8 +45,10 @@ from deepkoco.systems import ExtendedSystem, System, any_system
 FEWEST_WINDOWS = 4
 HELD_OUT = 4  # without hold-out logs, one window in four is kept back
 MOST_CAUSES = 3
-# Share of the excess chi2 that a cause must explain to be named while structure remains.
+# While structure remains, causes are named if they explain this share of the excess chi2 and take this share off the
+# error on windows that no fit saw: what only imitates them does not get there, and real logs keep some model error.
 EXPLAINED = 0.6
+WORTH_NAMING = 0.5
 
 
 @dataclass(frozen=True)
@@ -131,19 +133,22 @@ class _Study:
         missing = missing_torque(problem, reference, after.deflation)
         limit = white_limit(data.train) * start.floor
         structure = chi2[1] > limit or after.lag_one > 5.0 / np.sqrt(data.train.samples)
-        verdict = self._verdict(reference, final, limit, structure)
-        named = self._named(missing) if verdict in ("cause", "ambiguous") else ()
+        gain = self._gain(reference, final, seed)
         white = after.lag_one <= 5.0 / np.sqrt(data.train.samples)
+        verdict = self._verdict(reference, final, limit, white, gain)
+        named = self._named(missing) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted)):
             # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
             verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
-        if not self.accepted or verdict not in ("cause", "ambiguous"):
-            final = reference
+        if (not self.accepted or verdict not in ("cause", "ambiguous")) and final is not reference:
+            final, gain = reference, None
         learned = None
         if verdict == "unknown":
             learned = learn_residual(start, data.train, data.held, reference, missing, seed)
         kept = learned is not None and learned.accepted
-        gain = learned.gain if learned is not None and kept else self._gain(reference, final, seed)
+        if learned is not None and kept:
+            gain = learned.gain
+        gain = self._gain(reference, final, seed) if gain is None else gain
         remaining = missing if final is reference else missing_torque(problem, final)
         left = describe(remaining, after)
         if verdict == "unknown":
@@ -232,13 +237,20 @@ class _Study:
         chi2 = fit.chi2 / self.data.train.samples
         return Hints(self.start.system, self.data.train, missing, chi2)
 
-    def _verdict(self, before: Fit, after: Fit, limit: float, structure: bool) -> Verdict:
+    def _verdict(self, before: Fit, after: Fit, limit: float, white: bool, gain: Gain | None) -> Verdict:
         train = self.data.train
         if not self.accepted:
             return "unknown" if before.chi2 / train.samples > limit else "nothing"
         share = explained_share(before, after, train, self.start.floor)
-        if structure and after.chi2 / train.samples > limit and share < EXPLAINED:
-            return "unknown"
+        if after.chi2 / train.samples > limit:
+            # Something is left; then what is named has to account for most of what was seen.
+            worth = 1.0 if gain is None else gain.reduction
+            if share < EXPLAINED or worth <= (0.0 if white else WORTH_NAMING):
+                return "unknown"
+            if gain is not None and not carries_over(
+                before, after, gain.fits["refit"], gain.fits["extended"]
+            ):
+                return "unknown"
         families = {CAUSES[kind_of(name)].family for name in self.steps[0][1]}
         return "ambiguous" if len(families) > 1 else "cause"
 

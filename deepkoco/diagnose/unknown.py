@@ -11,6 +11,7 @@ from deepkoco.diagnose.residuals import Dispersion, MissingTorque
 from deepkoco.identify.fit import Fit
 from deepkoco.identify.windows import Windows
 
+CARRIED = 0.25  # share of its fall of chi2 that a cause must keep on windows that no fit saw
 # Terms a missing torque is regressed on: name -> function of (theta, omega, load scale).
 TERMS = {
     "1": lambda theta, omega: np.ones_like(theta),
@@ -37,6 +38,31 @@ def explained_share(before: Fit, after: Fit, windows: Windows, floor: float) -> 
             left = [float((fit.residual[:, c] ** 2).sum()) / samples for fit in (before, after)]
             shares.append((left[0] - left[1]) / max(left[0] - floor, 1e-12) if left[0] > floor else 0.0)
     return max(shares, default=0.0)
+
+
+def carries_over(before: Fit, after: Fit, held_before: Fit, held_after: Fit) -> bool:
+    """Whether windows that no fit saw gain from the named causes as those that were fitted do.
+
+    What only imitates a cause bends to the windows that are fitted. The falls of chi2 by window are compared as two
+    samples: a cause that shows in few windows (a saturation) scatters widely and passes.
+
+    Args:
+        before: Refit on the fitted windows.
+        after: The same with the named causes.
+        held_before: The refit's parameters on windows kept back.
+        held_after: Those of the named causes there.
+    """
+    fitted, kept = _fall(before, after), _fall(held_before, held_after)
+    if len(fitted) < 2 or len(kept) == 0:
+        return True
+    spread = float(fitted.std(ddof=1)) * float(np.sqrt(1.0 / len(fitted) + 1.0 / len(kept)))
+    short = float(fitted.mean() - kept.mean())
+    return bool(kept.mean() >= CARRIED * fitted.mean() or short <= 3.0 * spread)
+
+
+def _fall(before: Fit, after: Fit) -> np.ndarray:
+    """(W,) fall of chi2 in each window."""
+    return ((before.residual**2).sum((1, 2)) - (after.residual**2).sum((1, 2))).numpy()
 
 
 def describe(missing: Sequence[MissingTorque], spread: Dispersion) -> dict[str, Any]:
