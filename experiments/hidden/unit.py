@@ -195,7 +195,7 @@ class _Run:
     def _advance(self, until: float) -> None:
         while True:
             due = self.pending[0][0] if self.pending else math.inf
-            edges = [e for e in self._edges() if self.t < e]
+            edges = [e for e in self._edges() if self.t + 1e-12 < e]
             pause = min([until, max(due, self.t), *edges])
             if pause > self.t + 1e-12:
                 steps = math.ceil((pause - self.t) / STEP - 1e-9)
