@@ -45,6 +45,7 @@ def test_examples_go_on_from_the_first_graph(
     [
         "analysis.md",
         "baselines.md",
+        "design.md",
         "distractors.md",
         "environments.md",
         "logs.md",
