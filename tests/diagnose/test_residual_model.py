@@ -23,7 +23,9 @@ def test_unknown_effect_is_learned_and_cuts_the_held_out_error(diagnosis):
     learned = diagnosis.unexplained["residual_model"]
     assert learned["accepted"]
     assert learned["low"] > 0.2
-    assert learned["chi2_per_sample_after"] < 0.3 * learned["chi2_per_sample_before"]
+    # Down to the noise of the sensors.
+    assert learned["chi2_per_sample_before"] > 2.0
+    assert learned["chi2_per_sample_after"] < 1.05
     # The friction is -size (1 + cos q) v: its share with cos q is what the baseline has no word for.
     first = learned["terms"][0]
     scale = diagnosis.model.parameter("learned.speed_scale").value
