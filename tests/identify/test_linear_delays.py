@@ -28,6 +28,9 @@ def test_of_delays_seen_without_noise_it_is_the_mixture_of_scikit_learn():
     true = delays()
     found = mixture_law(seen(true, 1e-5), true, 2, np.random.default_rng(2))
     theirs = GaussianMixture(2, random_state=0, tol=1e-8, reg_covar=1e-12).fit(1e3 * true[:, None])
+    assert theirs.means_ is not None
+    assert theirs.covariances_ is not None
+    assert theirs.weights_ is not None
     order = np.argsort(theirs.means_[:, 0])
     assert found.means == pytest.approx(1e-3 * theirs.means_[order, 0], abs=1e-4)
     assert found.spreads == pytest.approx(1e-3 * np.sqrt(theirs.covariances_[order, 0, 0]), rel=0.03)
