@@ -13,6 +13,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -96,7 +97,8 @@ def collected(runs: Path) -> pd.DataFrame:
             seed, clock = rest.split("_")
             tables.append(pd.read_csv(path).assign(case=case.name, arm=arm, seed=int(seed), clock=clock))
     columns = ["case", "arm", "seed", "clock", "episode", "cost", "upright", "overruns"]
-    return pd.concat(tables, ignore_index=True)[columns]
+    table: Any = pd.concat(tables, ignore_index=True)
+    return table[columns]
 
 
 def _claim(runs: Path, settings: dict[str, int]) -> None:

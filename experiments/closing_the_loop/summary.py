@@ -16,6 +16,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import FuncFormatter
 
 from experiments.ablation_differences import paired_interval
 from experiments.closing_the_loop.hidden import Case
@@ -49,7 +50,7 @@ LABELS = {
 }
 
 
-def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
+def summarise(episodes: Any) -> Any:
     """Mean costs with intervals, and what each arm saves against the simulator as given.
 
     Args:
@@ -90,7 +91,7 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*columns, "saved", "saved_low", "saved_high"])
 
 
-def _by_seed(table: pd.DataFrame) -> dict[int, np.ndarray]:
+def _by_seed(table: Any) -> dict[int, np.ndarray]:
     ordered = table.sort_values("episode")
     return {int(seed): own["cost"].to_numpy() for seed, own in ordered.groupby("seed")}
 
@@ -127,7 +128,7 @@ def _spoken(parameters: dict[str, Any]) -> str:
     )
 
 
-def as_table(summary: pd.DataFrame, found: pd.DataFrame) -> str:
+def as_table(summary: Any, found: Any) -> str:
     """The study as a table in Markdown."""
     named = found.set_index("case")
     lines = [
@@ -179,11 +180,11 @@ def _readme(out: Path, root: Path, table: str) -> str:
     return text + (f"\n{had[had.index(READING) :]}" if READING in had else "")
 
 
-def _figure(summary: pd.DataFrame, episodes: pd.DataFrame) -> bytes:
+def _figure(summary: Any, episodes: Any) -> bytes:
     names = list(dict.fromkeys(summary["case"]))
     arms = [arm for arm in ARMS if arm in set(summary["arm"])]
     figure, axis = plt.subplots(figsize=(8.0, 1.3 + 0.17 * len(arms) * len(names)), layout="constrained")
-    seeds = episodes[episodes["clock"] == "simulated"].groupby(["case", "arm", "seed"])["cost"].mean()
+    seeds: Any = episodes[episodes["clock"] == "simulated"].groupby(["case", "arm", "seed"])["cost"].mean()
     for place, arm in enumerate(arms):
         own = summary[summary["arm"] == arm]
         y = np.array([names.index(case) for case in own["case"]]) + 0.18 * (place - 0.5 * (len(arms) - 1))
@@ -198,9 +199,9 @@ def _figure(summary: pd.DataFrame, episodes: pd.DataFrame) -> bytes:
     axis.invert_yaxis()
     axis.set_xscale("log")
     axis.set_xlabel("cost of an episode on the unit: mean, 95 % interval, seeds (dots)")
-    axis.xaxis.set_major_formatter(plt.FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.xaxis.set_minor_formatter(
-        plt.FuncFormatter(lambda value, _: f"{value:g}" if value in (200, 500) else "")
+        FuncFormatter(lambda value, _: f"{value:g}" if value in (200, 500) else "")
     )
     axis.grid(axis="x", alpha=0.3, which="both")
     figure.legend(loc="outside upper center", ncols=len(arms), fontsize=8, title="trained")
