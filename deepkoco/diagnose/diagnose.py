@@ -15,6 +15,7 @@ from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
+from deepkoco.diagnose.elimination import eliminated
 from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
@@ -26,7 +27,6 @@ from deepkoco.diagnose.scattered import scatter_findings
 from deepkoco.diagnose.selection import (
     DETECTION,
     FURTHER,
-    Candidate,
     Ranking,
     rank,
     settled,
@@ -136,7 +136,7 @@ class _Study:
         gain = self._gain(reference, final, seed)
         white = after.lag_one <= 5.0 / np.sqrt(data.train.samples)
         verdict = self._verdict(reference, final, limit, white, gain)
-        named = self._named(missing) if verdict in ("cause", "ambiguous") else ()
+        named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted)):
             # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
             verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
@@ -231,6 +231,11 @@ class _Study:
                 break
             hints = self._hints(final, missing_torque(problem, final))
             ranking = rank(problem, start, final, self.accepted, hints, self.causes)
+        if len(self.accepted) > 1:
+            # What was worth its parameters when it was found need not be any more.
+            kept, final = eliminated(problem, start, self.accepted, final, FURTHER)
+            self.steps = [s for s, c in zip(self.steps, self.accepted, strict=True) if c in kept]
+            self.accepted = kept
         return first, final
 
     def _hints(self, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
@@ -254,11 +259,12 @@ class _Study:
         families = {CAUSES[kind_of(name)].family for name in self.steps[0][1]}
         return "ambiguous" if len(families) > 1 else "cause"
 
-    def _named(self, missing: Sequence[MissingTorque]) -> tuple[Finding, ...]:
+    def _named(self, missing: Sequence[MissingTorque], final: Fit) -> tuple[Finding, ...]:
         places = SLOTS * len(self.data.train)
         result = []
         for ranking, members in self.steps:
-            best: Candidate = ranking.best
+            # With the values that it has beside the causes found later.
+            best = replace(ranking.best, fit=final)
             own = missing[best.cause.joint or 0]
             motion = motion_of(self.data.train, own, self.system)
             evidence = evidence_for(best.cause, best, ranking, motion, own, places)
