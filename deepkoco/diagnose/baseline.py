@@ -11,6 +11,7 @@ from deepkoco.identify.sharpen import sharpen_noise
 from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
+from deepkoco.systems.effects.learned import is_weight
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,8 @@ def start_from(system: System, windows: Windows) -> Start:
     extended = catalogue_system(system)
     values = {p.name: p.value for p in extended.parameters}
     values |= {name: p.value for name, p in Push.declared(extended, windows).items()}
-    own = [p for p in extended.parameters if "." not in p.name]
+    # Learned weights stand for no mechanism whose change has a name: they give way as the system's own values do.
+    own = [p for p in extended.parameters if "." not in p.name or (is_weight(p.name) and p.value != 0.0)]
     return Start(extended, values, Prior.of(own))
 
 

