@@ -9,12 +9,17 @@ import os
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
-from experiments.fuzz_logs import FuzzCase, case_strategy, cases, main, read_case, run_case
+from experiments.fuzz_logs import FuzzCase, Verdicts, case_strategy, cases, main, read_case, run_case
 from experiments.log_faults import FAULTS
 
 pytest.importorskip("rosbags")
 DIAGNOSED = int(os.environ.get("DEEPKOCO_FUZZ_CASES", "0"))
 QUIET = list(HealthCheck)
+
+
+@pytest.fixture(scope="module")
+def verdicts():
+    return Verdicts()
 
 
 @settings(max_examples=100, deadline=None, database=None, derandomize=True, suppress_health_check=QUIET)
@@ -33,16 +38,16 @@ def test_every_fault_is_refused_or_read(fault, form):
 
 
 @pytest.mark.parametrize(("fault", "seed"), [("NaN burst, filled", 1), ("lost rows", 1)])
-def test_a_damaged_log_names_no_cause_that_the_clean_one_does_not_show(fault, seed):
-    result = run_case(FuzzCase(0, "csv", (fault,), seed))
+def test_a_damaged_log_names_no_cause_that_the_clean_one_does_not_show(fault, seed, verdicts):
+    result = run_case(FuzzCase(0, "csv", (fault,), seed), verdicts)
     assert result.wrong == "", result
 
 
 @pytest.mark.skipif(DIAGNOSED == 0, reason="DEEPKOCO_FUZZ_CASES is not set")
 @settings(max_examples=max(DIAGNOSED, 1), deadline=None, phases=[Phase.generate], suppress_health_check=QUIET)
 @given(case_strategy())
-def test_diagnoses_of_damaged_logs_are_honest(case):
-    result = run_case(case)
+def test_diagnoses_of_damaged_logs_are_honest(case, verdicts):
+    result = run_case(case, verdicts)
     assert result.wrong == "", result
 
 
