@@ -45,7 +45,7 @@ def test_a_damaged_log_names_no_cause_that_the_clean_one_does_not_show(fault, se
 
 @pytest.mark.skipif(DIAGNOSED == 0, reason="DEEPKOCO_FUZZ_CASES is not set")
 @settings(max_examples=max(DIAGNOSED, 1), deadline=None, phases=[Phase.generate], suppress_health_check=QUIET)
-@given(case_strategy())
+@given(case=case_strategy())
 def test_diagnoses_of_damaged_logs_are_honest(case, verdicts):
     result = run_case(case, verdicts)
     assert result.wrong == "", result
