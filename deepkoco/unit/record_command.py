@@ -68,7 +68,9 @@ def run(args: argparse.Namespace) -> int:
         if target.exists():
             raise InputError(f"{target}: exists; choose another name or move it away")
     if args.commands is not None and (args.excitation or args.policy or args.amplitude):
-        raise InputError("--commands: says what drives the unit; leave --excitation, --policy and --amplitude out")
+        raise InputError(
+            "--commands: says what drives the unit; leave --excitation, --policy and --amplitude out"
+        )
     if (args.policy is None) != (args.excitation != "policy"):
         raise InputError("--policy: goes with --excitation policy; give both, or neither")
     if args.policy is not None and args.amplitude is not None:
