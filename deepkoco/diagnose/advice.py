@@ -15,7 +15,7 @@ from deepkoco.diagnose.design.design import ALIKE, SETTLED, TRAINED, chance_of, 
 from deepkoco.diagnose.design.doses import Dose
 from deepkoco.diagnose.design.hand import LogAtHand
 from deepkoco.diagnose.design.search import Scan, scan
-from deepkoco.diagnose.design.stage import SHORTEST, Stage, make_stage
+from deepkoco.diagnose.design.stage import SHORTEST, Stage, feasible_seconds, make_stage
 from deepkoco.diagnose.selection import Ranking
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import ExtendedSystem, System
@@ -55,7 +55,9 @@ def class_advice(
 def level_advice(windows: Windows, system: System) -> tuple[str, ...]:
     """A warning for every command that takes a few values only."""
     advice = []
-    for k, channel in enumerate(system.commands):
+    for k, channel in enumerate(
+        system.commands[: len(system.command_joints)]
+    ):  # the others switch or set modes
         command = np.concatenate([c.column(k) for c in windows.commands]) if windows.commands else np.zeros(0)
         levels = np.unique(np.round(command / max(np.ptp(command), 1e-12), 2)) if len(command) else command
         if 0 < len(levels) <= FEW_LEVELS:
@@ -85,7 +87,9 @@ def _advise(
     if len(compared) < 2:
         return result
     listed = list(doses.values())
-    stage = make_stage(system, max(SECONDS, SHORTEST * windows.length), noise=windows.noise)
+    stage = make_stage(
+        system, feasible_seconds(system, max(SECONDS, SHORTEST * windows.length)), noise=windows.noise
+    )
     stage = replace(
         stage, start=replace(start, values={**reference.values, "event.torque": 0.0}), window=windows.length
     )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.causes import CAUSES, Cause, Motion, kind_of
+from deepkoco.diagnose.causes import Cause, Motion
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
 from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.diagnose.selection import DETECTION, Candidate, Ranking, declared, penalty
@@ -143,23 +143,3 @@ def _loud(missing: MissingTorque, several: bool) -> list[tuple[float, Localisati
             found.append((significance, place))
             k = end + 1
     return found
-
-
-def advice_for(findings: Sequence[Finding], windows: Windows, system: System) -> tuple[str, ...]:
-    """Experiments that would tell apart what these data do not."""
-    advice = []
-    for found in findings:
-        if len(found.members) > 1:
-            names = ", ".join(found.members)
-            kinds = [kind_of(n) for n in found.members]
-            hints = dict.fromkeys(CAUSES[n].advice for n in kinds if n in CAUSES)
-            advice.append(f"To tell apart {names}: " + " ".join(hints))
-    for k, channel in enumerate(system.commands[: len(system.command_joints)]):
-        command = np.concatenate([c.column(k) for c in windows.commands]) if windows.commands else np.zeros(0)
-        levels = np.unique(np.round(command / max(np.ptp(command), 1e-12), 2)) if len(command) else command
-        if 0 < len(levels) <= 3:
-            advice.append(
-                f"The commands of {channel.name} take only {len(levels)} levels ({channel.unit}): gain, payload, dead "
-                "zone and saturation look alike then. Record steps of many levels or a chirp."
-            )
-    return tuple(advice)

@@ -9,7 +9,7 @@ import numpy as np
 from deepkoco.diagnose.design.families import FAMILIES
 from deepkoco.diagnose.design.rehearsal import rehearse
 from deepkoco.diagnose.design.search import sequences
-from deepkoco.diagnose.design.stage import SHORTEST, make_stage
+from deepkoco.diagnose.design.stage import SHORTEST, feasible_seconds, make_stage
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.noise import Noise
 from deepkoco.identify.windows import STANDSTILL
@@ -50,7 +50,13 @@ def _short(recordings: Sequence[Recording], length: float, needed: int) -> list[
     total = sum(max(r.stop - r.start, 0.0) for r in recordings)
     if total >= (needed + 1) * length:
         return []
-    return [f"The logs are {total:.2g} s long together; {2 * needed * length:.0f} s are a good length."]
+    return [
+        f"The logs are {total:.2g} s long together; {_good_length(length, needed):.0f} s are a good length."
+    ]
+
+
+def _good_length(length: float, needed: int) -> float:
+    return max(2.0 * needed, SHORTEST) * length
 
 
 def _absent(recordings: Sequence[Recording], system: System) -> list[str]:
@@ -65,7 +71,7 @@ def _absent(recordings: Sequence[Recording], system: System) -> list[str]:
 
 def _unmoved(recordings: Sequence[Recording], system: System, noise: Sequence[Noise]) -> list[str]:
     texts = []
-    for command in system.commands:
+    for command in system.commands[: len(system.command_joints)]:  # the others switch or set modes
         values = [r.channels[command.name].value for r in recordings if command.name in r.channels]
         spans = [float(np.ptp(v)) for v in values if len(v)]
         if spans and max(spans) < STILL * (command.high - command.low):
@@ -86,7 +92,7 @@ def _unmoved(recordings: Sequence[Recording], system: System, noise: Sequence[No
 
 def _remedy(system: System, length: float, needed: int) -> str:
     """Steps that would move the unit well beyond its noise, by simulation of the nominal system."""
-    seconds = max(2.0 * needed, SHORTEST) * length
+    seconds = feasible_seconds(system, _good_length(length, needed))
     stage = make_stage(system, seconds)
     points = np.full((1, FAMILIES["steps"].dimension(stage.frame)), 0.0)
     points[:] = np.random.default_rng(0).random(points.shape)
@@ -96,10 +102,11 @@ def _remedy(system: System, length: float, needed: int) -> str:
     for share in SHARES:
         played = rehearse(stage, stage.rest + share * (full - stage.rest), [stage.start.values])
         if len(played.windows) >= needed + 2:
-            size = share * (channel.high - float(stage.rest[0]))
+            middle = round(float(stage.rest[0]), 6) + 0.0  # what is left of solving for it is no command
+            size = share * min(channel.high - middle, middle - channel.low)
             return (
                 f"Record {seconds:.0f} s of steps of several levels up to {size:.2g} {channel.unit} about "
-                f"{float(stage.rest[0]) + 0.0:.2g} {channel.unit}, such as: deepkoco record --excitation steps "
+                f"{middle:.2g} {channel.unit}, such as: deepkoco record --excitation steps "
                 f"--seconds {seconds:.0f} --amplitude {size:.2g}"
             )
     return f"Record at least {seconds:.0f} s of motion with steps, prbs or a chirp over the whole range of commands."

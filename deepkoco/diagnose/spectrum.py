@@ -10,7 +10,10 @@ from scipy.signal import lombscargle
 
 from deepkoco.diagnose.residuals import MissingTorque
 
-FREQUENCIES = 400
+FEWEST = 400  # frequencies
+OVERSAMPLING = (
+    4.0  # frequencies for each that is independent: a line between two of them loses a tenth at most
+)
 
 
 def spectrum_of(missing: Sequence[MissingTorque]) -> dict[str, float]:
@@ -34,10 +37,12 @@ def spectrum_of(missing: Sequence[MissingTorque]) -> dict[str, float]:
     length = float(np.ptp(time))
     if length <= 0.0 or not bool(np.ptp(load) > 0.0):
         return {"peak_rad_s": 0.0, "peak_share": 0.0, "chance_share": 1.0}
-    frequency = np.linspace(2.0 * math.pi / length, 0.5 * math.pi / loudest.slot, FREQUENCIES)
+    low, high = 2.0 * math.pi / length, 0.5 * math.pi / loudest.slot
+    apart = max((high - low) / low, 1.0)  # independent frequencies
+    frequency = np.linspace(low, high, max(FEWEST, math.ceil(OVERSAMPLING * apart)))
     share = lombscargle(time, load, frequency, normalize=True)
     best = int(np.argmax(share))
-    independent = min(FREQUENCIES, len(load) / 2)
+    independent = max(apart, len(load) / 2)
     chance = 1.0 - (1.0 - 0.99 ** (1.0 / independent)) ** (2.0 / max(len(load) - 3, 1))
     return {
         "peak_rad_s": float(frequency[best]),

@@ -172,7 +172,8 @@ def test_command_line_diagnoses(log, tmp_path, capsys):
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-def test_still_joint_is_insufficient(log, tmp_path, capsys):
+@pytest.mark.parametrize("window", [[], ["--window", "50"]])
+def test_still_joint_is_insufficient(log, tmp_path, capsys, window):
     rng = np.random.default_rng(0)
     t = log.channels["theta"].t
     still = {
@@ -180,7 +181,7 @@ def test_still_joint_is_insufficient(log, tmp_path, capsys):
         "omega": Series(t, 0.05 * rng.standard_normal(len(t)), "rad/s", "measurement"),
     }
     path = write_log(tmp_path / "still.csv", replace(log, channels={**log.channels, **still}))
-    assert main(["diagnose", str(path), "--out", str(tmp_path / "out")]) == 3
+    assert main(["diagnose", str(path), "--out", str(tmp_path / "out"), *window]) == 3
     assert "moves" in capsys.readouterr().out
     assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == "insufficient"
     assert not (tmp_path / "out" / "model.yaml").exists()

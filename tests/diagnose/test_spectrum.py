@@ -24,6 +24,20 @@ def test_a_sine_is_found_at_its_frequency():
     assert found["peak_share"] == pytest.approx(0.5 / 0.59, abs=0.05)
 
 
+@pytest.mark.parametrize("windows", [20, 200])
+def test_a_line_is_found_in_logs_of_any_length(windows):
+    slot, slots = 0.1, 15
+    time = (slots * slot * np.arange(windows))[:, None] + slot * (np.arange(slots) + 0.5)
+    noise = 0.5 * np.random.default_rng(2).standard_normal(time.shape)
+    zero, log = np.zeros_like(time), np.zeros(windows, dtype=int)
+    for frequency in (2.3, 5.01, 11.7):
+        load = np.sin(frequency * time) + noise
+        found = spectrum_of([MissingTorque(0, "N m", time, log, load, zero + 0.5, zero, zero, zero, zero)])
+        assert found["peak_rad_s"] == pytest.approx(frequency, abs=2.0 / np.ptp(time))
+        # 0.5 of 0.75 is the sine's; an eighth of an independent frequency away a tenth of it is lost at most.
+        assert found["peak_share"] > 0.55
+
+
 def test_noise_stays_below_the_level_of_chance():
     draws = np.random.default_rng(1).standard_normal((100, 10, 20))
     above = [

@@ -18,6 +18,7 @@ from deepkoco.systems import JOINT_SYSTEMS, ExtendedSystem, JointSystem, Motion,
 
 COMMAND_RATE, SENSOR_RATE = 50.0, 100.0  # [Hz]
 SHORTEST = 4.0  # windows of a sequence, at least
+LONGEST = 300.0  # [s]
 
 
 class DesignError(ValueError):
@@ -116,6 +117,11 @@ class Stage:
         return values
 
 
+def feasible_seconds(system: System, seconds: float) -> float:
+    """The length [s] nearest to the one asked for that a stage of the system takes."""
+    return min(max(seconds, SHORTEST * window_length(system)), LONGEST)
+
+
 def make_stage(
     system: System,
     seconds: float,
@@ -140,10 +146,10 @@ def make_stage(
         DesignError: The length or a limit makes no sense.
     """
     window = window_length(system)
-    if not SHORTEST * window <= seconds <= 300.0:
+    if not SHORTEST * window <= seconds <= LONGEST:
         raise DesignError(
-            f"an experiment of {seconds:g} s: give between {SHORTEST * window:.3g} and 300 s; a diagnosis looks at "
-            f"windows of {window:.3g} s and needs several"
+            f"an experiment of {seconds:g} s: give between {SHORTEST * window:.3g} and {LONGEST:g} s; a diagnosis "
+            f"looks at windows of {window:.3g} s and needs several"
         )
     if not 1.0 < command_rate <= sensor_rate <= 1e4:
         raise DesignError(
