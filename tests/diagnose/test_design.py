@@ -9,11 +9,15 @@ import yaml
 from deepkoco.cli import main
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.design import DesignError, InseparableError, design_experiment, write_design
+from deepkoco.diagnose.design import choose as choosing
+from deepkoco.diagnose.design.choose import choose
 from deepkoco.diagnose.design.confirm import confirm
-from deepkoco.diagnose.design.design import chance_of, check_separable, known_causes, smallest_pair
+from deepkoco.diagnose.design.design import chance_of, check_separable, known_causes
 from deepkoco.diagnose.design.doses import unit_dose
 from deepkoco.diagnose.design.families import FAMILIES, Frame
+from deepkoco.diagnose.design.rehearsal import rehearse
 from deepkoco.diagnose.design.search import judge, scan, sequences
+from deepkoco.diagnose.design.separation import smallest_pair
 from deepkoco.diagnose.design.stage import make_stage
 from deepkoco.systems import make_system
 
@@ -121,6 +125,49 @@ def test_narrow_limits_of_speed_are_kept_or_refused():
         design_experiment(
             "rod_pendulum", ["coulomb", "viscous"], limits={"theta": (0.0, 0.1)}, **{**QUICK, "scanned": 5}
         )
+
+
+@pytest.fixture
+def refits_by_size(monkeypatch):
+    """Refits whose ratio grows with the sequence, as temptation would have it; the rehearsals are real."""
+
+    known = {}
+
+    def confirmed(stage, feedforward, doses):
+        key = feedforward.tobytes()
+        if key not in known:
+            known[key] = [rehearse(stage, feedforward[None], [d.on(stage.start.values)]) for d in doses]
+        return np.full((len(doses),) * 2, 100.0 * np.abs(feedforward).max()), known[key]
+
+    monkeypatch.setattr(choosing, "confirm", confirmed)
+
+
+def pushes(stage, *sizes):
+    """Constant commands (K, n, 1), which end at rest."""
+    tried = np.repeat(np.array(sizes)[:, None, None], stage.frame.ticks, axis=1)
+    tried[:, -1] = 0.0
+    return tried
+
+
+def test_a_sequence_that_breaks_a_limit_is_never_chosen(refits_by_size):
+    stage, doses = staged("rod_pendulum", ["coulomb", "gain"], omega=(-1.0, 1.0))
+    tried = pushes(stage, 2.0, 0.2, 0.05)
+    broken = [choosing.Choice(k, *choosing.confirm(stage, tried[k], doses)).excess > 0.0 for k in range(3)]
+    assert broken == [True, False, False]
+    for order in [(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 1, 0)]:
+        assert choose(stage, tried, order, doses, 3).index == 1
+        # Where too few of those that are asked for keep the limits, further ones are refitted.
+        assert choose(stage, tried, order, doses, 1).index == next(k for k in order if k)
+
+
+def test_when_all_break_a_limit_it_is_said_which_and_by_how_much(refits_by_size):
+    stage, doses = staged("rod_pendulum", ["coulomb", "gain"], omega=(-1.0, 1.0))
+    with pytest.raises(
+        DesignError, match=r"brings omega to .* where 1 is allowed, .* % too far; widen .* omega"
+    ) as error:
+        choose(stage, pushes(stage, 2.0, 1.9), (0, 1), doses, 2)
+    played = choosing.confirm(stage, pushes(stage, 1.9)[0], doses)[1]
+    assert f"{max(np.abs(p.path[..., 1]).max() for p in played):.4g}" in str(error.value)
 
 
 @pytest.mark.parametrize(

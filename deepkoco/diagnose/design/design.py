@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue
 from deepkoco.diagnose.classes import APART
-from deepkoco.diagnose.design.confirm import confirm
+from deepkoco.diagnose.design.choose import choose
 from deepkoco.diagnose.design.doses import Dose, unit_dose
 from deepkoco.diagnose.design.families import FAMILIES
 from deepkoco.diagnose.design.hand import LogAtHand, fit_log
@@ -28,6 +28,7 @@ from deepkoco.diagnose.design.search import (
     scan,
     sequences,
 )
+from deepkoco.diagnose.design.separation import smallest_pair
 from deepkoco.diagnose.design.stage import COMMAND_RATE, SENSOR_RATE, DesignError, Stage, make_stage
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.threads import one_thread
@@ -37,7 +38,7 @@ STRENGTH = 0.5  # ES of each cause in a usual log
 TRAINED = 0.75  # share of the windows that a diagnosis fits; the others it keeps back
 SETTLED = 24.0  # likelihood ratio from which two causes are told apart nineteen times in twenty
 ALIKE = 1e-5  # share of what a cause shows, below which no rival differs from it
-CONFIRMED = 2  # of the last candidates that are judged by refits
+CONFIRMED = 2  # of the last candidates that are judged by refits; more where these break a limit
 DRAWS = 4  # units on which the last candidates are compared
 TRIED = 4  # of them
 
@@ -115,11 +116,6 @@ class Design:
     def seconds_needed(self) -> float:
         """Length [s] from which the same experiment, repeated, would settle it."""
         return self.stage.frame.seconds * max(1.0, SETTLED / max(self.smallest, 1e-12))
-
-
-def smallest_pair(ratio: np.ndarray) -> float:
-    """Smallest entry off the diagonal of (C, C)."""
-    return float(ratio[~np.eye(len(ratio), dtype=bool)].min())
 
 
 def chance_of(ratio: float) -> float:
@@ -285,13 +281,9 @@ def _decide(
     tried = np.concatenate([sequences(stage, family, point[None]) for family, point in candidates])
     units = [draw_unit(stage, doses[k % len(doses)], generator) for k in range(DRAWS)]
     found, excess = judge(stage, tried, doses, units)
-    best, ratio, rehearsals = -1, np.zeros((len(doses),) * 2), []
-    for k in np.argsort(costs(found.smallest, excess))[:CONFIRMED]:
-        again, played = confirm(stage, tried[k], doses)
-        # A safety limit holds for the unit with the cause in it, too.
-        kept = all(bool((p.excess <= 0.0).all()) for p in played)
-        if best < 0 or (kept and smallest_pair(again) > smallest_pair(ratio)):
-            best, ratio, rehearsals = int(k), again, played
+    order = np.argsort(costs(found.smallest, excess), kind="stable")
+    choice = choose(stage, tried, order.tolist(), doses, CONFIRMED)
+    best = choice.index
     family, point = candidates[best]
     nominal = judge(stage, tried[best : best + 1], doses, [stage.start.values])[0]
     at_hand = None
@@ -306,12 +298,12 @@ def _decide(
         point,
         tried[best],
         TRAINED * nominal.ratio[0],
-        TRAINED * ratio,
+        TRAINED * choice.ratio,
         nominal.strength[0],
         TRAINED * float(found.smallest[best]),
         {s.family.name: TRAINED * s.typical for s in scans},
         at_hand,
-        rehearsals,
+        choice.rehearsals,
         sum(len(s.points) for s in scans),
         seed,
     )

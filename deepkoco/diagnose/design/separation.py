@@ -193,3 +193,8 @@ def _without(gram: np.ndarray, index: np.ndarray) -> np.ndarray:
     inverse = np.linalg.pinv(scaled, hermitian=True) / (size[:, :, None] * size[:, None, :])
     through = gram[:, :, index]
     return gram - through @ inverse @ through.transpose(0, 2, 1)
+
+
+def smallest_pair(ratio: np.ndarray) -> float:
+    """Smallest entry off the diagonal of (C, C)."""
+    return float(ratio[~np.eye(len(ratio), dtype=bool)].min())
