@@ -206,6 +206,10 @@ def test_chance_follows_the_scatter_of_the_ratio():
         (["--limits", "omega"], "NAME=LOW:HIGH"),
         (["--limits", "torque=-9:9"], "exceed what the actuator takes"),
         (["--limits", "speed=-1:1"], 'has no "speed"'),
+        (["--limits", "omega=1:6"], "such as omega=-6:6"),
+        (["--limits", "omega=0:6"], "such as omega=-6:6"),
+        (["--limits", "omega=-6:-1"], "such as omega=-6:6"),
+        (["--limits", "omega=nan:6"], "limits of omega"),
         (["--duration", "1"], "needs several"),
     ],
 )
