@@ -128,26 +128,28 @@ class _Study:
         missing = missing_torque(problem, reference)
         first, final = self._select(reference, missing)
         scattered = scatter_findings(self.start.system, data.train, final, self.detection)
-        chi2 = [fit.chi2 / data.train.samples for fit in (reference, final)]
         after = dispersion(final, data.train)
         missing = missing_torque(problem, reference, after.deflation)
         limit = white_limit(data.train) * start.floor
-        structure = chi2[1] > limit or after.lag_one > 5.0 / np.sqrt(data.train.samples)
         gain = self._gain(reference, final, seed)
-        white = after.lag_one <= 5.0 / np.sqrt(data.train.samples)
+        alike = 5.0 / np.sqrt(data.train.samples)
+        white = after.lag_one <= alike
         verdict = self._verdict(reference, final, limit, white, gain)
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted)):
             # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
             verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
         if (not self.accepted or verdict not in ("cause", "ambiguous")) and final is not reference:
-            final, gain = reference, None
+            # What is dropped must not colour what is said of the rest.
+            final, gain, after = reference, None, dispersion(reference, data.train)
+            missing = missing_torque(problem, reference, after.deflation)
         learned = None
         if verdict == "unknown":
             learned = learn_residual(start, data.train, data.held, reference, missing, seed)
-        kept = learned is not None and learned.accepted
-        if learned is not None and kept:
-            gain = learned.gain
+        kept = learned if learned is not None and learned.accepted else None
+        at_end = final if kept is None else kept.fit
+        if kept is not None:
+            gain = kept.gain
         gain = self._gain(reference, final, seed) if gain is None else gain
         remaining = missing if final is reference else missing_torque(problem, final)
         left = describe(remaining, after)
@@ -161,23 +163,23 @@ class _Study:
             causes=named,
             candidates=candidates,
             gain=gain,
-            chi2_before=chi2[0],
-            chi2_after=chi2[1] if final is not reference else chi2[0],
-            strength=float(np.sqrt(max(reference.chi2 - final.chi2, 0.0) / data.train.samples)),
+            chi2_before=reference.chi2 / data.train.samples,
+            chi2_after=at_end.chi2 / data.train.samples,
+            strength=float(np.sqrt(max(reference.chi2 - at_end.chi2, 0.0) / data.train.samples)),
             windows=len(data.train),
             window_s=length,
             localisation=localise(missing),
             advice=self._advice(named, recordings, seed),
             data=describe_data(recordings, data),
             refit=estimates(problem, reference, reference.free, first.deflation),
-            model=self._model(final, learned if kept else None),
+            model=self._model(final, kept),
             seed=seed,
             versions=versions(),
             seconds=time.perf_counter() - began,
             unexplained={
                 **left,
                 "not_identified": [vars(d) for d in loose],
-                "white": not structure,
+                "white": final.chi2 / data.train.samples <= limit and after.lag_one <= alike,
                 "spectrum": spectrum_of(remaining),
                 **({} if learned is None else {"residual_model": learned.to_json()}),
             },
@@ -284,7 +286,8 @@ class _Study:
 
     def _model(self, final: Fit, learned: ResidualModel | None) -> ExtendedSystem:
         had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()
-        found = tuple(c.effect for c in self.accepted if c.effect != "event")
+        named = () if final is self.reference else self.accepted
+        found = tuple(c.effect for c in named if c.effect != "event")
         if learned is not None:
             final, found = learned.fit, (*found, *learned.effects)
         effects = tuple(dict.fromkeys((*had, *self.start.effects, *found)))

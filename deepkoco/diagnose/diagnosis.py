@@ -114,8 +114,8 @@ class Diagnosis:
         candidates: Every candidate that was tried, ranked.
         gain: Held-out errors; None without held-out windows.
         chi2_before: chi2 per sample of the refitted baseline on the training windows.
-        chi2_after: The same with the causes.
-        strength: Root mean square of what the causes explain, in noise standard deviations.
+        chi2_after: The same with the causes, or with the learned load that stands in their place.
+        strength: Root mean square of what these explain, in noise standard deviations.
         windows: Number of training windows.
         window_s: Their length [s].
         localisation: Where in time torque is missing.

@@ -45,6 +45,9 @@ def test_what_imitates_a_cause_is_unknown(hidden, imitators, seed):
     assert result.chi2_before > 1.2
     assert result.candidates[0].delta_bic > 100.0
     assert result.verdict == "unknown"
+    # What was rejected is neither in the model nor in what is said of the rest.
+    assert not {e.name for e in result.model.effects} & set(imitators)
+    assert result.unexplained["chi2_per_sample"] == pytest.approx(result.chi2_before)
 
 
 @pytest.mark.parametrize("start", [6.1, 7.4, 8.7])
