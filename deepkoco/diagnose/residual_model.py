@@ -28,7 +28,6 @@ from deepkoco.diagnose.selection import WORTH, prior_with
 from deepkoco.identify.dispersion import dispersion
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.windows import Windows
-from deepkoco.systems import System
 from deepkoco.systems.effects import EFFECTS, place
 from deepkoco.systems.effects.learned import SCALES
 
@@ -127,7 +126,7 @@ def learn_residual(
     if len(train) < FEWEST_WINDOWS:
         return None
     system = start.system
-    scaled = {**reference.values, **_scales(system, train, missing)}
+    scaled = {**reference.values, **_scales(start, train, missing)}
     choose = np.arange(len(train)) % VALIDATED == VALIDATED - 2
     names, validation = _choose(start, train, choose, reference, scaled)
     problem = FitProblem(system, train)
@@ -157,10 +156,13 @@ def learn_residual(
     return ResidualModel(accepted, text, terms, fit, gain, validation, before, after)
 
 
-def _scales(system: System, train: Windows, missing: Sequence[MissingTorque]) -> dict[str, float]:
-    values: dict[str, float] = {}
+def _scales(start: Start, train: Windows, missing: Sequence[MissingTorque]) -> dict[str, float]:
+    system, values = start.system, {}
     for placed in place(EFFECTS["learned"], system):
         j = placed.index
+        weights = [p.name for p in placed.parameters(system.base) if p.name not in SCALES]
+        if any(start.values[f"{placed.name}.{name}"] != 0.0 for name in weights):
+            continue  # weights that a model file brought along mean something in their own scales only
         speed = float(np.abs(missing[j].omega).max())
         values[f"{placed.name}.speed_scale"] = max(speed, 1e-6)
         if j in system.command_joints:
@@ -170,13 +172,13 @@ def _scales(system: System, train: Windows, missing: Sequence[MissingTorque]) ->
     return values
 
 
-def _candidates(system: System) -> list[Cause]:
-    """Every term at every joint, in the shape that the score test takes."""
-    found = []
+def _candidates(start: Start) -> list[Cause]:
+    """Every term at every joint that the baseline does not free already, in the shape that the score test takes."""
+    found, system = [], start.system.base
     for placed in place(EFFECTS["learned"], system):
         for p in placed.parameters(system):
-            if p.name not in SCALES:
-                name = f"{placed.name}.{p.name}"
+            name = f"{placed.name}.{p.name}"
+            if p.name not in SCALES and name not in start.prior.names:
                 found.append(
                     Cause(
                         name,
@@ -205,7 +207,7 @@ def _choose(
     chosen: list[str] = []
     kept, failed = 0, 0
     while len(chosen) < MOST_TERMS and failed < PATIENCE:
-        left = [c for c in _candidates(system.base) if c.name not in chosen]
+        left = [c for c in _candidates(start) if c.name not in chosen]
         prior = _prior(inner, start, scaled, chosen)
         best = max(screen(inner, fit, prior, [(c, {}) for c in left]), key=lambda p: p.promise)
         if best.promise < WORTH:
@@ -219,7 +221,7 @@ def _choose(
 
 
 def _prior(problem: FitProblem, start: Start, values: Mapping[str, float], names: Sequence[str]):
-    found = [c for c in _candidates(start.system.base) if c.name in names]
+    found = [c for c in _candidates(start) if c.name in names]
     return prior_with(problem, start, found, values)
 
 

@@ -4,7 +4,11 @@ import pytest
 import torch
 import yaml
 
-from deepkoco.diagnose import diagnose
+from deepkoco.diagnose import diagnose, residual_model
+from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.diagnose.residuals import missing_torque
+from deepkoco.identify.fit import FitProblem
+from deepkoco.identify.windows import cut_windows, estimate_channels, window_length
 from deepkoco.systems import ExtendedSystem, load_model, make_system, rk4_step, save_model
 from deepkoco.systems.effects.learned import SCALES, terms_at
 from experiments.hidden.unit import hidden_log
@@ -26,6 +30,8 @@ def test_unknown_effect_is_learned_and_cuts_the_held_out_error(diagnosis):
     # Down to the noise of the sensors.
     assert learned["chi2_per_sample_before"] > 2.0
     assert learned["chi2_per_sample_after"] < 1.05
+    assert diagnosis.chi2_after == pytest.approx(learned["chi2_per_sample_after"])
+    assert diagnosis.strength == pytest.approx((diagnosis.chi2_before - diagnosis.chi2_after) ** 0.5)
     # The friction is -size (1 + cos q) v: its share with cos q is what the baseline has no word for.
     weights = {term["name"]: term["weight"] for term in learned["terms"]}
     scale = diagnosis.model.parameter("learned.speed_scale").value
@@ -48,6 +54,26 @@ def test_diagnosing_again_from_it_finds_nothing_on_another_excitation(diagnosis)
     log = hidden_log("rod_pendulum", HIDDEN, "chirp", 5, 12.0)
     again = diagnose([log], diagnosis.model, only=FEW)
     assert again.verdict == "nothing"
+
+
+def test_weights_of_a_model_file_keep_their_scales_and_their_prior(monkeypatch):
+    monkeypatch.setattr(residual_model, "MOST_TERMS", 2)
+    had = {"learned.v_cubed": 0.4, "learned.speed_scale": 5.0, "learned.effort_scale": 3.0}
+    system = ExtendedSystem(make_system("rod_pendulum"), ("learned",), had)
+    log = hidden_log("rod_pendulum", HIDDEN, "steps", 5, 10.0)
+    windows = cut_windows([log], system, window_length(system), estimate_channels([log], system))
+    start = start_from(system, windows)
+    reference = refit(start, windows)
+    missing = missing_torque(FitProblem(start.system, windows), reference)
+    learned = residual_model.learn_residual(start, windows, None, reference, missing, 0)
+    assert learned is not None
+    assert learned.terms
+    # It was free already: a second time would give its prior twice the variance.
+    assert "learned.v_cubed" not in [term.name for term in learned.terms]
+    assert "learned.v_cubed" in learned.fit.free
+    assert {name: learned.fit.values[name] for name in had if name.endswith("scale")} == {
+        name: value for name, value in had.items() if name.endswith("scale")
+    }
 
 
 def test_null_weights_recover_the_baseline():
