@@ -37,6 +37,22 @@ class PlayedCommands:
         """Commands per second [Hz]."""
         return (len(self.t) - 1) / float(self.t[-1] - self.t[0])
 
+    def rate_on(self, sensor_rate: float) -> float:
+        """Commands per second at which a unit plays the sequence as it is [Hz].
+
+        Args:
+            sensor_rate: Of the unit, which takes at most one command for each sample [Hz].
+
+        Raises:
+            CommandFileError: The sequence is faster, so that commands would be left out.
+        """
+        if self.rate > sensor_rate * (1.0 + 1e-6):
+            raise CommandFileError(
+                f"{self.rate:.4g} commands per second, but the unit's sensor gives {sensor_rate:.4g} samples: give "
+                f"at most as many commands, or --rate {sensor_rate:.4g} to leave some out"
+            )
+        return min(self.rate, sensor_rate)
+
     @property
     def seconds(self) -> float:
         """Time from the first command until the last one has been held as long as the others [s]."""

@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         if args.commands is not None:
             played = load_commands(args.commands, one_joint(spec.system))
             excitation, named = played.excitation(), args.commands.name
-            rate = min(played.rate, spec.sensor.rate_hz) if rate is None else rate
+            rate = played.rate_on(spec.sensor.rate_hz) if rate is None else rate
             seconds = played.seconds if args.seconds is None else args.seconds
         elif args.policy is not None:
             excitation, trained_rate = load_policy_excitation(args.policy, spec.system)
