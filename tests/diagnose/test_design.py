@@ -1,6 +1,7 @@
 """Experiments that are designed to tell causes apart."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from deepkoco.diagnose.design import choose as choosing
 from deepkoco.diagnose.design.choose import choose
 from deepkoco.diagnose.design.confirm import confirm
 from deepkoco.diagnose.design.design import chance_of, check_separable, known_causes
+from deepkoco.diagnose.design.design_files import describe
 from deepkoco.diagnose.design.doses import unit_dose
 from deepkoco.diagnose.design.families import FAMILIES, Frame
 from deepkoco.diagnose.design.rehearsal import rehearse
@@ -221,6 +223,13 @@ def test_command_line_says_what_is_wrong(arguments, message, tmp_path, capsys):
 
 
 def test_yaml_is_json_too(design):
-    from deepkoco.diagnose.design.design_files import describe
+    assert json.loads(json.dumps(describe(design), allow_nan=False))["family"] == design.family
 
-    assert json.loads(json.dumps(describe(design)))["family"] == design.family
+
+def test_a_family_without_allowed_sequences_and_an_open_limit_are_null(design):
+    limits = replace(design.stage.limits, position=np.array([[-np.inf, 3.0]]))
+    stage = replace(design.stage, limits=limits)
+    said = describe(replace(design, stage=stage, typical={**design.typical, "chirp": float("nan")}))
+    said = json.loads(json.dumps(said, allow_nan=False))
+    assert said["to_first_order"]["usual_sequences"]["chirp"] is None
+    assert said["limits"]["theta"] == [None, 3.0]

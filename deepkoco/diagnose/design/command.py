@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -120,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
     if args.json:
-        sys.stdout.write(json.dumps(describe(found), indent=2) + "\n")
+        sys.stdout.write(json.dumps(describe(found), indent=2, allow_nan=False) + "\n")
     else:
         _print(found, commands)
     return 0
@@ -157,7 +158,10 @@ def _print(design: Design, commands: Path) -> None:
                 table.add_row(
                     f"{first} against {second}", f"expected likelihood ratio {design.ratio[a, b]:.3g}"
                 )
-    usual = ", ".join(f"{family} {value:.3g}" for family, value in design.typical.items())
+    usual = ", ".join(
+        f"{family}: none keeps the limits" if math.isnan(value) else f"{family} {value:.3g}"
+        for family, value in design.typical.items()
+    )
     table.add_row("usual sequences", f"{usual} (to first order)")
     if design.at_hand is not None:
         table.add_row("log at hand", f"{design.at_hand:.3g}, scaled to the same length (to first order)")

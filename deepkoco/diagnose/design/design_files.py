@@ -129,8 +129,9 @@ def _pairs(design: Design) -> list[tuple[int, int]]:
     return list(permutations(range(len(design.causes)), 2))
 
 
-def _short(value: float) -> float:
-    return float(f"{float(value):.6g}")
+def _short(value: float) -> float | None:
+    """Six digits; None for what is not finite, which JSON has no word for: no such sequence, no limit."""
+    return float(f"{float(value):.6g}") if np.isfinite(value) else None
 
 
 def _sequence(design: Design) -> Picture:
