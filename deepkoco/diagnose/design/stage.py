@@ -44,7 +44,7 @@ class Limits:
         """Limits of a system, narrowed by those given by the name of a command, coordinate or speed.
 
         Raises:
-            DesignError: A name is unknown, or a range is empty, outside the actuator's or, of a speed, without 0 inside.
+            DesignError: A name is unknown, or a range is empty, outside the actuator's, or one of speed without 0.
         """
         command = np.array([[c.low, c.high] for c in system.commands])
         joints = system.joints
@@ -69,8 +69,8 @@ class Limits:
             elif name in system.state_names:
                 if not low < 0.0 < high:
                     raise DesignError(
-                        f"limits of {name}: {low:g} to {high:g} leaves no standstill, where every experiment begins and "
-                        f"ends; give a range with 0 inside, such as {name}={-max(abs(low), abs(high)):g}:"
+                        f"limits of {name}: {low:g} to {high:g} leaves no standstill, where every experiment begins "
+                        f"and ends; give a range with 0 inside, such as {name}={-max(abs(low), abs(high)):g}:"
                         f"{max(abs(low), abs(high)):g}"
                     )
                 speed[system.state_names.index(name) - joints] = min(-low, high)
