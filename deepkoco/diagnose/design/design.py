@@ -77,7 +77,6 @@ class Design:
         typical: Family -> smallest ratio of a usual sequence of that family, to first order.
         at_hand: Smallest ratio in the log at hand, scaled to the length of this experiment; None without a log.
         rehearsals: What each cause makes of the sequence.
-        evaluations: Sequences that were tried.
         seed: Seed of the search.
     """
 
@@ -94,7 +93,6 @@ class Design:
     typical: Mapping[str, float]
     at_hand: float | None
     rehearsals: list[Rehearsal] = field(repr=False)
-    evaluations: int
     seed: int
 
     @property
@@ -304,6 +302,5 @@ def _decide(
         {s.family.name: TRAINED * s.typical for s in scans},
         at_hand,
         choice.rehearsals,
-        sum(len(s.points) for s in scans),
         seed,
     )
