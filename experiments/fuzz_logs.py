@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import sys
 import tempfile
 import time
@@ -26,7 +25,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-import deepkoco
 from deepkoco.diagnose import diagnose
 from deepkoco.graph.log_files import open_log
 from deepkoco.graph.recording import LogError, Recording, read_log
@@ -35,7 +33,7 @@ from deepkoco.systems import one_joint
 from deepkoco.unit import make_unit
 from deepkoco.unit.record import record
 from experiments.log_faults import FAULTS, FORMS, DamagedLog, clean_mapping
-from experiments.provenance import provenance
+from experiments.rows import append_row, origin, read_rows, source_digest
 
 SECONDS = 8.0
 LONGEST = 1500  # characters of an error
@@ -123,38 +121,6 @@ def content_key(recording: Recording, system: str) -> str:
         digest.update("".join(f"{value:.9g} " for value in series.value.tolist()).encode())
     digest.update(repr([(round(a - start, 6), round(b - start, 6)) for a, b in recording.unknown]).encode())
     return digest.hexdigest()
-
-
-@cache
-def source_digest(packages: tuple[str, ...] = ("",)) -> str:
-    """Digest of the Python sources below these folders of the package."""
-    root, digest = Path(deepkoco.__file__).parent, hashlib.sha256()
-    for package in packages:
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def read_rows(path: Path | None) -> list[dict]:
-    """Rows of a file of JSON lines; none if it is not there, the last left out where it was cut off."""
-    if path is None or not path.exists():
-        return []
-    lines = path.read_text(encoding="utf-8").split("\n")
-    return [json.loads(line) for line in lines[:-1]]
-
-
-def append_row(path: Path | None, row: dict) -> None:
-    """Add a row; what a kill left of a line before it is taken off first."""
-    if path is None:
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("ab+") as file:
-        file.seek(0)
-        whole = file.read()
-        file.truncate(whole.rfind(b"\n") + 1)
-        file.write(json.dumps(row).encode() + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def clean_frame(base: int) -> pd.DataFrame:
@@ -340,12 +306,12 @@ def run_cases(asked: Sequence[FuzzCase], path: Path, verdicts: Path) -> list[dic
     """Rows of all cases; those that the file holds already are not run again."""
     source = source_digest()
     known = {FuzzCase(**row["case"]): row for row in map(_as_row, read_rows(path)) if row["source"] == source}
-    shared, commit, rows = Verdicts(verdicts), provenance()["commit"], []
+    shared, made, rows = Verdicts(verdicts), origin(source), []
     for number, case in enumerate(asked):
         if case not in known:
             began = time.process_time()
             row = {"case": asdict(case), **asdict(run_case(case, shared))}
-            row |= {"cpu_s": round(time.process_time() - began, 3), "commit": commit, "source": source}
+            row |= {"cpu_s": round(time.process_time() - began, 3)} | made
             append_row(path, row)
             known[case] = _as_row(row)
         row = known[case]

@@ -7,7 +7,8 @@ import pytest
 pytest.importorskip("hypothesis")
 
 from experiments import fuzz_logs
-from experiments.fuzz_logs import FuzzCase, Verdict, append_row, content_key, read_case, read_rows, run_cases
+from experiments.fuzz_logs import FuzzCase, Verdict, content_key, read_case, run_cases
+from experiments.rows import append_row, read_rows
 
 
 def test_formats_of_one_log_share_a_verdict_and_a_changed_value_does_not():
