@@ -4,8 +4,9 @@
 
 A unit of `experiments.hidden` hides a cause; its log under a usual excitation is diagnosed. Where the class of the
 named cause holds several, an experiment is designed for them from that log, the same unit is recorded with it, and
-the new log is diagnosed alone and together with the first. Beside it stands a log of the same length with usual steps.
-One row per case is appended to OUT/rows.jsonl, so that a study that was stopped goes on where it was.
+the new log is diagnosed alone and together with the first. Beside it stands a log of the same length with usual steps,
+with noise (and steps) other than those of the first log. One row per case is appended to OUT/rows.jsonl: a study that
+was stopped goes on where it was, with the rows that the same sources made.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +29,13 @@ from deepkoco.graph.recording import Recording
 from experiments.hidden.doses import dosed, scaled
 from experiments.hidden.excitations import Drive
 from experiments.hidden.unit import Hidden, hidden_log
+from experiments.rows import append_row, origin, read_rows, source_digest
 
 USUAL = 12.0  # length of the usual log [s]
 DESIGNED = 12.0  # length of the designed one [s]
+AGAIN = 1  # take of the logs after the usual one
+SOURCES = ("diagnose", "graph", "identify", "systems", "unit/excitation.py")  # of which a row depends
+BESIDE = ("design_study.py", "hidden")
 LARGEST_CLASS = 5  # causes that one design is asked to tell apart
 # System, causes that are taken for each other, usual excitation, strength ES. Each is hidden in turn.
 PAIRS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (
@@ -122,8 +128,8 @@ def _settle(case: Case, hidden: Hidden, usual: Recording, members: Sequence[str]
             return {"asked": asked, "alike": alike, "refused": str(error)}
     if design is None:
         return {"asked": asked, "alike": alike}
-    log = hidden_log(case.system, hidden, play(design), case.seed, DESIGNED)
-    plain = hidden_log(case.system, hidden, "steps", case.seed, DESIGNED)
+    log = hidden_log(case.system, hidden, play(design), case.seed, DESIGNED, take=AGAIN)
+    plain = hidden_log(case.system, hidden, "steps", case.seed, DESIGNED, take=AGAIN)
     return {
         "asked": asked,
         "alike": alike,
@@ -133,7 +139,7 @@ def _settle(case: Case, hidden: Hidden, usual: Recording, members: Sequence[str]
             "chance": design.chance,
             "to_first_order": float(np.min(design.linear[~np.eye(len(asked), dtype=bool)])),
             "log_at_hand": design.at_hand,
-            "usual_steps": design.typical["steps"],
+            "usual_steps": design.typical["steps"] if np.isfinite(design.typical["steps"]) else None,
         },
         "designed": _said(diagnose([log], case.system), case.truth),
         "both": _said(diagnose([usual, log], case.system), case.truth),
@@ -165,6 +171,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     return {
         "cases": len(rows),
+        "commits": sorted({r["commit"] for r in rows}),
         "left_open_by_the_usual_log": len(open_),
         "designed": len(designed),
         "no_command_can": sum(1 for r in open_ if "designed" not in r),
@@ -177,6 +184,20 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def run_cases(asked: Sequence[Case], path: Path) -> list[dict[str, Any]]:
+    """Rows of these cases alone; those that the same sources left in the file are not run again."""
+    made = origin(source_digest(SOURCES, BESIDE))
+    known = {row["name"]: row for row in read_rows(path) if row.get("source") == made["source"]}
+    for case in asked:
+        if case.name in known:
+            continue
+        row = run(case) | made
+        append_row(path, row)
+        known[case.name] = row
+        sys.stderr.write(f"{case.name}: {row['usual']['class']} -> {row.get('designed', {}).get('class')}\n")
+    return [known[case.name] for case in asked]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the cases that are not there yet and print the summary."""
     parser = argparse.ArgumentParser(
@@ -187,19 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=5000)
     parser.add_argument("--json", action="store_true", help="print the rows, too")
     args = parser.parse_args(arguments)
-    args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / "rows.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {row["name"] for row in rows}
-    cases = all_cases(args.seed)
-    for case in (next(cases) for _ in range(args.cases)):
-        if case.name in done:
-            continue
-        row = run(case)
-        rows.append(row)
-        with path.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        sys.stderr.write(f"{case.name}: {row['usual']['class']} -> {row.get('designed', {}).get('class')}\n")
+    rows = run_cases(list(islice(all_cases(args.seed), args.cases)), args.out / "rows.jsonl")
     result = {"summary": summary(rows)} | ({"rows": rows} if args.json else {})
     print(json.dumps(result, indent=2))
 

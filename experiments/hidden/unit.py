@@ -28,10 +28,11 @@ class HiddenUnit:
     Args:
         system: Name of the system.
         hidden: Effects by the names of the catalogue, with their parameters.
-        seed: Seed of parameters and noise.
+        seed: Seed of the parameters.
+        drawn: Seed of noise and turbulence; None takes the other one.
     """
 
-    def __init__(self, system: str, hidden: Hidden, seed: int) -> None:
+    def __init__(self, system: str, hidden: Hidden, seed: int, drawn: int | None = None) -> None:
         self.system = make_system(system)
         rng = np.random.default_rng([seed, 1])
         self.parameters: dict[str, float] = {}
@@ -58,8 +59,9 @@ class HiddenUnit:
             [x for x in (base_lag, self._of("lag", k).get("time_constant", 0.0)) if x > 0.0]
             for k in range(len(self.system.commands))
         ]
-        self.rng = np.random.default_rng([seed, 2])
-        self.turbulence = np.random.default_rng([seed, 3])
+        drawn = seed if drawn is None else drawn
+        self.rng = np.random.default_rng([drawn, 2])
+        self.turbulence = np.random.default_rng([drawn, 3])
 
     def _of(self, kind: str, site: int | str = 0) -> dict[str, Any]:
         return self.hidden.get((kind, site), {})
@@ -103,7 +105,13 @@ class HiddenUnit:
 
 
 def hidden_log(
-    system: str, hidden: Hidden, excitation: str | Drive, seed: int, seconds: float = 30.0, noisy: bool = True
+    system: str,
+    hidden: Hidden,
+    excitation: str | Drive,
+    seed: int,
+    seconds: float = 30.0,
+    noisy: bool = True,
+    take: int = 0,
 ) -> Recording:
     """Record a unit in simulated time.
 
@@ -115,9 +123,12 @@ def hidden_log(
         seed: Seed of parameters, excitation and noise.
         seconds: Length of the log [s].
         noisy: Whether sensors have noise, quantisation and jitter.
+        take: Which recording of the unit; each has an excitation and noise of its own, the parameters are the same.
     """
-    unit = HiddenUnit(system, hidden, seed)
-    log = _Run(unit, excitation, seed, seconds, noisy)
+    # What the first take drew stays what it was before there were others.
+    drawn = int(np.random.SeedSequence([seed, 5, take]).generate_state(1)[0]) if take else seed
+    unit = HiddenUnit(system, hidden, seed, drawn)
+    log = _Run(unit, excitation, drawn, seconds, noisy)
     log.run()
     return log.recording()
 
