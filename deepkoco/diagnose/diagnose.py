@@ -20,7 +20,7 @@ from deepkoco.diagnose.findings import estimates, evidence_for, finding, localis
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import Hints
-from deepkoco.diagnose.pushed import train_on_pushed
+from deepkoco.diagnose.pushed import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.scattered import scatter_findings
@@ -179,6 +179,7 @@ class _Study:
             unexplained={
                 **left,
                 "not_identified": [vars(d) for d in loose],
+                "limits": {"chi2_per_sample": limit, "lag_one": alike},
                 "white": final.chi2 / data.train.samples <= limit and after.lag_one <= alike,
                 "spectrum": spectrum_of(remaining),
                 **({} if learned is None else {"residual_model": learned.to_json()}),
@@ -251,6 +252,8 @@ class _Study:
         share = explained_share(before, after, train, self.start.floor)
         if after.chi2 / train.samples > limit:
             # Something is left; then what is named has to account for most of what was seen.
+            if gain is not None and all(c.effect == "event" for c in self.accepted):
+                gain = None  # what acts once is worth nothing on other windows
             worth = 1.0 if gain is None else gain.reduction
             if share < EXPLAINED or worth <= (0.0 if white else WORTH_NAMING):
                 return "unknown"
@@ -276,10 +279,12 @@ class _Study:
     def _gain(self, reference: Fit, final: Fit, seed: int) -> Gain | None:
         if self.data.held is None or len(self.data.held) == 0:
             return None
-        quiet = {"event.torque": 0.0}
+        quiet, refit = {"event.torque": 0.0}, reference
+        if final is not reference and any(c.effect == "event" for c in self.accepted):
+            refit = refit_elsewhere(self.start, self.data.train, reference, final)
         models = {
             "baseline": self.start.values,
-            "refit": {**reference.values, **quiet},
+            "refit": {**refit.values, **quiet},
             "extended": {**final.values, **quiet},
         }
         return held_out_gain(self.start.system, self.data.held, models, seed)

@@ -1,7 +1,8 @@
-"""Windows that were to be kept back, but in which something seems to have pushed the joint."""
+"""Windows in which something pushed the joint: they are fitted, and what lasts is measured on the others."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from deepkoco.identify.windows import Windows
 
 SUSPECT = 30.0  # fall of chi2 by a push in one slot, far beyond the largest that chance makes of all slots
 STAND_OUT = 4.0  # times the fall that a push brings in a typical window
+FEWEST_ELSEWHERE = 3  # windows without the push, to refit on
 
 
 def train_on_pushed(
@@ -47,6 +49,37 @@ def train_on_pushed(
     both, state = both.take(order), state[torch.from_numpy(order)]
     trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.zero)
     return both, held.take(~pushed), FitProblem(start.system, both).fit([trial])[0]
+
+
+def touched(windows: Windows, values: Mapping[str, float]) -> np.ndarray:
+    """(W,) whether the push in these parameter values acts during each window."""
+    begin = values["event.start"]
+    end = begin + values["event.duration"]
+    during = (windows.t0 < end) & (windows.t0 + windows.length > begin)
+    return (windows.log == values["event.log"]) & during
+
+
+def refit_elsewhere(start: Start, windows: Windows, reference: Fit, pushed: Fit) -> Fit:
+    """Refit of the baseline on the windows that a push does not touch.
+
+    A refit that knows of no push bends its parameters to it; taking the push into account would then seem to improve
+    every other window as well.
+
+    Args:
+        start: The baseline.
+        windows: Windows that are fitted.
+        reference: Refit on all of them.
+        pushed: Fit with the push, on all of them.
+
+    Returns:
+        The reference itself where too few windows are left.
+    """
+    keep = ~touched(windows, pushed.values)
+    if keep.sum() < FEWEST_ELSEWHERE:
+        return reference
+    state = pushed.state[torch.from_numpy(np.flatnonzero(keep))]
+    trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.zero)
+    return FitProblem(start.system, windows.take(keep)).fit([trial])[0]
 
 
 def _largest(problem: FitProblem, fit: Fit) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from deepkoco.diagnose.diagnosis import Diagnosis
-from deepkoco.diagnose.words import spoken
+from deepkoco.diagnose.words import beside_causes, spoken
 
 RARE = 3.0  # kurtosis from which a few moments make up most of what is missing
 ALIKE = 0.3  # correlation of neighbouring residuals from which they are plainly no noise
@@ -13,13 +13,14 @@ RELATED = 0.3  # correlation with a term from which it is worth telling
 
 
 def remains(diagnosis: Diagnosis) -> list[str]:
-    """Sentences on where, when and how the simulation is still wrong; none where the verdict is not "unknown"."""
-    left = diagnosis.unexplained
-    if diagnosis.verdict != "unknown" or not left:
+    """Sentences on where, when and how the simulation is still wrong; none where that is noise."""
+    left, beside = diagnosis.unexplained, beside_causes(diagnosis)
+    if not left or (diagnosis.verdict != "unknown" and not beside):
         return []
     worst, kurtosis = left["worst"], left["kurtosis"]
     unit = "N m" if diagnosis.details is None else diagnosis.details.missing[worst["joint"] - 1].unit
     result = [
+        *([beside] if beside else []),
         f"It is largest at {worst['time_s']:.2f} s: {worst['torque_nm']:.3g} {unit} are missing there on joint "
         f"{worst['joint']}, at position {worst['theta_rad']:.3g} and speed {worst['omega_rad_s']:.3g}.",
         f"A few moments make up most of it (kurtosis {kurtosis:.1f}; 0 is normal): look for pushes, contacts or lost "

@@ -12,6 +12,7 @@ import torch
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.hints import Hints
+from deepkoco.diagnose.pushed import FEWEST_ELSEWHERE, touched
 from deepkoco.diagnose.residuals import SLOTS, Dispersion, dispersion
 from deepkoco.diagnose.screening import Start as Promise
 from deepkoco.diagnose.screening import screen
@@ -313,12 +314,8 @@ def without_events_first(
     if winner.cause.effect != "event":
         return ranking
     windows = problem.windows
-    begin = winner.fit.values["event.start"]
-    end = begin + winner.fit.values["event.duration"]
-    touched = (windows.log == winner.fit.values["event.log"]) & (windows.t0 < end)
-    touched &= windows.t0 + windows.length > begin
-    keep = ~touched
-    if keep.sum() < 3:
+    keep = ~touched(windows, winner.fit.values)
+    if keep.sum() < FEWEST_ELSEWHERE:
         return ranking
     rest = FitProblem(problem.system, windows.take(keep))
     pick = torch.from_numpy(np.flatnonzero(keep))

@@ -45,7 +45,22 @@ def lead(diagnosis: Diagnosis) -> str:
         others = [spoken(n) for n in cause.members[1:]]
         if others:
             text += f" These data do not tell {spoken(cause.name)} apart from {' or '.join(others)}."
-    return text
+    return f"{text} {beside_causes(diagnosis)}".strip()
+
+
+def beside_causes(diagnosis: Diagnosis) -> str:
+    """That structure remains beside the named causes; nothing where it does not, or where none is named."""
+    left = diagnosis.unexplained
+    limits = left.get("limits")
+    if diagnosis.verdict not in ("cause", "ambiguous") or limits is None:
+        return ""
+    # Large errors that are white are a matter of the sensors, which a scatter names.
+    if any(left[name] <= limits[name] for name in ("chi2_per_sample", "lag_one")):
+        return ""
+    return (
+        f"Something more is missing: {left['chi2_per_sample']:.3g} noise variances per sample remain beside what is "
+        f"named, and noise alone stays below {limits['chi2_per_sample']:.3g}."
+    )
 
 
 def terminal_table(diagnosis: Diagnosis) -> Table:
@@ -73,6 +88,8 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
             f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} at the end (1 is sensor noise)"
         )
         table.add_row("error / noise variance", text)
+    if more := beside_causes(diagnosis):
+        table.add_row("unexplained", more)
     learned = diagnosis.unexplained.get("residual_model")
     if learned is not None:
         names = ", ".join(t["name"].split(".")[-1] for t in learned["terms"]) or "none"

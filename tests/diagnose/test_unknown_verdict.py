@@ -6,7 +6,9 @@ import torch
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.causes import CAUSES
+from deepkoco.diagnose.remains import remains
 from deepkoco.diagnose.unknown import carries_over
+from deepkoco.diagnose.words import lead
 from deepkoco.identify.fit import Fit
 from experiments.hidden.unit import hidden_log
 
@@ -61,6 +63,22 @@ def test_a_push_is_found_in_every_window(start):
     assert middle == pytest.approx(start + 0.1, abs=0.03)
     impulse = found["event.torque"].value * found["event.duration"].value
     assert impulse == pytest.approx(0.04, rel=0.1)
+
+
+def test_a_push_mends_no_other_window_and_does_not_hide_what_remains():
+    hidden = {
+        "event": {"torque": 1.5, "start": 6.1, "duration": 0.2},
+        "turbulence": {"size": 0.03},
+    }
+    result = diagnose(
+        [hidden_log("rod_pendulum", hidden, "steps", 133, 15.0)], "rod_pendulum", only=["event"]
+    )
+    assert result.names == ("event",)
+    # The refit with which it is compared does not bend to the push.
+    assert abs(result.gain.reduction) < 0.05
+    assert result.chi2_after > 1.3 * result.unexplained["limits"]["chi2_per_sample"]
+    assert "Something more is missing" in lead(result)
+    assert remains(result)[0] in lead(result)
 
 
 def test_stretched_pushes_keep_impulse_and_middle():
