@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deepkoco.diagnose.gain import Gain
+from deepkoco.diagnose.gain import Gain, note_on_gain
 from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.identify.fit import Fit
 from deepkoco.identify.windows import Windows
@@ -157,6 +157,14 @@ class Diagnosis:
         """Names of the causes, strongest first."""
         return tuple(c.name for c in self.causes)
 
+    @property
+    def gain_note(self) -> str:
+        """What the gain is measured on."""
+        learned = (self.unexplained.get("residual_model") or {}).get("accepted", False)
+        return note_on_gain(
+            () if self.verdict == "unknown" else self.names, self.verdict == "unknown" and learned
+        )
+
     def to_json(self) -> dict[str, Any]:
         """The content of report.json: plain lists, numbers and text."""
         return _plain(
@@ -199,6 +207,7 @@ class Diagnosis:
             "low": g.low,
             "high": g.high,
             "windows": g.windows,
+            "note": self.gain_note,
         }
 
 

@@ -121,8 +121,8 @@ def error_by_horizon(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
     )
     caption = (
         f"How wrong each simulation is (root mean square), the longer it runs without looking at the measurements, "
-        f"over {gain.windows} held-out windows of {gain.horizon:.2g} s that no fit has seen. The start state is "
-        "fitted on each window."
+        f"over {gain.windows} held-out windows of {gain.horizon:.2g} s. The start state is "
+        f"fitted on each window. {diagnosis.gain_note}"
     )
     title = "How far ahead the simulation holds"
     return Picture("error_by_horizon", title, caption, figure, pd.DataFrame(frame))

@@ -117,6 +117,28 @@ def held_out_gain(
     )
 
 
+def note_on_gain(named: Sequence[str], learned: bool) -> str:
+    """What the gain is measured on, and what else these windows (or logs) were used for.
+
+    Args:
+        named: Names of the causes in the extended simulation.
+        learned: Whether a learned load stands there in their place.
+    """
+    note = "No fit has seen these windows."
+    if named and all(name.startswith("event") for name in named):
+        return f"{note} A push acts in none of them, so that it is left out and nothing is gained here."
+    if named:
+        note += (
+            " Where structure remains beside the causes, they also decided whether these are named, so that "
+            "the gain is then a little optimistic."
+        )
+    if learned:
+        note += " But they also decided whether the learned load is kept, so that the gain is a little optimistic."
+    if any(name.startswith("event") for name in named):
+        note += " A push acts in none of them and is left out."
+    return note
+
+
 def _suited(problem: FitProblem, models: Sequence[Mapping[str, float]]) -> torch.Tensor:
     """Initial states (K, W, S) of each model on each window, all models at once.
 

@@ -19,7 +19,8 @@ from deepkoco.picture import Picture
 
 GLOSSARY = {
     "window": "A short stretch of the log, about one swing long, that is simulated by itself.",
-    "held out": "Kept away from every fit, and used only to measure how good the result is.",
+    "held out": "Kept away from every fit, to measure how good the result is. Where structure remains, it also decides "
+    "whether causes or a learned load are kept, which makes what is measured a little optimistic.",
     "refitted simulation": "The simulation as given, its own parameters adjusted to the log within "
     "what their data sheet allows.",
     "95 % interval": "Range that holds the true value in 95 of 100 such cases, if the model is right.",

@@ -63,6 +63,8 @@ def test_json_keeps_its_contract(report):
     assert {"metric", "horizon_s", "channels", "reduction_vs_refit", "low", "high", "windows"} <= set(
         content["gain"]
     )
+    assert "No fit has seen" in content["gain"]["note"]
+    assert "optimistic" in content["gain"]["note"]
     assert {"baseline", "refit", "extended", "unit"} <= set(content["gain"]["channels"]["theta"])
     tried = {name for name, cause in catalogue(make_system("rod_pendulum")).items() if cause.free}
     assert tried == {c["name"] for c in content["candidates"]}
@@ -153,7 +155,7 @@ def test_healthy_log_moves_its_own_effects_into_the_baseline():
     assert result.names == ("coulomb",)
 
 
-def test_holdout_logs_are_used_for_the_gain_only(log, diagnosis):
+def test_holdout_logs_are_never_fitted(log, diagnosis):
     other = unit_log("rod_pendulum", HIDDEN, "chirp", 71, 6.0)
     result = diagnose([log], "rod_pendulum", holdout=[other])
     assert result.verdict == "cause"
