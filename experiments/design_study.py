@@ -191,7 +191,7 @@ def run_cases(asked: Sequence[Case], path: Path) -> list[dict[str, Any]]:
     for case in asked:
         if case.name in known:
             continue
-        row = run(case) | made
+        row: dict[str, Any] = {**run(case), **made}
         append_row(path, row)
         known[case.name] = row
         sys.stderr.write(f"{case.name}: {row['usual']['class']} -> {row.get('designed', {}).get('class')}\n")

@@ -62,7 +62,7 @@ def test_a_further_take_is_the_same_unit_with_other_steps_and_other_noise():
     # Without noise and under the same commands, two takes are one and the same.
     push = Drive([np.pi], [0.0], lambda t, y: [0.5])
     quiet = [hidden_log("rod_pendulum", {}, push, 7, 1.0, noisy=False, take=take) for take in (0, 1)]
-    assert np.array_equal(*(log.channels["theta"].value for log in quiet))
+    assert np.array_equal(quiet[0].channels["theta"].value, quiet[1].channels["theta"].value)
     loud = [hidden_log("rod_pendulum", {}, push, 7, 1.0, take=take) for take in (0, 1)]
     off = np.stack([log.channels["theta"].value - quiet[0].channels["theta"].value for log in loud])
     assert abs(np.corrcoef(off)[0, 1]) < 0.4
