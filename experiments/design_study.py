@@ -154,7 +154,7 @@ def _said(diagnosis: Diagnosis, truth: str) -> dict[str, Any]:
         "verdict": diagnosis.verdict,
         "names": list(diagnosis.names),
         "class": list(members),
-        "right": bool(first) and first.name == truth,  # type: ignore[union-attr]
+        "right": first is not None and first.name == truth,
         "in_class": truth in members,
         "alone": tuple(members) == (truth,),
     }

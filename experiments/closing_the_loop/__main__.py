@@ -20,10 +20,17 @@ import pandas as pd
 from deepkoco.graph.recording import LogError
 from deepkoco.unit import UnitError, UnitSpecError
 from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, STRENGTHS, Case, cases
-from experiments.closing_the_loop.steps import ARMS, TrainingError, evaluate, prepare, refusal, train
+from experiments.closing_the_loop.steps import (
+    ARMS,
+    TrainingError,
+    evaluate,
+    prepare,
+    refusal,
+    train,
+    write_once,
+)
 from experiments.closing_the_loop.summary import write_results
 from experiments.commands import BAD_INPUT
-from experiments.settings import ExperimentError
 
 RUNS = Path("runs/closing_the_loop")
 OUT = Path("results/diagnose/closing_the_loop")
@@ -61,8 +68,8 @@ def run_study(
         ExperimentError: The folders hold another study.
         TrainingError: A training failed.
     """
-    settings = {"training_episodes": training}
-    _claim(runs, settings)
+    runs.mkdir(parents=True, exist_ok=True)
+    write_once(runs / "study.json", json.dumps({"training_episodes": training}) + "\n")
     for case in units:
         prepare(case, runs / case.name)
     summary = pd.DataFrame()
@@ -79,7 +86,9 @@ def run_study(
                 report(
                     f"{case.name}, seed {seed}, {arm}: cost {found['cost'].mean():.0f}, {upright:.0f} % upright"
                 )
-            summary = write_results(out, runs, all_cases(), collected(runs))
+            episodes_so_far = collected(runs)
+            if not episodes_so_far.empty:  # every arm of the first unit may have been refused
+                summary = write_results(out, runs, all_cases(), episodes_so_far)
     return summary
 
 
@@ -97,16 +106,10 @@ def collected(runs: Path) -> pd.DataFrame:
             seed, clock = rest.split("_")
             tables.append(pd.read_csv(path).assign(case=case.name, arm=arm, seed=int(seed), clock=clock))
     columns = ["case", "arm", "seed", "clock", "episode", "cost", "upright", "overruns"]
+    if not tables:
+        return pd.DataFrame(columns=columns)
     table: Any = pd.concat(tables, ignore_index=True)
     return table[columns]
-
-
-def _claim(runs: Path, settings: dict[str, int]) -> None:
-    path, text = runs / "study.json", json.dumps(settings) + "\n"
-    if path.exists() and path.read_text(encoding="utf-8") != text:
-        raise ExperimentError(f"{runs}: holds a study with {path.read_text().strip()}; choose another --runs")
-    runs.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
 
 
 def as_json(summary: pd.DataFrame) -> str:
@@ -160,7 +163,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.json:
         print(as_json(summary))
     else:
-        print((args.out / "README.md").read_text(encoding="utf-8"))
+        page = args.out / "README.md"
+        print(page.read_text(encoding="utf-8") if page.exists() else "nothing has run on a unit yet")
     return 0
 
 

@@ -9,7 +9,7 @@ from deepkoco.envs.task_factory import TaskConfig, make_task_factory
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.systems import ExtendedSystem, load_model, make_system, save_model
 from deepkoco.unit import load_unit
-from experiments.closing_the_loop.__main__ import main
+from experiments.closing_the_loop.__main__ import collected, main
 from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, SYSTEM, Case, cases
 from experiments.closing_the_loop.steps import evaluate, refusal, run_folder, training_command, write_once
 from experiments.closing_the_loop.summary import READING, as_table, summarise, write_results
@@ -144,6 +144,12 @@ def test_a_folder_of_another_study_is_refused(tmp_path, capsys):
     given = ["--runs", str(tmp_path), "--out", str(tmp_path / "out"), "--effects", "gain"]
     assert main(given) == 1
     assert "another --runs" in capsys.readouterr().err
+
+
+def test_a_study_without_trials_is_an_empty_table(tmp_path):
+    table = collected(tmp_path)
+    assert table.empty
+    assert {"case", "arm", "seed", "cost"} <= set(table.columns)
 
 
 def test_an_agent_can_train_on_a_unit_in_virtual_time(tmp_path):
