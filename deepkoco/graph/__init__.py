@@ -27,12 +27,12 @@ from deepkoco.graph.delay import (
 from deepkoco.graph.episode import Episode, Note, common_part, record_episodes, replay_episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, Node, Supervisor
-from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, SimulatedRuntime, WallClockRuntime
 from deepkoco.graph.replay import MeasuredTiming, replay_timing
 from deepkoco.graph.runtime import BatchedRuntime, HorizonError, RuntimeState
 from deepkoco.graph.timing import TimingError, draw_timing, extend_timing
 
 if TYPE_CHECKING:
+    from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, SimulatedRuntime, WallClockRuntime
     from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
     from deepkoco.graph.storage import (
         EpisodeFileError,
@@ -42,8 +42,10 @@ if TYPE_CHECKING:
         write_episodes,
     )
 
-# Imported when they are asked for: they need pandas, which takes longer to import than a graph to start.
+# Imported when they are asked for: recordings need pandas, which takes longer to import than a graph to start,
+# and a batch of environments needs none of the runtimes for one.
 _LATER = {
+    **dict.fromkeys(("ConcurrentRuntime", "NodeFailure", "SimulatedRuntime", "WallClockRuntime"), "realtime"),
     **dict.fromkeys(("LogError", "Recording", "Series", "read_log", "write_log"), "recording"),
     **dict.fromkeys(("EpisodeFileError", "EpisodeWriter", "RecordedRun"), "storage"),
     **dict.fromkeys(("read_episodes", "write_episodes"), "storage"),

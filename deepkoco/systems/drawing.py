@@ -1,4 +1,7 @@
-"""How systems look: shared OpenCV primitives that draw onto a picture."""
+"""How systems look: shared OpenCV primitives that draw onto a picture.
+
+OpenCV is imported by the first line that is drawn: simulations without pictures start sooner.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import itertools
 import math
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 Point = tuple[float, float]
@@ -108,15 +110,21 @@ def _arc(image: np.ndarray, centre: tuple[int, int], radius: int, fraction: floa
     sweep = -170.0 * float(np.clip(fraction, -1.0, 1.0))
     if abs(sweep) < 1.0:
         return
+    import cv2
+
     thickness = max(1, round(0.015 * image.shape[0]))
     cv2.ellipse(image, centre, (radius, radius), -90.0, 0.0, sweep, COMMAND, thickness, cv2.LINE_AA)
 
 
 def _line(image: np.ndarray, start: tuple, end: tuple, colour: tuple, thickness: int) -> None:
+    import cv2
+
     cv2.line(image, _pixel(start), _pixel(end), colour, thickness, cv2.LINE_AA, 4)
 
 
 def _disk(image: np.ndarray, centre: tuple, radius: float, colour: tuple) -> None:
+    import cv2
+
     cv2.circle(image, _pixel(centre), round(radius * 16), colour, -1, cv2.LINE_AA, 4)
 
 
