@@ -17,6 +17,8 @@ EFFECTS: dict[str, dict[str, dict[str, float]]] = {
     "torque_bias": {"strong": {"effort": 0.5}, "weak": {"effort": 0.2}},
     "gain": {"strong": {"factor": 0.5}, "weak": {"factor": 0.75}},
     "payload": {"strong": {"mass": 0.3}, "weak": {"mass": 0.1}},
+    "viscous": {"strong": {"change": 0.15}, "weak": {"change": 0.05}},
+    "saturation": {"strong": {"limit": 1.2}, "weak": {"limit": 1.6}},
     "actuation_delay": {"strong": {"delay": 0.12}, "weak": {"delay": 0.06}},
     "coulomb": {"strong": {"torque": 0.4}, "weak": {"torque": 0.15}},
     "dead_zone": {"strong": {"width": 0.8}, "weak": {"width": 0.3}},

@@ -94,7 +94,8 @@ def training_command(root: Path, case: Case, arm: str, seed: int, episodes: int)
     """Command line that trains, or goes on training, one policy."""
     folder = root / case.name
     if arm == "unit":
-        where = [f"task.id={UNIT}", f"+task.kwargs.unit={folder / 'unit.yaml'}"]
+        # In simulated time: 90 units side by side in real time would overrun every period of this machine.
+        where = [f"task.id={UNIT}", f"+task.kwargs.unit={folder / 'unit.yaml'}", "+task.kwargs.clock=simulated"]
     else:
         # Noise as of the sensor, for the unit has it too.
         model = model_of(arm, folder)

@@ -108,6 +108,7 @@ def test_every_arm_trains_where_it_should(tmp_path):
     assert f"+task.kwargs.model={tmp_path / case.name / 'refit.yaml'}" in where["refit"]
     assert f"+task.kwargs.model={tmp_path / case.name / 'diagnosis' / 'model.yaml'}" in where["extended"]
     assert f"+task.kwargs.unit={tmp_path / case.name / 'unit.yaml'}" in where["unit"]
+    assert "+task.kwargs.clock=simulated" in where["unit"]
     assert all("seed=3" in words and "existing=resume" in words for words in where.values())
     other = Case("gain", "weak")
     assert run_folder(tmp_path, case, "baseline", 3) == run_folder(tmp_path, other, "baseline", 3)
