@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from deepkoco.agent.kept_weights import KEPT
 from deepkoco.koopman.model import ModelConfig
 from deepkoco.koopman.rollout import ROLLOUTS
 from deepkoco.planning.config import PlannerConfig
@@ -76,6 +77,8 @@ class TrainingConfig:
     """Step size of Adam for the networks."""
     eigenvalue_learning_rate: float = 1e-2
     """Step size of Adam for mu [1/s] and omega [rad/s]."""
+    final_learning_rate: float = 1.0
+    """Share of both step sizes left in the last iteration; they fall linearly with the episodes after the first one."""
     cost_weight: float = 10.0
     """alpha_1, weight of cost reconstruction and prediction against the linear loss."""
     cost_discount: float = 0.0
@@ -93,6 +96,9 @@ class TrainingConfig:
     """Episode at which the variance has fallen linearly to zero."""
     evaluation_episodes: int = 10
     """Noise-free episodes after every iteration; 0 for none."""
+    keep: str = "last"
+    """Weights that are evaluated at the end and exported: "last": those of the end; "best": those of the iteration
+    with the lowest mean cost of `evaluation_episodes`, whose start states are not those of the final evaluation."""
     final_evaluation_episodes: int = 200
     """Noise-free episodes at the end of the run."""
     device: str = "cpu"
@@ -119,9 +125,19 @@ class TrainingConfig:
         for name in ("evaluation_episodes", "noise_variance", "cost_weight", "weight_penalty"):
             if not getattr(self, name) >= 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give 0 or more")
+        if not 0 < self.final_learning_rate <= 1:
+            raise TrainingConfigError(
+                f"final_learning_rate = {self.final_learning_rate}; give a value in (0, 1], 1 for constant steps"
+            )
         for name in ("averaging", "noise_correlation", "cost_discount"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value in [0, 1)")
+        if self.keep not in KEPT:
+            raise TrainingConfigError(f'keep = "{self.keep}"; choose one of {", ".join(KEPT)}')
+        if self.keep == "best" and not self.evaluation_episodes:
+            raise TrainingConfigError(
+                'keep = "best" with evaluation_episodes = 0: nothing tells which is best; give episodes, e.g. 30'
+            )
         if self.chunk_length <= self.horizon:
             raise TrainingConfigError(
                 f"chunk_length = {self.chunk_length} holds no window of {self.horizon + 1} steps; "

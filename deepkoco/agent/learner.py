@@ -50,11 +50,12 @@ class Learner:
             fused=True,
         )
 
-    def update(self, batch: ChunkBatch) -> Losses:
+    def update(self, batch: ChunkBatch, step_size: float = 1.0) -> Losses:
         """Make one gradient step.
 
         Args:
             batch: The chunks, on any device.
+            step_size: Factor on both learning rates.
 
         Returns:
             The losses before the step.
@@ -64,6 +65,10 @@ class Learner:
         losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight, ROLLOUTS[config.rollout])
         self._optimiser.zero_grad()
         losses.total.backward()
+        for group, rate in zip(
+            self._optimiser.param_groups, (config.learning_rate, config.eigenvalue_learning_rate), strict=True
+        ):
+            group["lr"] = rate * step_size
         self._optimiser.step()
         self._average(self._own, self._followed, 0)  # the count is for averages with equal weights
         return losses

@@ -14,7 +14,7 @@ from gymnasium.vector import VectorEnv
 
 from deepkoco import __version__
 from deepkoco.agent.agent import VectorAgent
-from deepkoco.agent.buffer import EpisodeBuffer
+from deepkoco.agent.buffer import Episode, EpisodeBuffer
 from deepkoco.agent.checkpoint import (
     CheckpointError,
     check_settings,
@@ -32,6 +32,7 @@ from deepkoco.agent.collection import (
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
+from deepkoco.agent.kept_weights import KeptWeights
 from deepkoco.agent.learner import Learner
 from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.planner_metrics import planner_metrics
@@ -114,6 +115,7 @@ class Trainer:
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
+        self._kept = KeptWeights()
         self._loss_sums = torch.zeros(len(LOSS_NAMES), dtype=torch.float64, device=config.device)
         self.progress = Progress()
         rows, eigenvalues = [], []
@@ -223,12 +225,19 @@ class Trainer:
             return config.first_epochs * epoch
         return min(config.iteration_epochs * epoch, config.iteration_updates)
 
+    def _step_size(self) -> float:
+        """Factor on the learning rates: 1 in the first iteration, `final_learning_rate` in the last."""
+        config = self.config
+        later = max(1, config.total_episodes - config.first_episodes)
+        done = max(0, len(self._buffer) - config.first_episodes) / later
+        return 1.0 - done * (1.0 - config.final_learning_rate)
+
     def _update(self, planned: int) -> None:
         config = self.config
         batch = self._buffer.sample(
             config.chunks, config.chunk_length, config.horizon, self._sampling, config.window_stride
         )
-        losses = self._learner.update(batch)
+        losses = self._learner.update(batch, self._step_size())
         self.progress.iteration_updates += 1
         self.progress.updates += 1
         # The means are over the last updates of the iteration, at most as many as a later iteration makes.
@@ -241,19 +250,18 @@ class Trainer:
         losses = dict(zip((f"loss/{name}" for name in LOSS_NAMES), means, strict=True))
         final = len(self._buffer) >= config.total_episodes
         count = config.final_evaluation_episodes if final else config.evaluation_episodes
-        purpose = Purpose.FINAL_EVALUATION if final else Purpose.EVALUATION
+        if config.keep == "best" and final:
+            _, episodes = self._evaluate(config.evaluation_episodes, Purpose.EVALUATION)
+            self._kept.offer(self.averaged_model, float(episode_costs(episodes).mean()), len(self._buffer))
+            self._kept.restore(self.averaged_model)
         agent, episodes = None, []
         costs, failures = np.full(1, np.nan), 0
         if count:
-            start = derive_seed(self.seed, purpose)
-            model = export_model(self.averaged_model)
-            agent = VectorAgent(
-                model, config.planner, self._low, self._high, count, seed=start, diagnostics=True
-            )
-            envs = self._envs(count, self._make_evaluation_envs)
-            episodes = collect_episodes(envs, agent, start, record=False)
+            agent, episodes = self._evaluate(count, Purpose.FINAL_EVALUATION if final else Purpose.EVALUATION)
             costs = episode_costs(episodes)
             failures = agent.statistics.failures
+        if config.keep == "best" and not final:
+            self._kept.offer(self.averaged_model, float(costs.mean()), len(self._buffer))
         planner, clock = planner_metrics(agent, episodes, config.planner.horizon)
         self._note_eigenvalues()
         self.progress.iteration += 1
@@ -277,6 +285,15 @@ class Trainer:
             clock,
         )
 
+    def _evaluate(self, count: int, purpose: Purpose) -> tuple[VectorAgent, list[Episode]]:
+        """Noise-free episodes of the averaged model, from start states that are the purpose's own."""
+        start = derive_seed(self.seed, purpose)
+        model = export_model(self.averaged_model)
+        config = self.config
+        agent = VectorAgent(model, config.planner, self._low, self._high, count, seed=start, diagnostics=True)
+        envs = self._envs(count, self._make_evaluation_envs)
+        return agent, collect_episodes(envs, agent, start, record=False)
+
     def _save(self, started: float) -> None:
         self.progress.seconds = time.perf_counter() - started
         save_checkpoint(
@@ -292,6 +309,7 @@ class Trainer:
                 "loss_sums": self._loss_sums.cpu(),
                 "metrics": self.metrics.rows,
                 "eigenvalues": self.eigenvalues.rows,
+                "kept": self._kept.state_dict(),
             },
         )
 
@@ -300,6 +318,7 @@ class Trainer:
         self._learner.load_state_dict(state)
         self._sampling.set_state(state["sampling"])
         self._noise.set_state(state["noise"])
+        self._kept = KeptWeights(**state.get("kept", {}))
         self.progress = Progress(**state["progress"])
         collected = self.progress.iteration + self.progress.collected
         self._buffer.add(read_replay(self.folder, collected))
@@ -312,6 +331,7 @@ class Trainer:
             "seed": self.seed,
             "episodes": len(self._buffer),
             "updates": self.progress.updates,
+            **({"kept_episodes": self._kept.episodes} if self._kept.weights else {}),
             "package": f"deepkoco {__version__}",
         }
         controller = StoredController(

@@ -24,6 +24,7 @@ VARIANTS = {
     },
     "separate windows": {"window_stride": 6, "chunk_length": 6, "chunks": 20},
     "discounted costs": {"cost_discount": 0.9},
+    "smaller steps, best weights": {"final_learning_rate": 0.1, "keep": "best"},
 }
 
 
