@@ -118,10 +118,11 @@ def partition(topology: Topology, episodes: list[Episode]) -> Partitions:
     sizes = np.array([len(e.kind) for e in episodes])
     first = np.concatenate([[0], np.cumsum(sizes)])
     kind, seq = np.concatenate([e.kind for e in episodes]), np.concatenate([e.seq for e in episodes])
-    edges = np.concatenate([e.edges + f for e, f in zip(episodes, first, strict=False)])
-    edges = edges[kind[edges[:, 0]] != kind[edges[:, 1]]]
-    base = np.searchsorted(edges[:, 1], np.arange(len(kind) + 1))
-    return partition_graphs(len(topology.rates), SUPERVISOR, first, kind, seq, base, edges[:, 0])
+    sender = np.concatenate([e.edges[:, 0] + f for e, f in zip(episodes, first, strict=False)])
+    receiver = np.concatenate([e.edges[:, 1] + f for e, f in zip(episodes, first, strict=False)])
+    other = kind[sender] != kind[receiver]
+    base = np.concatenate([[0], np.cumsum(np.bincount(receiver[other], minlength=len(kind)))])
+    return partition_graphs(len(topology.rates), SUPERVISOR, first, kind, seq, base, sender[other])
 
 
 def _episode(topology: Topology, sigma: float, seed: int, length: float) -> Episode:

@@ -102,13 +102,19 @@ def fill_next(slots, size, next_slot):
 
 
 @njit(inline="always")
+def at(index):
+    """An index that is never negative: of a signed one numba looks at every access whether it counts from behind."""
+    return np.uint64(index)
+
+
+@njit(inline="always")
 def next_position(ready, kind, next_slot):
     """First position of a kind at or behind `ready`."""
     slot = ready & (LONGEST - 1)
-    there = np.int64(next_slot[slot, kind])
+    there = np.int64(next_slot[at(slot), at(kind)])
     if there < _ABSENT:
         return ready - slot + there
-    there = np.int64(next_slot[0, kind])
+    there = np.int64(next_slot[at(0), at(kind)])
     if there < _ABSENT:
         return ready - slot + LONGEST + there
     return NEVER
@@ -118,18 +124,21 @@ def next_position(ready, kind, next_slot):
 def embed_episode(parts, episode, size, next_slot, position, last):
     """Place the vertices of an episode; return the first that is late (its place: when it is ready), or -1."""
     last[:] = -1
-    for v in range(parts.first[episode], parts.first[episode + 1]):
-        k = parts.kind[v]
-        if k == parts.supervisor:
+    for vertex in range(parts.first[episode], parts.first[episode + 1]):
+        v = at(vertex)
+        k = at(parts.kind[v])
+        if k == at(parts.supervisor):
             position[v] = (np.int64(parts.deadline[v]) << SHIFT) + size
             continue
         ready = max(np.int64(parts.release[v]) << SHIFT, last[k] + 1)
-        for i in range(parts.pred_base[v], parts.pred_base[v + 1]):
-            ready = max(ready, position[parts.pred[i]] + 1)
+        i, end = at(parts.pred_base[v]), at(parts.pred_base[v + at(1)])
+        while i < end:
+            ready = max(ready, position[at(parts.pred[i])] + 1)
+            i += at(1)
         position[v] = next_position(ready, k, next_slot)
         if position[v] >= (np.int64(parts.deadline[v]) + 1) << SHIFT:
             position[v] = ready
-            return v
+            return vertex
         last[k] = position[v]
     return -1
 

@@ -10,6 +10,9 @@ from deepkoco.graph.supergraph.embedding import grow
 from deepkoco.graph.supergraph.partition import AHEAD, GraphCycleError, partition_timing
 from deepkoco.graph.supergraph.search import find_slots
 
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "bc5581d9d1eff557"
+
 EFFORT = 30
 """Effort of the search for the slots of a timing; it runs where someone waits for an environment."""
 

@@ -354,16 +354,23 @@ def _window_bound(kinds, supervisor, first, passes, kind, release, deadline):
             begin[kind[v], release[v]] += 1
             finish[kind[v], deadline[v] + 1] += 1
         for k in range(kinds):
-            # Steps of one kind are released and needed in their order: those released from a on are all but
-            # the first begin[a], those needed up to b the first finish[b + 1].
-            for j in range(passes[e]):
-                finish[k, j + 1] += finish[k, j]
-            released = 0
-            for a in range(passes[e]):
-                for b in range(a, passes[e]):
-                    inside = finish[k, b + 1] - released
-                    if inside > bound[k] * (b - a + 1):
-                        bound[k] = -(-inside // (b - a + 1))
-                released += begin[k, a]
+            while _overflows(begin[k], finish[k], bound[k]):
+                bound[k] += 1
     bound[supervisor] = 1
     return bound
+
+
+@njit(cache=True)
+def _overflows(begin, finish, slots):
+    """Whether the steps of a kind, begin[j] released and finish[j + 1] needed in pass j, exceed `slots` a pass."""
+    # Steps of one kind are released and needed in their order: those released from a on are all but the first
+    # R[a], those needed up to b the first F[b]. F[b] - R[a] > slots (b - a + 1) for any a <= b, in one look:
+    # R[a] - slots a is smallest somewhere up to b.
+    released, needed, least = 0, 0, np.int64(1 << 60)
+    for j in range(len(begin) - 1):
+        least = min(least, released - slots * j)
+        released += begin[j]
+        needed += finish[j + 1]
+        if needed - slots * (j + 1) > least:
+            return True
+    return False

@@ -31,6 +31,9 @@ from deepkoco.graph.supergraph.windows import (
     make_windows,
 )
 
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "6a572c927e7c73f7"
+
 EFFORT = 75
 """Visits of every vertex that a search may spend; more for chains of many slots of a kind."""
 
@@ -38,7 +41,7 @@ _TRY = 10  # a try to reach one length may spend this part of the budget
 _PATIENCE = 5  # tries without any gain after which it ends
 _UPHILL = (8, 80)  # of 2048 moves, those that may leave 2 and 1 more vertices late
 _FILL = 48  # entries of the table of next slots that take as long as a visit
-_FAILURES = 8  # further windows from one embedding of all episodes
+_FAILURES = 8  # further windows from an embedding of all episodes
 
 
 def find_slots(parts: Partitions, effort: int = EFFORT, seed: int = 0) -> np.ndarray:

@@ -10,7 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deepkoco.graph.supergraph.embedding import SHIFT, next_position
+from deepkoco.graph.supergraph.embedding import SHIFT, at, next_position
+
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "3e84e99ee2aa9b90"
 
 
 class Windows(NamedTuple):
@@ -104,12 +107,16 @@ def count_late(windows, w, next_slot, limit):
     """Count the vertices of a window that are late, at most limit + 1."""
     position, last = windows.position, windows.last
     last[:] = -1
-    first, late = windows.first[w], 0
-    for v in range(first, windows.first[w + 1]):
-        k = windows.kind[v]
+    first, late = at(windows.first[w]), 0
+    i = at(windows.pred_base[first])
+    for vertex in range(windows.first[w], windows.first[w + 1]):
+        v = at(vertex)
+        k = at(windows.kind[v])
         ready = max(np.int64(windows.release[v]) << SHIFT, last[k] + 1)
-        for i in range(windows.pred_base[v], windows.pred_base[v + 1]):
-            ready = max(ready, position[windows.pred[i]] + 1)
+        end = at(windows.pred_base[v + at(1)])
+        while i < end:
+            ready = max(ready, position[at(windows.pred[i])] + 1)
+            i += at(1)
         place = next_position(ready, k, next_slot)
         position[v - first] = place
         last[k] = place

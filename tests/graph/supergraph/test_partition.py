@@ -39,6 +39,21 @@ def test_the_bounds_count_demand_up_to_a_pass_and_within_a_stretch_of_passes():
     assert window_bound(parts).tolist() == [1, 2, 3]
 
 
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_the_bound_is_that_of_all_stretches_one_by_one(seed):
+    parts = partition_timing(random_timing(seed)[0])
+    expected = np.zeros(parts.kinds, dtype=np.int64)
+    for (begin, end), passes in zip(pairwise(parts.first.tolist()), parts.passes.tolist(), strict=True):
+        kind, release, deadline = (own[begin:end] for own in (parts.kind, parts.release, parts.deadline))
+        for a in range(passes):
+            for b in range(a, passes):
+                inside = np.bincount(kind[(release >= a) & (deadline <= b)], minlength=parts.kinds)
+                expected = np.maximum(expected, -(-inside // (b - a + 1)))
+    expected[parts.supervisor] = 1
+    assert window_bound(parts).tolist() == expected.tolist()
+
+
 def test_a_cycle_is_an_error():
     with pytest.raises(GraphCycleError, match="cycle"):
         make_parts("S0 a0 b0", "a0>b0 b0>a0")
