@@ -1,8 +1,7 @@
 """The main job from end to end: `python -m experiments.demo` (or `make demo`).
 
-A log of a unit is diagnosed, the simulator extended with what was found, DeepKoCo trained among
-distractors in the simulator as given and in the extended one, and both controllers run on the unit in
-real time. One page shows it.
+A log of a unit is diagnosed, the simulator extended with what was found, DeepKoCo trained in the simulator as
+given and in the extended one, and both controllers run on the unit in real time. One page shows it.
 """
 
 from __future__ import annotations
@@ -69,7 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, default=Path("demo_out"), help="folder (a number is added if it exists)"
     )
-    parser.add_argument("--episodes", type=int, default=400, help="training episodes (default 400)")
+    parser.add_argument("--episodes", type=int, default=300, help="training episodes (default 300)")
+    parser.add_argument(
+        "--distractors",
+        default="none",
+        help="what else the observation holds, as in experiments.train (default none)",
+    )
     parser.add_argument(
         "--unit-episodes", type=int, default=20, help="episodes on the unit for each (default 20)"
     )
@@ -86,20 +90,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         parser.error(f"--out {args.out}: {error.strerror}")
     try:
-        run_demo(out, args.episodes, args.unit_episodes, args.seed, Console())
+        run_demo(out, args.episodes, args.unit_episodes, args.distractors, args.seed, Console())
     except (*BAD_INPUT, DemoError, LogError, UnitError, UnitSpecError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def run_demo(out: Path, episodes: int, unit_episodes: int, seed: int, console: Console) -> None:
+def run_demo(
+    out: Path, episodes: int, unit_episodes: int, distractors: str, seed: int, console: Console
+) -> None:
     """Do the whole job.
 
     Args:
         out: Empty folder for everything.
         episodes: Training episodes.
         unit_episodes: Episodes on the unit for each controller.
+        distractors: What else the observation holds.
         seed: Seed of the training.
         console: Where it tells how far it is.
     """
@@ -107,10 +114,10 @@ def run_demo(out: Path, episodes: int, unit_episodes: int, seed: int, console: C
     console.print("[bold]1/4[/] diagnosing a 30 s log of the unit")
     diagnosis = diagnose_log(out / "diagnosis")
     console.print(f"    {'; '.join(diagnosis.names) or diagnosis.verdict} ({diagnosis.seconds:.0f} s)")
-    console.print("[bold]2/4[/] training DeepKoCo among distractors, in the simulator as given and extended")
+    console.print("[bold]2/4[/] training DeepKoCo in the simulator as given and extended")
     runs = out / "runs"
     runs.mkdir()
-    train_side_by_side(runs, out / "diagnosis" / "model.yaml", episodes, seed, console)
+    train_side_by_side(runs, out / "diagnosis" / "model.yaml", episodes, distractors, seed, console)
     console.print(f"[bold]3/4[/] running both on the unit in real time, {unit_episodes} episodes each")
     trials = run_on_unit(out / "unit", runs, unit_episodes)
     console.print("[bold]4/4[/] drawing the page")

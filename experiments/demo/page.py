@@ -164,7 +164,10 @@ def _learning_curves(folder: Path) -> bytes:
         axes.plot(rows["episodes"], rows["evaluation/cost"], color=colour, label=LABELS[name])
         tables.append(rows[["episodes", "train/cost", "evaluation/cost"]].assign(policy=name))
     axes.set(xlabel="training episodes", ylabel="cost of an episode", yscale="log")
-    axes.set_title("dotted: with exploration noise; solid: noise-free; each in its own simulator", fontsize=8)
+    axes.set_title(
+        "dotted: with exploration noise; solid: noise-free, last point: the weights kept; each in its own simulator",
+        fontsize=8,
+    )
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return _save(figure, folder, "learning_curves", pd.concat(tables))

@@ -20,13 +20,16 @@ class DemoError(RuntimeError):
     """A step of the demo failed."""
 
 
-def train_side_by_side(out: Path, model: Path, episodes: int, seed: int, console: Console) -> None:
+def train_side_by_side(
+    out: Path, model: Path, episodes: int, distractors: str, seed: int, console: Console
+) -> None:
     """Train in the simulator as given and in the extended one, one process each.
 
     Args:
         out: Folder for the two runs and their logs.
         model: model.yaml of the extended simulator.
         episodes: Training episodes.
+        distractors: What else the observation holds, as in experiments.train.
         seed: Seed of both runs.
         console: Where the progress is shown.
 
@@ -35,9 +38,10 @@ def train_side_by_side(out: Path, model: Path, episodes: int, seed: int, console
     """
     common = [
         *(sys.executable, "-m", "experiments.train", "task=pendulum"),
-        *("task.id=deepkoco/RodPendulumDelay-v0", "distractors=copies", f"seed={seed}"),
-        # The last quarter is noise-free: else one seed of five ends with a swing-up of one swing too many.
+        *("task.id=deepkoco/RodPendulumDelay-v0", f"distractors={distractors}", f"seed={seed}"),
         *(f"agent.total_episodes={episodes}", f"agent.noise_last_episode={max(1, 3 * episodes // 4)}"),
+        # Later weights may swing up with one swing more than earlier ones; in a simulator it costs nothing to look.
+        *("agent.keep=best", "agent.evaluation_episodes=30"),
     ]
     own = {"baseline": [], "extended": [f"+task.kwargs.model={model}"]}
     columns = (TextColumn("{task.description:>10}"), BarColumn(), TextColumn("{task.fields[note]}"))
