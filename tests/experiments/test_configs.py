@@ -53,3 +53,18 @@ def test_any_gymnasium_id_is_taken_without_arguments_of_ours():
 
 def test_settings_given_by_the_user_win_over_those_of_the_environment():
     assert read("task=disk_pendulum", "agent.model.time_step=0.04").agent.model.time_step == 0.04
+
+
+PROFILES = {"small": "dbc", "tuned": "deepkoco"}
+
+
+def test_every_profile_fits_its_agent_and_gives_way_to_the_user():
+    assert {path.stem for path in (CONFIGS / "profile").glob("*.yaml")} == set(PROFILES)
+    for profile, agent in PROFILES.items():
+        plain, changed = (read(f"agent={agent}", *more) for more in ((), (f"+profile={profile}",)))
+        changed.agent.check()
+        assert changed.agent != plain.agent
+        assert (
+            read(f"agent={agent}", f"+profile={profile}", "agent.total_episodes=77").agent.total_episodes
+            == 77
+        )
