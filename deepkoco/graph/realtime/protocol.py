@@ -11,6 +11,7 @@ Source: van der Heijden et al., EAGERx: Graph-Based Framework for Sim2real Robot
 """
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -20,6 +21,9 @@ from deepkoco.graph.delay import exact_seconds
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError
 from deepkoco.graph.realtime.plan import NodePlan, Plan, PlannedStep, Window
+
+CyclicCount = Callable[[int, Fraction, Fraction, Fraction], int]
+"""Messages usable at a tick, from the tick, the rates of sender and receiver and the delay."""
 
 
 class ProtocolError(GraphError):
@@ -40,7 +44,7 @@ def expected_count(
     Returns:
         Messages 0 ... count - 1 are usable.
 
-    Source: the rule that Alg. 2 states; Alg. 3 with i/f_i < k/f_n in the place of one tick less.
+    Source: the rule that Alg. 2 states; for cyclic connections that of the text, not that of the program.
     """
     if tick < 0:
         return 0
@@ -51,13 +55,30 @@ def expected_count(
     return max(1, arrived)
 
 
-def published_cyclic_count(tick: int, sender_rate: Fraction, rate: Fraction, delay: Fraction) -> int:
-    """Count the messages on a cyclic connection as the authors' program does: those of one tick before.
+def cyclic_count(tick: int, sender_rate: Fraction, rate: Fraction, delay: Fraction) -> int:
+    """Count the messages that are usable at a tick of a cyclic connection; see `expected_count`."""
+    return expected_count(tick, sender_rate, rate, delay, cyclic=True)
 
-    For comparison only. With a slow receiver this is late (all messages of the last period are missing), and
-    it demands message 0 at tick 1, even where its delay is longer than that.
+
+def published_cyclic_count(tick: int, sender_rate: Fraction, rate: Fraction, delay: Fraction) -> int:
+    """Count the messages on a cyclic connection as the authors' program does, in exact arithmetic.
+
+    For comparison only: with N(x) = floor((x/f_n - tau) f_i) it awaits min(N(k + o) - N(k + o - 1), N(k) + 1)
+    further messages, at least 0, at tick k > 0, where the shift o is the whole ticks between two messages of
+    a slower sender and -1 with any other. That is one message fewer than the rule gives, at some ticks, or one
+    more, which has been sent but is still under way.
+
+    Source: EAGERx 0.1.40, `expected_inputs` with `skip=True`.
     """
-    return expected_count(tick - 1, sender_rate, rate, delay)
+    shift = math.ceil(rate / sender_rate) - 1 if rate > sender_rate else -1
+    period, under_way = sender_rate / rate, delay * sender_rate
+    unit = math.lcm(period.denominator, under_way.denominator)
+    step, lag = int(period * unit), int(under_way * unit)  # whole numbers: many ticks are added up
+
+    def sent(k: int) -> int:
+        return (k * step - lag) // unit
+
+    return sum(max(0, min(sent(k + shift) - sent(k + shift - 1), sent(k) + 1)) for k in range(1, tick + 1))
 
 
 class ProtocolPlan(Plan):
@@ -69,6 +90,7 @@ class ProtocolPlan(Plan):
     Args:
         graph: nodes with constant delays no longer than their period; connections that do not block. A jitter
             buffer changes nothing, for every message comes at its nominal instant.
+        count: of the messages usable on a cyclic connection; `published_cyclic_count` for comparison.
 
     Raises:
         ProtocolError: the graph has something else; draw a timing for it.
@@ -76,7 +98,7 @@ class ProtocolPlan(Plan):
 
     steps = None
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, count: CyclicCount = cyclic_count) -> None:
         for node in graph.nodes:
             if not node.delay.constant:
                 raise ProtocolError(f'node "{node.name}": random computation delay; draw a timing instead')
@@ -90,7 +112,7 @@ class ProtocolPlan(Plan):
                 raise ProtocolError(f'connection "{connection.key}": random delay; draw a timing instead')
             if connection.blocking:
                 raise ProtocolError(f'connection "{connection.key}": blocks; draw a timing instead')
-        self._graph = graph
+        self._graph, self._count = graph, count
 
     def of(self, node: str) -> "ProtocolNodePlan":
         graph = self._graph
@@ -102,7 +124,7 @@ class ProtocolPlan(Plan):
             senders=tuple(graph.node(c.sender).rate for c in inputs),
             sent_after=tuple(exact_seconds(graph.node(c.sender).delay) for c in inputs),
             delays=tuple(self._delay(c) for c in inputs),
-            cyclic=tuple(c.skip for c in inputs),
+            counts=tuple(self._count if c.skip else expected_count for c in inputs),
             windows=tuple(c.window for c in inputs),
             supervisor_rate=supervisor.rate,
             before=graph.order.index(graph.index[node]) < graph.order.index(graph.index[graph.supervisor]),
@@ -126,21 +148,21 @@ class ProtocolNodePlan(NodePlan):
         senders: tuple[Fraction, ...],
         sent_after: tuple[Fraction, ...],
         delays: tuple[Fraction, ...],
-        cyclic: tuple[bool, ...],
+        counts: tuple[CyclicCount, ...],
         windows: tuple[int, ...],
         supervisor_rate: Fraction,
         before: bool,
     ) -> None:
         self.rate, self.computation = rate, computation
         self.senders, self.sent_after, self.delays = senders, sent_after, delays
-        self.cyclic, self.windows = cyclic, windows
+        self.counts, self.windows = counts, windows
         self.supervisor_rate, self.before = supervisor_rate, before
 
     def step(self, tick: int) -> PlannedStep:
         windows, oldest = [], []
         for e, size in enumerate(self.windows):
             rate, delay, sent = self.senders[e], self.delays[e], self.sent_after[e]
-            count = expected_count(tick, rate, self.rate, delay, self.cyclic[e])
+            count = self.counts[e](tick, rate, self.rate, delay)
             # Alg. 1, line 13: the oldest messages not taken yet come first, then the window moves on.
             seq = tuple(range(count - size, count))
             windows.append(
