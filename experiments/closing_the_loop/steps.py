@@ -95,7 +95,11 @@ def training_command(root: Path, case: Case, arm: str, seed: int, episodes: int)
     folder = root / case.name
     if arm == "unit":
         # In simulated time: 90 units side by side in real time would overrun every period of this machine.
-        where = [f"task.id={UNIT}", f"+task.kwargs.unit={folder / 'unit.yaml'}", "+task.kwargs.clock=simulated"]
+        where = [
+            f"task.id={UNIT}",
+            f"+task.kwargs.unit={folder / 'unit.yaml'}",
+            "+task.kwargs.clock=simulated",
+        ]
     else:
         # Noise as of the sensor, for the unit has it too.
         model = model_of(arm, folder)
@@ -105,6 +109,7 @@ def training_command(root: Path, case: Case, arm: str, seed: int, episodes: int)
         *(sys.executable, "-m", "experiments.train", "task=pendulum", *where),
         *(f"+task.kwargs.action_history={ACTION_HISTORY}", "distractors=none", f"seed={seed}"),
         *(f"agent.total_episodes={episodes}", f"agent.noise_last_episode={max(1, 3 * episodes // 4)}"),
+        *("agent.keep=best", "agent.evaluation_episodes=30"),
         *("existing=resume", f"run={run_folder(root, case, arm, seed)}"),
     ]
 
