@@ -70,6 +70,7 @@ def diagnose(
     window: float | None = None,
     detection: float = DETECTION,
     only: Sequence[str] | None = None,
+    baseline: Start | None = None,
 ) -> Diagnosis:
     """Say what a simulation gets wrong about a unit, from logs of it.
 
@@ -88,6 +89,8 @@ def diagnose(
         window: Length of a window [s]; None takes about one period of the system.
         detection: Fall of the BIC from which a cause is named.
         only: Causes to try, by their names at this system; None tries the whole catalogue.
+        baseline: What :func:`learn_baseline` made of the healthy logs, where several diagnoses share it; None learns
+            it.
 
     Raises:
         LogError: A log lacks a channel.
@@ -100,7 +103,9 @@ def diagnose(
         data = _cut(recordings, holdout, base, length)
         if len(data.train) < FEWEST_WINDOWS:
             return _insufficient(data, base, recordings, length, seed, began)
-        start = learn_baseline(healthy, base, length) if healthy else start_from(base, data.train)
+        start = baseline
+        if start is None:
+            start = learn_baseline(healthy, base, length) if healthy else start_from(base, data.train)
         return _Study(base, start, data, detection, only).run(recordings, length, seed, began)
 
 

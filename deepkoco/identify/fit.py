@@ -88,7 +88,9 @@ class FitProblem:
         }
         push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system.joints)
         delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
-        result = predict(system, self.windows, named, initial, push, delays, lanes)
+        # Where an effect acts in all lanes there is nothing to cut.
+        some = {effect: part for effect, part in lanes.items() if part.stop - part.start < len(theta)}
+        result = predict(system, self.windows, named, initial, push, delays, some)
         self.zeros.add(result, zero, self.windows.log)
         return result
 

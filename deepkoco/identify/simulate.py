@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -85,29 +85,25 @@ def integrate(
     angles, speeds = [angle], [speed]
     firsts, lasts = [], []
     width: tuple[Tensor, ...] = (torch.full((), SHARPEST, dtype=torch.float64),) * joints
-    time = torch.from_numpy(windows.t0)[:, None]
     half = 0.5 * h
+    time = torch.from_numpy(windows.t0)[:, None]
+    # What does not depend on the motion is made for all steps at once: every call costs as much as a small tensor.
+    offsets = torch.tensor([i * h for i in range(windows.steps)], dtype=torch.float64)[:, None, None]
+    at = [(time + offsets + later).unbind(0) for later in (0.0, half, h)]
+    efforts = [_over_steps(start, slope, later) for later in (0.0, half, h)]
+    loads = [None] * windows.steps if pushes is None else [p.unbind(0) for p in pushes.unbind(0)]
     for i in range(windows.steps):
-        loads = None if pushes is None else tuple(pushes[i].unbind(0))
-        at = time + i * h
-        begin = tuple(a[i] for a in start)
-        middle = tuple(torch.add(a[i], b[i], alpha=half) for a, b in zip(start, slope, strict=True))
-        end = tuple(torch.add(a[i], b[i], alpha=h) for a, b in zip(start, slope, strict=True))
-        a1 = law(Motion(tuple(angle), tuple(speed), begin, loads, at, width))
+        begin, middle, end = (effort[i] for effort in efforts)
+        load = loads[i]
+        a1 = law(Motion(tuple(angle), tuple(speed), begin, load, at[0][i], width))
         q2, v2 = _moved(angle, speed, half), _moved(speed, a1, half)
-        a2 = law(Motion(q2, v2, middle, loads, at + half, width))
+        a2 = law(Motion(q2, v2, middle, load, at[1][i], width))
         q3, v3 = _moved(angle, v2, half), _moved(speed, a2, half)
-        a3 = law(Motion(q3, v3, middle, loads, at + half, width))
+        a3 = law(Motion(q3, v3, middle, load, at[1][i], width))
         q4, v4 = _moved(angle, v3, h), _moved(speed, a3, h)
-        a4 = law(Motion(q4, v4, end, loads, at + h, width))
-        angle = [
-            torch.add(q, s + 2.0 * (x2 + x3) + x4, alpha=h / 6.0)
-            for q, s, x2, x3, x4 in zip(angle, speed, v2, v3, v4, strict=True)
-        ]
-        speed = [
-            torch.add(s, y1 + 2.0 * (y2 + y3) + y4, alpha=h / 6.0)
-            for s, y1, y2, y3, y4 in zip(speed, a1, a2, a3, a4, strict=True)
-        ]
+        a4 = law(Motion(q4, v4, end, load, at[2][i], width))
+        angle = _stepped(angle, speed, v2, v3, v4, h)
+        speed = _stepped(speed, a1, a2, a3, a4, h)
         angles.append(angle)
         speeds.append(speed)
         firsts.append(a1)
@@ -122,6 +118,22 @@ def integrate(
 
 def _moved(x: list[Tensor] | tuple[Tensor, ...], rate: tuple[Tensor, ...] | list[Tensor], h: float) -> tuple:
     return tuple(torch.add(a, b, alpha=h) for a, b in zip(x, rate, strict=True))
+
+
+def _stepped(x: list[Tensor], k1: Any, k2: Any, k3: Any, k4: Any, h: float) -> list[Tensor]:
+    """Runge-Kutta's weighted mean of four rates over a step."""
+    return [
+        torch.add(a, torch.add(r1, r2 + r3, alpha=2.0).add_(r4), alpha=h / 6.0)
+        for a, r1, r2, r3, r4 in zip(x, k1, k2, k3, k4, strict=True)
+    ]
+
+
+def _over_steps(
+    start: tuple[Tensor, ...], slope: tuple[Tensor, ...], later: float
+) -> list[tuple[Tensor, ...]]:
+    """Efforts of every command (W, L) at a time after the start of each of the n steps."""
+    values = [a if later == 0.0 else torch.add(a, b, alpha=later) for a, b in zip(start, slope, strict=True)]
+    return list(zip(*(v.unbind(0) for v in values), strict=True))
 
 
 def predict(

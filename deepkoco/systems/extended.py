@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ import yaml
 from torch import Tensor
 
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
+from deepkoco.systems.effects.effect import JointLanes, in_lanes
 from deepkoco.systems.joint import JointSystem, TorqueLaw
 from deepkoco.systems.registry import make_system
 from deepkoco.systems.system import (
@@ -116,33 +117,42 @@ class ExtendedSystem(System):
                 not computed. None computes every effect everywhere.
         """
         law = self.base.accelerations(self._body(parameters))
-        loads = [(placed, _own(placed.name, parameters)) for placed in self._at("load")]
-        if not loads:
+        parts = [
+            _Part.of(placed, parameters, None if lanes is None else lanes.get(placed.name))
+            for placed in self._at("load")
+        ]
+        if not parts:
             return law
-        parts = [_part(placed, p, None if lanes is None else lanes.get(placed.name)) for placed, p in loads]
         driven = {joint: k for k, joint in enumerate(self.base.command_joints)}
         deliver = self.base.delivery(self._body(parameters))
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             total: list[Tensor | None] = [None] * self.joints if motion.loads is None else list(motion.loads)
-            own: dict[int, Tensor] = {}
+            own: set[int] = set()
+            states: dict[int, JointState] = {}
             delivered = motion.efforts if deliver is None else deliver(motion)
-            for placed, p, part in parts:
-                j = placed.index
-                effort = delivered[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
-                smoothing = None if motion.smoothing is None else motion.smoothing[j]
-                joint = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
-                if part is None:
-                    load, given = placed.effect.apply(joint, p), total[j]
+            for part in parts:
+                j = part.joint
+                state = states.get(j)
+                if state is None:
+                    effort = delivered[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
+                    smoothing = None if motion.smoothing is None else motion.smoothing[j]
+                    state = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
+                    states[j] = state
+                given, lane = total[j], part.lanes
+                if lane is None:
+                    load = part.apply(state, part.values)
                     total[j] = load if given is None else given + load
                     continue
-                sliced = JointState(*(_lanes(x, part) for x in joint))
-                if j not in own:
+                if given is None:
+                    given = torch.zeros_like(state.speed)
+                elif j not in own:
                     # A load that the caller gave is not ours to change.
-                    given = total[j]
-                    own[j] = torch.zeros_like(motion.speeds[j]) if given is None else given.clone()
-                    total[j] = own[j]
-                own[j][..., part] += placed.effect.apply(sliced, p)
+                    given = given.clone()
+                own.add(j)
+                load = part.apply(JointLanes(state, lane), part.values)
+                given.narrow(-1, lane.start, lane.stop - lane.start).add_(load)
+                total[j] = given
             return law(motion._replace(loads=tuple(total)))
 
         return acceleration
@@ -275,7 +285,10 @@ class ExtendedJoint(ExtendedSystem, JointSystem):
 
     def torque_law(self, parameters: Parameters) -> TorqueLaw:
         law = self.base.torque_law(self._body(parameters))
-        loads = [(placed.effect, _own(placed.name, parameters)) for placed in self._at("load")]
+        loads = [
+            (placed.effect, placed.effect.acting(_own(placed.name, parameters)))
+            for placed in self._at("load")
+        ]
 
         def torque(theta: Tensor, omega: Tensor, effort: Tensor, smoothing: Tensor | None) -> Tensor:
             total = law(theta, omega, effort, smoothing)
@@ -294,14 +307,20 @@ def _own(effect: str, parameters: Parameters) -> dict[str, Tensor]:
     return {name[len(prefix) :]: value for name, value in parameters.items() if name.startswith(prefix)}
 
 
-def _part(
-    placed: PlacedEffect, own: dict[str, Tensor], part: slice | None
-) -> tuple[PlacedEffect, dict[str, Tensor], slice | None]:
-    return placed, own if part is None else {n: _lanes(v, part) for n, v in own.items()}, part
+class _Part(NamedTuple):
+    """A load of an effect on one joint, and the lanes that it concerns; None for all."""
 
+    apply: Callable[..., Tensor]
+    joint: int
+    values: Parameters
+    lanes: slice | None
 
-def _lanes(value: Any, part: slice) -> Any:
-    return value if value is None or value.ndim == 0 or value.shape[-1] == 1 else value[..., part]
+    @staticmethod
+    def of(placed: PlacedEffect, parameters: Parameters, lanes: slice | None) -> _Part:
+        own = placed.effect.acting(_own(placed.name, parameters))
+        if lanes is not None:
+            own = {n: in_lanes(v, lanes.start, lanes.stop) for n, v in own.items()}
+        return _Part(placed.effect.apply, placed.index, own, lanes)
 
 
 def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] | None = None) -> None:

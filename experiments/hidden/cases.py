@@ -12,7 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose
+from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.graph.recording import Recording
+from deepkoco.identify import window_length
+from deepkoco.identify.threads import one_thread
 from deepkoco.systems import make_system
 from experiments.hidden.doses import FLOOR, OUTSIDE, dosed, effect_names, outside, scaled
 from experiments.hidden.unit import Hidden, hidden_log
@@ -114,9 +118,14 @@ def judge(case: Case, recorded: Recorded, system: str, condition: str) -> dict[s
     """Diagnose a recorded case; one row of the study, plain values only."""
     log, healthy, hidden, strengths = recorded
     began = time.process_time()
-    result = diagnose([log], system, healthy, seed=case.seed)
+    baseline = None
+    if healthy:
+        physics = make_system(system)
+        with one_thread():
+            baseline = learn_baseline(healthy, physics, window_length(physics))
+    result = diagnose([log], system, healthy, seed=case.seed, baseline=baseline)
     spent = time.process_time() - began
-    oracle = _oracle(case, result, log, system, healthy)
+    oracle = _oracle(case, result, log, system, baseline)
     return {
         "index": case.index,
         "seed": case.seed,
@@ -172,11 +181,11 @@ def _estimates(result: Diagnosis, hidden: Hidden) -> list[dict[str, float | str]
     return rows
 
 
-def _oracle(case: Case, result: Diagnosis, log: Any, system: str, healthy: list) -> Diagnosis | None:
+def _oracle(case: Case, result: Diagnosis, log: Any, system: str, baseline: Start | None) -> Diagnosis | None:
     """The same diagnosis by one who knows what is hidden: only the true causes are tried, and any gain counts."""
     if case.kind not in ("single", "pair") or result.gain is None or "event" in " ".join(case.names):
         return None
-    return diagnose([log], system, healthy, seed=case.seed, detection=0.0, only=case.names)
+    return diagnose([log], system, seed=case.seed, detection=0.0, only=case.names, baseline=baseline)
 
 
 def _gains(result: Diagnosis, oracle: Diagnosis | None) -> dict[str, float | str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from experiments.hidden.excitations import Drive, make_drive
 from experiments.hidden.machines import MACHINES, Body, soft_sign
 
 Hidden = Mapping[str, Mapping[str, Any]]
+Load = Callable[[float, float, float, float, float], float]
 STEP = 1e-3  # longest integration step [s]
 SHARPNESS = 0.01  # of dry friction [per s]
 SENSOR_RATE, COMMAND_RATE = 100.0, 50.0  # [Hz]
@@ -81,27 +82,63 @@ class HiddenUnit:
         limit = self._of("saturation", k).get("limit", math.inf)
         return min(max(u, -limit), limit)
 
-    def load(self, j: int, q: float, v: float, u: float, t: float, gust: float) -> float:
-        """Load of the hidden effects on one joint."""
-        total = -self._of("viscous", j).get("change", 0.0) * v
-        total -= self._of("quadratic", j).get("drag", 0.0) * v * abs(v)
-        stribeck = self._of("stribeck", j)
-        level = self._of("coulomb", j).get("torque", 0.0) + stribeck.get("coulomb", 0.0)
-        if stribeck:
-            level += stribeck["breakaway"] * math.exp(-((v / stribeck["speed"]) ** 2))
-        level += self._of("load_friction", j).get("coefficient", 0.0) * abs(u)
-        if level:
-            total -= level * soft_sign(v, SHARPNESS)
-        for kind, phase_of in (("cogging", ("cycles", q)), ("periodic", ("frequency", t))):
-            wave = self._of(kind, j)
-            if wave:
-                phase = wave[phase_of[0]] * phase_of[1]
-                total += wave["sine"] * math.sin(phase) + wave["cosine"] * math.cos(phase)
-        push = self._of("event", j)
-        if push and push["start"] <= t < push["start"] + push["duration"]:
-            total += push["torque"]
-        total -= self._of("position_friction", j).get("size", 0.0) * (1.0 + math.cos(q)) * v
-        return total + self._of("turbulence", j).get("size", 0.0) * gust
+    def load_on(self, j: int) -> Load | None:
+        """Load of the hidden effects on one joint, from angle, speed, effort, time and gust; None where none acts."""
+        parts = [self._friction(j), self._waves(j), self._rest(j)]
+        acting = [part for part in parts if part is not None]
+        if not acting:
+            return None
+        if len(acting) == 1:
+            return acting[0]
+        return lambda q, v, u, t, gust: sum(part(q, v, u, t, gust) for part in acting)
+
+    def _friction(self, j: int) -> Load | None:
+        kinds = ("viscous", "quadratic", "coulomb", "stribeck", "load_friction")
+        viscous, quadratic, coulomb, stribeck, loaded = (self._of(kind, j) for kind in kinds)
+        if not (viscous or quadratic or coulomb or stribeck or loaded):
+            return None
+        change, drag = viscous.get("change", 0.0), quadratic.get("drag", 0.0)
+        constant = coulomb.get("torque", 0.0) + stribeck.get("coulomb", 0.0)
+        excess, speed = stribeck.get("breakaway", 0.0), stribeck.get("speed", 1.0)
+        share = loaded.get("coefficient", 0.0)
+
+        def load(q: float, v: float, u: float, t: float, gust: float) -> float:
+            total = -change * v - drag * v * abs(v)
+            level = constant + share * abs(u)
+            if excess:
+                level += excess * math.exp(-((v / speed) ** 2))
+            return total - level * soft_sign(v, SHARPNESS) if level else total
+
+        return load
+
+    def _waves(self, j: int) -> Load | None:
+        cogging, periodic = self._of("cogging", j), self._of("periodic", j)
+        if not (cogging or periodic):
+            return None
+        cycles, sine, cosine = (cogging.get(n, 0.0) for n in ("cycles", "sine", "cosine"))
+        rate, high, low = (periodic.get(n, 0.0) for n in ("frequency", "sine", "cosine"))
+
+        def load(q: float, v: float, u: float, t: float, gust: float) -> float:
+            turn, phase = cycles * q, rate * t
+            wave = sine * math.sin(turn) + cosine * math.cos(turn)
+            return wave + high * math.sin(phase) + low * math.cos(phase)
+
+        return load
+
+    def _rest(self, j: int) -> Load | None:
+        push, size = self._of("event", j), self._of("turbulence", j).get("size", 0.0)
+        damping = self._of("position_friction", j).get("size", 0.0)
+        if not (push or size or damping):
+            return None
+        torque = push.get("torque", 0.0)
+        begin = push.get("start", math.inf)
+        end = begin + push.get("duration", 0.0)
+
+        def load(q: float, v: float, u: float, t: float, gust: float) -> float:
+            pushed = torque if begin <= t < end else 0.0
+            return pushed - damping * (1.0 + math.cos(q)) * v + size * gust
+
+        return load
 
 
 def hidden_log(
@@ -147,6 +184,8 @@ class _Run:
         self.q, self.v = list(self.drive.start), [0.0] * self.joints
         self.slow = [[self.drive.rest[k]] * len(unit.lags[k]) for k in range(self.count)]
         self.acting = list(self.drive.rest)
+        self.loads = [unit.load_on(j) for j in range(self.joints)]
+        self.gusty = any(kind == "turbulence" for kind, _ in unit.hidden)
         self.played = [0.0] * self.count
         self.filter = unit._of("low_pass").get("time_constant", 0.0)
         self.seen = [*self.q, *self.v]
@@ -232,7 +271,7 @@ class _Run:
         self.acting[k] = self.unit.delivered(k, u, self.t, u)
 
     def _step(self, h: float) -> None:
-        if any(kind == "turbulence" for kind, _ in self.unit.hidden):
+        if self.gusty:
             # A load that wanders with a memory of 50 ms.
             keep = math.exp(-h / 0.05)
             spread = math.sqrt(1.0 - keep * keep)
@@ -266,11 +305,10 @@ class _Run:
                 given = y[at]
                 at += 1
             effort.append(given)
-        load = (
-            [unit.load(j, q[j], v[j], effort[j], t, self.gust[j]) for j in range(n)]
-            if unit.hidden
-            else [0.0] * n
-        )
+        load = [
+            0.0 if part is None else part(q[j], v[j], effort[j], t, self.gust[j])
+            for j, part in enumerate(self.loads)
+        ]
         result = [*v, *unit.law(q, v, effort, load), *rates]
         if self.filter > 0.0:
             result += [(x - s) / self.filter for x, s in zip([*q, *v], y[at:], strict=True)]

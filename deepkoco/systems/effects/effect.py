@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from torch import Tensor
 
-from deepkoco.systems.system import Parameter, System
+from deepkoco.systems.system import Parameter, Parameters, System
 
 Place = Literal["command", "series", "timing", "load", "body", "sensor", "noise"]
 Site = Literal["system", "joint", "command", "channel"]
@@ -22,6 +22,50 @@ class JointState(NamedTuple):
     effort: Tensor  # of the command that drives this joint, in its unit; 0 where none does
     time: Tensor | None  # log time [s]; None where the caller keeps none
     smoothing: Tensor | None  # speed over which a sign changes; None for the effect's own
+
+
+class JointLanes:
+    """A joint's state in some lanes (the last axis), each part cut only if an effect asks for it."""
+
+    __slots__ = ("_start", "_state", "_stop")
+
+    def __init__(self, state: JointState, lanes: slice) -> None:
+        self._state, self._start, self._stop = state, lanes.start, lanes.stop
+
+    @property
+    def angle(self) -> Tensor:
+        """As :class:`JointState`'s."""
+        return self._cut(self._state.angle)
+
+    @property
+    def speed(self) -> Tensor:
+        """As :class:`JointState`'s."""
+        return self._cut(self._state.speed)
+
+    @property
+    def effort(self) -> Tensor:
+        """As :class:`JointState`'s."""
+        return self._cut(self._state.effort)
+
+    @property
+    def time(self) -> Tensor | None:
+        """As :class:`JointState`'s."""
+        return None if self._state.time is None else self._cut(self._state.time)
+
+    @property
+    def smoothing(self) -> Tensor | None:
+        """As :class:`JointState`'s."""
+        return None if self._state.smoothing is None else self._cut(self._state.smoothing)
+
+    def _cut(self, value: Tensor) -> Tensor:
+        return in_lanes(value, self._start, self._stop)
+
+
+def in_lanes(value: Tensor, start: int, stop: int) -> Tensor:
+    """The lanes from ``start`` to before ``stop`` of what has one value per lane, and anything else as it is."""
+    if value.ndim == 0 or value.shape[-1] == 1:
+        return value
+    return value.narrow(-1, start, stop - start)
 
 
 class SensorSite(NamedTuple):
@@ -49,7 +93,8 @@ class Effect:
             - ``command``: ``apply(command, p) -> effort``, memoryless;
             - ``series``: ``apply(commands (n, ...), t (n,), p) -> efforts``: the log of one command, where the
               effort depends on the past or on the time since the log began;
-            - ``load``: ``apply(joint: JointState, p) -> load`` on the joint [N m or N];
+            - ``load``: ``apply(joint: JointState, p) -> load`` on the joint [N m or N]; of a joint's state an effect
+              may read the attributes only;
             - ``body``: ``apply(system, joint, parameters, p) -> parameters``;
             - ``sensor``: ``apply(measurement (..., N), site: SensorSite, p) -> measurement``;
             - ``timing``: no ``apply``; the simulator carries it out;
@@ -59,6 +104,8 @@ class Effect:
         summary: One sentence for reports.
         apply: The physics.
         site: What the effect belongs to: there is one for each joint, command, or channel, or one in all.
+        acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
+            once before many calls of ``apply``.
     """
 
     name: str
@@ -68,6 +115,7 @@ class Effect:
     summary: str
     apply: Callable[..., Any] = _carried_out_elsewhere
     site: Site = "joint"
+    acting: Callable[[Parameters], Parameters] = lambda p: p
 
 
 class PlacedEffect(NamedTuple):

@@ -54,7 +54,7 @@ def _stribeck(system: System, joint: int = 0) -> tuple[Parameter, ...]:
 
 
 def _stribeck_load(joint: JointState, p: Parameters) -> Tensor:
-    level = p["coulomb"] + p["breakaway"] * torch.exp(-((joint.speed / p["speed"]) ** 2))
+    level = p["coulomb"] + p["breakaway"] * torch.exp(-(joint.speed / p["speed"]).square())
     return -level * smooth_sign(joint)
 
 

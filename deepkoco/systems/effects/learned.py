@@ -98,9 +98,14 @@ def _load(joint: JointState, p: Parameters) -> Tensor:
     scaled = Scaled(joint.angle, speed, sign, torch.clamp(effort, -REACH, REACH))
     total = torch.zeros_like(joint.speed)
     for name, weight in p.items():
-        if name not in SCALES and bool((weight != 0.0).any()):
+        if name not in SCALES:
             total = total + weight * TERMS[name](scaled)
     return total
+
+
+def _acting(p: Parameters) -> Parameters:
+    """The scales, and the weights that are not 0 everywhere: there are many terms and a model has few."""
+    return {name: value for name, value in p.items() if name in SCALES or bool((value != 0.0).any())}
 
 
 LEARNED = Effect(
@@ -110,4 +115,5 @@ LEARNED = Effect(
     _declared,
     "a load that was fitted to data and stands for no known cause",
     _load,
+    acting=_acting,
 )
