@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.connection import Connection
+from deepkoco.graph.contract import StepError
 from deepkoco.graph.delay import (
     Autoregressive,
     Delay,
@@ -95,6 +96,7 @@ __all__ = [
     "Series",
     "SimulatedRuntime",
     "Stalls",
+    "StepError",
     "Supervisor",
     "TimingError",
     "Uniform",

@@ -3,9 +3,21 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from torch import Tensor
 
 from deepkoco.graph.node import GraphError
+
+
+class StepError(RuntimeError):
+    """A node raised at a step of a batch of environments; the message names node and step."""
+
+    @classmethod
+    def of(cls, node: str, steps: np.ndarray, error: Exception) -> "StepError":
+        """Describe an exception of a node, at the steps that its environments were at."""
+        low, high = int(steps.min()), int(steps.max())
+        where = f"its step {low}" if low == high else f"its steps {low} to {high}, by environment"
+        return cls(f'node "{node}" at {where}: {type(error).__name__}: {error}')
 
 
 def check_batch(what: str, value: Any, batch: int) -> None:

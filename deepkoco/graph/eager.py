@@ -10,7 +10,7 @@ from torch import Tensor
 
 from deepkoco.graph import cells
 from deepkoco.graph.computation_graph import concatenate
-from deepkoco.graph.contract import check_action, check_batch, check_output, check_state
+from deepkoco.graph.contract import StepError, check_action, check_batch, check_output, check_state
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State, Supervisor
 from deepkoco.graph.policy import Policy, as_function, given_actions
@@ -148,7 +148,10 @@ class EagerExecutor:
         if not isinstance(supervisor, Supervisor) or type(supervisor).observe is Supervisor.observe:
             return state
         seen = self.inputs(state)
-        own, readings = supervisor.observe(state.parameters[name], state.nodes[name], seen, action)
+        try:
+            own, readings = supervisor.observe(state.parameters[name], state.nodes[name], seen, action)
+        except Exception as error:
+            raise StepError.of(name, state.step, error) from error
         return replace(state, nodes=state.nodes | {name: own}, readings=readings)
 
     def _run(self, state: RuntimeState, trace: Trace | None) -> RuntimeState:
@@ -161,7 +164,6 @@ class EagerExecutor:
         table: Any = state.schedule.table[row, step].astype(np.int64)
         running = table >= 0
         some, every = running.any(axis=0).tolist(), running.all(axis=0).tolist()
-        first = np.equal(table, 0).any(axis=0).tolist()
         for slot, position in enumerate(state.schedule.slots.tolist()):
             if not some[slot]:
                 continue
@@ -169,28 +171,23 @@ class EagerExecutor:
             node = self.graph.nodes[position]
             # What the others would see is never used: let them look where those that run do.
             inputs = self._inputs(state, position, seq if every[slot] else np.where(runs, seq, seq.max()))
-            node_state, output = node.step(state.parameters[node.name], nodes[node.name], inputs)
-            if first[slot]:
-                # Once in an episode: a node that keeps its shapes at its first step does so at the others.
-                self._check_first(node.name, node_state, output, nodes[node.name], outputs[node.name][0])
+            old = nodes[node.name]
+            try:
+                node_state, output = node.step(state.parameters[node.name], old, inputs)
+                check_state(node_state, old)
+                check_output(output, outputs[node.name][0])
+            except GraphError as error:
+                raise GraphError(f'node "{node.name}" at its step {seq[runs].min()}: {error}') from error
+            except Exception as error:
+                raise StepError.of(node.name, seq[runs], error) from error
             if not every[slot]:
                 mask = torch.from_numpy(np.ascontiguousarray(runs)).to(self.device)
-                old = nodes[node.name]
                 node_state = {key: cells.where(mask, value, old[key]) for key, value in node_state.items()}
             nodes[node.name] = node_state
             outputs[node.name] = cells.write(outputs[node.name], output, seq)
             if trace is not None:
                 trace.append((position, seq, output))
         return state
-
-    def _check_first(
-        self, name: str, state: State, output: Tensor, initial: State, initial_output: Tensor
-    ) -> None:
-        try:
-            check_state(state, initial)
-            check_output(output, initial_output)
-        except GraphError as error:
-            raise GraphError(f'node "{name}" at its step 0: {error}') from error
 
     def _inputs(self, state: RuntimeState, position: int, step: np.ndarray) -> dict[str, Input]:
         """Collect what a node sees at its step `step`, (B,) or (1,) if it is the same for all."""

@@ -1,5 +1,7 @@
 """Outputs, states and actions that do not match are refused with node, step and both shapes, in every runtime."""
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -13,6 +15,7 @@ from deepkoco.graph import (
     Node,
     NodeFailure,
     SimulatedRuntime,
+    StepError,
     Supervisor,
     WallClockRuntime,
     draw_timing,
@@ -82,10 +85,10 @@ RUNTIMES = {
 }
 
 
-def run(runtime, steps: int) -> None:
+def run(runtime, steps: int, batch: int = 1) -> None:
     state, _ = runtime.reset({}, torch.Generator())
     for _ in range(steps):
-        state, _ = runtime.step(state, torch.zeros(1, 2))
+        state, _ = runtime.step(state, torch.zeros(batch, 2))
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -130,3 +133,54 @@ def test_one_row_for_a_batch_is_no_output_of_the_batch():
     runtime = BatchedRuntime(robot, draw_timing(robot, np.random.default_rng(0), 4, 3))
     with pytest.raises(GraphError, match=r'"plant" at its step 0: output is \(1, 2\) .* \(3, 2\)'):
         runtime.reset({}, torch.Generator())
+
+
+class Late(Faulty):
+    """Fails once it has seen action 1, as a node does that copes with all but one of its inputs."""
+
+    inputs = ("agent",)
+
+    def step(self, parameters, state, inputs):
+        if int(inputs["agent"].seq.max()) < 1:
+            return state, state["x"]
+        match self.fault:
+            case "raises":
+                raise RuntimeError("the motor is hot")
+            case "nothing":
+                return None
+            case _:
+                return state, state["x"][:, :1]
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "message"),
+    [
+        ("raises", StepError, "RuntimeError: the motor is hot"),
+        ("nothing", StepError, "TypeError: cannot unpack"),
+        ("narrower", GraphError, r"output is \(2, 1\) float32, the initial output \(2, 2\) float32"),
+    ],
+)
+def test_a_batch_tells_in_which_node_and_at_which_step_it_failed(fault, error, message):
+    agent = Supervisor("agent", 50, initial_action=torch.zeros(2))
+    robot = Graph(
+        [Late(fault), agent], [Connection("plant", "agent"), Connection("agent", "plant", skip=True)]
+    )
+    runtime = BatchedRuntime(robot, draw_timing(robot, np.random.default_rng(0), 6, 2))
+    with pytest.raises(error, match=f'^node "plant" at its step 2: {message}'):
+        run(runtime, 5, batch=2)
+
+
+def test_an_agent_that_fails_to_look_is_named_with_its_step():
+    class Blind(Supervisor):
+        def observe(self, parameters, state, inputs, action):
+            return state, {"observation": inputs["camera"].data}
+
+    robot = Graph(
+        [Faulty(), Blind("agent", 50, initial_action=torch.zeros(2))], [Connection("plant", "agent")]
+    )
+    for executor in ("eager", "fused"):
+        runtime = BatchedRuntime(robot, draw_timing(robot, np.random.default_rng(0), 4, 2), executor=executor)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # that it cannot be compiled
+            with pytest.raises(StepError, match=r"^node .agent. at its step 0: KeyError: .camera."):
+                runtime.reset({}, torch.Generator())

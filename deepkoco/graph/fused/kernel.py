@@ -204,7 +204,10 @@ class Binding:
         elif action.dtype != NUMPY[self.action_type] or not action.flags.c_contiguous:
             action = np.ascontiguousarray(action, dtype=NUMPY[self.action_type])
         if tuple(action.shape) != self.action_shape:
-            raise ValueError(f"action {tuple(action.shape)} where {self.action_shape} is expected")
+            raise ValueError(
+                f'action of "{self.kernel.graph.supervisor}" has shape {tuple(action.shape)}, '
+                f"the initial action {self.action_shape}"
+            )
         return action
 
     def see(self, uses: set[str]) -> None:

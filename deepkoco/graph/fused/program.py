@@ -140,6 +140,9 @@ def traced(
         return trace(function, examples)
     except TraceError as error:
         raise TraceError(f"{who}: {error}") from None
+    except Exception as error:
+        # Its own mistake, which it makes in the eager executor too, or one of the tracing, which it does not.
+        raise TraceError(f"{who}: {type(error).__name__}: {error}") from error
 
 
 def input_examples(edges: tuple[Connection, ...], sent: Mapping[str, Tensor]) -> dict[str, Tensor]:
