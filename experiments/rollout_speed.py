@@ -10,6 +10,7 @@ import argparse
 import csv
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -180,8 +181,11 @@ def description() -> dict[str, Any]:
     }
 
 
-def start_up(executor: str) -> dict[str, float]:
-    """Seconds from the interpreter's start to the first step of a new graph, without and with a kernel kept."""
+def start_up(executor: str, repeats: int = 3) -> dict[str, float]:
+    """Seconds from the interpreter's start to the first step of a new graph, without and with a kernel kept.
+
+    Of the clock and, as "..._cpu", of the processor; medians. "torch", "graph": until these are imported.
+    """
     code = (
         "import numpy as np, torch; from deepkoco.graph import BatchedRuntime, draw_timing; "
         "from experiments import rollout_work as w; g = w.make_graph(); "
@@ -190,17 +194,31 @@ def start_up(executor: str) -> dict[str, float]:
         "s, _ = r.reset(w.make_parameters(), torch.Generator().manual_seed(0), rows=np.zeros(64, int)); "
         "r.step(s, torch.zeros(64, 1))"
     )
-    result = {"torch": timed("import torch")}
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("uncached", "cached"):
-            result[name] = timed(code, XDG_CACHE_HOME=folder)
+        work = {
+            "torch": ("import torch", folder),
+            "graph": ("import torch, deepkoco.graph", folder),
+            "uncached": (code, ""),
+            "cached": (code, folder),
+        }
+        timed(code, folder)
+        taken = {
+            name: [timed(program, cache) for _ in range(repeats)] for name, (program, cache) in work.items()
+        }
+    result = {}
+    for name, pairs in taken.items():
+        result[name], result[f"{name}_cpu"] = np.median(pairs, axis=0).tolist()
     return result
 
 
-def timed(code: str, **environment: str) -> float:
-    begin = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, env=os.environ | environment)
-    return time.perf_counter() - begin
+def timed(code: str, cache: str) -> tuple[float, float]:
+    """Run a program with the kernels that are kept in a folder, "" for none; seconds of clock and processor."""
+    with tempfile.TemporaryDirectory() as empty:
+        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        environment = os.environ | {"XDG_CACHE_HOME": cache or empty}
+        subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, env=environment)
+        seconds, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return seconds, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def measure(workers: dict[str, Any], kind: str, batch: int, repeats: int, steps: int) -> list[dict[str, Any]]:
