@@ -137,8 +137,6 @@ class _Tangent:
         null = np.array([[reference.values[n] for n in problem.names]])
         parts = []
         for at in range(0, len(theta), LANES):
-            # Doses are compared with the reference in the same batch: the grid on which commands are averaged
-            # depends on the delays in a batch, and tiny doses would drown in the difference.
             chunk = np.concatenate([null, theta[at : at + LANES]])
             states = reference.state[None].expand(len(chunk), -1, -1)
             zero = reference.zero[None].expand(len(chunk), -1)

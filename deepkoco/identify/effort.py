@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 from torch import Tensor
 
 from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import System
-
-CELL = 2.5e-4  # grid on which commands are averaged before a lag [s]
 
 
 def step_efforts(
@@ -49,7 +47,6 @@ def command_efforts(
     timing = system.command_timing(index, parameters)
     delay, skew = timing.delay.expand(lanes).numpy(), timing.skew.expand(lanes).numpy()
     lags = [lag.expand(lanes).numpy() for lag in timing.lag]
-    slow = any(lag.any() for lag in lags)
     start = torch.empty(windows.steps, len(windows), lanes, dtype=torch.float64)
     slope = torch.empty_like(start)
     for number, command in enumerate(windows.commands):
@@ -63,12 +60,7 @@ def command_efforts(
         # Lanes with the same efforts share one series, lanes with the same series and delay one result.
         key = np.column_stack([shaped[:, _probe(command, index)], *lags])
         _, distinct, member = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        if slow:
-            early = np.abs(skew).max() * (edges.max() + windows.length - command.t[0])
-            last = edges.max() + windows.length + early
-            series = _Averaged(command, shaped[distinct], [lag[distinct] for lag in lags], last)
-        else:
-            series = _Held(command, shaped[distinct])
+        series = _Held(command, shaped[distinct], [lag[distinct] for lag in lags])
         late = np.column_stack([member.ravel(), delay, skew])
         _, distinct, group = np.unique(late, axis=0, return_index=True, return_inverse=True)
         a, b = series.steps(
@@ -92,19 +84,42 @@ def _probe(command: CommandSeries, index: int) -> np.ndarray:
 
 
 class _Held:
-    """First and second integral over time of held efforts (U, n), exact.
+    """First and second integral over time of held efforts (U, n) behind first-order lags, exact.
 
     A grid would blur each jump by an amount that depends on where the jump falls in its cell, so that the cost
     would quiver with the delay: on a plant that is unstable enough to hide a small delay from a fit.
+
+    What a lag T y' + y = u shows has the integral of u less T (y - y_0), so that beyond u itself only y is needed
+    at the times asked for.
+
+    Args:
+        command: Stamps of the log.
+        effort: (U, n) efforts, each held from its stamp to the next.
+        lags: (U,) time constants [s] of one or two lags in a row; 0 for none. Before the log they have settled.
     """
 
-    def __init__(self, command: CommandSeries, effort: np.ndarray) -> None:
+    def __init__(self, command: CommandSeries, effort: np.ndarray, lags: Sequence[np.ndarray]) -> None:
         self.t, self.effort = command.t, effort
         gap = np.diff(command.t)
         once, twice = np.zeros_like(effort), np.zeros_like(effort)
         np.cumsum(effort[:, :-1] * gap, axis=1, out=once[:, 1:])
         np.cumsum(once[:, :-1] * gap + 0.5 * effort[:, :-1] * gap**2, axis=1, out=twice[:, 1:])
         self.once, self.twice = once, twice
+        # Lags commute; the shorter one first keeps the exponentials below in range.
+        chain = np.sort(np.array([*lags, *[np.zeros(len(effort))] * (2 - len(lags))]), axis=0)
+        self.short, self.long = chain[-2], chain[-1]
+        # What each lag has still to go at the stamps.
+        self.first, self.second = np.zeros_like(effort), np.zeros_like(effort)
+        jump = -np.diff(effort, axis=1)
+        for pair in np.unique(np.column_stack([self.short, self.long]), axis=0):
+            short, long = pair
+            rows = np.flatnonzero((self.short == short) & (self.long == long))
+            own = jump[rows].T
+            if short > 0.0:
+                self.first[rows] = _remaining(np.exp(-gap / short), own).T
+            if long > 0.0:
+                passed = _passed(gap, short, long)[:, None] * self.first[rows, :-1].T if short > 0.0 else 0.0
+                self.second[rows] = _remaining(np.exp(-gap / long), own + passed).T
 
     def steps(
         self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
@@ -117,43 +132,41 @@ class _Held:
         effort, before = self.effort[lane, piece], self.once[lane, piece]
         once = before + effort * inside
         twice = self.twice[lane, piece] + inside * (before + 0.5 * effort * inside)
+        slow = np.flatnonzero(self.long[row] > 0.0)
+        if len(slow):
+            own, since = row[slow], np.clip(inside[slow], 0.0, None)
+            past, lane, piece = at[slow] - self.t[0], lane[slow], piece[slow]
+            short, long = self.short[own][:, None, None], self.long[own][:, None, None]
+            start = self.effort[own, 0][:, None, None]
+            one = self.first[lane, piece] * _decay(since, short)
+            two = self.second[lane, piece] * _decay(since, long)
+            two = two + self.first[lane, piece] * _passed(since, short, long)
+            for constant, left in ((short, one), (long, two)):
+                shown = np.where(constant > 0.0, effort[slow] + left - start, 0.0)
+                once[slow] -= constant * shown
+                twice[slow] -= constant * (once[slow] - start * past)
         return _line(once, twice, step)
 
 
-class _Averaged:
-    """The same behind first-order lags, from averages over the cells of a regular grid."""
+def _remaining(keep: np.ndarray, jump: np.ndarray) -> np.ndarray:
+    """(n + 1, U) how far a lag is from its input: x[0] = 0, x[i + 1] = keep[i] x[i] + jump[i]."""
+    band = np.ones((2, len(keep) + 1))
+    band[1, :-1], band[1, -1] = -keep, 0.0
+    return solve_banded((1, 0), band, np.concatenate([np.zeros((1, jump.shape[1])), jump]))
 
-    def __init__(
-        self, command: CommandSeries, effort: np.ndarray, lags: Sequence[np.ndarray], last: float
-    ) -> None:
-        self.first = command.t[0] - 1.0
-        cells = int(np.ceil((last - self.first) / CELL)) + 2
-        grid = self.first + CELL * np.arange(cells + 1)
-        area = np.zeros_like(effort)
-        np.cumsum(effort[:, :-1] * np.diff(command.t), axis=1, out=area[:, 1:])
-        held = np.clip(np.searchsorted(command.t, grid, side="right") - 1, 0, None)
-        integral = area[:, held] + effort[:, held] * (grid - command.t[held])
-        self.mean = np.diff(integral, axis=1) / CELL
-        for lag in lags:
-            for row in np.flatnonzero(lag > 0):
-                self.mean[row] = _lagged(self.mean[row], lag[row], CELL)
-        zero = np.zeros((len(effort), 1))
-        self.once = np.concatenate([zero, np.cumsum(self.mean, axis=1) * CELL], axis=1)
-        twice = np.cumsum(self.once[:, :-1] * CELL + self.mean * (0.5 * CELL**2), axis=1)
-        self.twice = np.concatenate([zero, twice], axis=1)
 
-    def steps(
-        self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """a, b (R, W, n) for rows of this series, each with a delay (R, W) [s]."""
-        at = (_nodes(delay, t0, step, steps) - self.first) / CELL
-        cell = np.clip(at.astype(int), 0, self.mean.shape[1] - 1)
-        inside = (at - cell) * CELL
-        lane = row[:, None, None]
-        mean, before = self.mean[lane, cell], self.once[lane, cell]
-        once = before + mean * inside
-        twice = self.twice[lane, cell] + inside * (before + 0.5 * mean * inside)
-        return _line(once, twice, step)
+def _decay(since: np.ndarray, constant: np.ndarray) -> np.ndarray:
+    return np.where(constant > 0.0, np.exp(-since / np.where(constant > 0.0, constant, 1.0)), 0.0)
+
+
+def _passed(since: np.ndarray, short: np.ndarray | float, long: np.ndarray | float) -> np.ndarray:
+    """What of a shorter lag's remainder the longer one still has after a time, for a remainder of 1."""
+    acts = np.asarray(short) > 0.0
+    quick, slow = np.where(acts, short, 1.0), np.where(acts, long, 1.0)
+    apart = since * (1.0 / quick - 1.0 / slow)  # never below 0
+    # -expm1(-x) / x goes to 1 as x goes to 0: equal lags are no exception.
+    ratio = np.where(apart > 1e-12, -np.expm1(-apart) / np.where(apart > 1e-12, apart, 1.0), 1.0)
+    return np.where(acts, np.exp(-since / slow) * since / slow * ratio, 0.0)
 
 
 def _nodes(delay: np.ndarray, t0: np.ndarray, step: float, steps: int) -> np.ndarray:
@@ -167,12 +180,3 @@ def _line(once: np.ndarray, twice: np.ndarray, step: float) -> tuple[np.ndarray,
     second = np.diff(twice, axis=2) - step * once[:, :, :-1]
     b = 12.0 * (0.5 * step * first - second) / step**3
     return first / step - 0.5 * step * b, b
-
-
-def _lagged(mean: np.ndarray, time_constant: float, cell: float) -> np.ndarray:
-    """Cell averages of a first-order lag driven by cell averages, exact for inputs constant in a cell."""
-    alpha = np.exp(-cell / time_constant)
-    # State of the lag at the start of each cell: z[i + 1] = alpha z[i] + (1 - alpha) u[i].
-    after, _ = lfilter([1.0 - alpha], [1.0, -alpha], mean, zi=[alpha * mean[0]])
-    before = np.concatenate([[mean[0]], after[:-1]])
-    return mean - (mean - before) * (time_constant / cell) * (1.0 - alpha)

@@ -22,7 +22,7 @@ def test_a_promise_is_what_the_fit_wins_whatever_else_is_screened_with_it():
     problem = FitProblem(start.system, windows)
     known = catalogue(base)
     asked = [(known[n], {}) for n in ("load_friction", "quadratic", "gain_drift")]
-    # A lag and a skew change the grid on which commands are averaged.
+    # A lag and a skew change how the efforts of the batch are computed.
     beside = [(known["lag"], {"lag.time_constant": 0.03}), (known["clock_skew"], {}), *asked]
     alone = screen(problem, reference, start.prior, asked)
     together = screen(problem, reference, start.prior, beside)[2:]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.identify.effort import step_efforts
+from deepkoco.identify.effort import _Held, step_efforts
 from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import ExtendedSystem, make_system
 
@@ -88,3 +88,43 @@ def test_efforts_change_smoothly_with_the_delay():
     bent = area(0.00001) - 2.0 * area(0.00004) + area(0.00007)
     assert np.abs(bent).max() < 1e-12
     assert np.abs(area(0.00007) - area(0.00001)).max() > 1e-5
+
+
+@pytest.mark.parametrize(
+    "short, long", [(0.0, 0.04), (0.013, 0.04), (0.04, 0.04), (0.04, 0.0400001), (1e-4, 0.3)]
+)
+def test_lags_in_a_row_answer_as_the_differential_equation(short, long):
+    """Irregular commands through two lags, against the state-space solution at much finer times."""
+    rng = np.random.default_rng(3)
+    t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.001, 0.03, 60))])
+    command = CommandSeries(t, rng.standard_normal(len(t)))
+    series = _Held(command, command.value[None], [np.array([long]), np.array([short])])
+    step, steps = 0.01, 60
+    a, b = series.steps(np.array([0]), np.zeros((1, 1)), np.array([0.2]), step, steps)
+    fine = 500  # points of each piece of constant command
+    state, at, out = np.full(2, command.value[0]), [0.0], [command.value[0]]
+    for begin, end, u in zip(t[:-1], t[1:], command.value[:-1], strict=True):
+        for _ in range(fine):
+            h = (end - begin) / fine
+            # Each lag follows its input, held at the middle of the substep.
+            before = state[0]
+            state[0] = u + (before - u) * (np.exp(-h / short) if short else 0.0)
+            given = u + (before - u) * np.exp(-0.5 * h / short) if short else u
+            state[1] = given + (state[1] - given) * np.exp(-h / long)
+            at.append(at[-1] + h)
+            out.append(state[1])
+    once = np.concatenate([[0.0], np.cumsum(0.5 * (np.diff(at) * (np.array(out[1:]) + np.array(out[:-1]))))])
+    edges = 0.2 + step * np.arange(steps + 1)
+    wanted = np.diff(np.interp(edges, at, once)) / step
+    assert (a + 0.5 * step * b)[0, 0] == pytest.approx(wanted, abs=3e-5)
+    # The slope keeps the double integral too.
+    twice = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(at) * (once[1:] + once[:-1]))])
+    inside = np.diff(np.interp(edges, at, twice)) - step * np.interp(edges[:-1], at, once)
+    assert (a * step**2 / 2 + b * step**3 / 6)[0, 0] == pytest.approx(inside, abs=1e-7)
+
+
+def test_a_log_of_one_command_has_settled_behind_its_lag():
+    windows = windows_of([0.0], [1.5], [0.0], 0.01, 5)
+    start, slope = efforts(windows, lag__time_constant=0.05, actuation_delay__delay=0.02)
+    assert start == pytest.approx(1.5, abs=1e-9)
+    assert slope == pytest.approx(0.0, abs=1e-6)

@@ -146,7 +146,6 @@ def _columns(
     states = windows.state[None].repeat(len(lanes), 1, 1)
     for s, size in enumerate(nudge):
         states[1 + len(columns) + s, :, s] += size
-    # All in one batch: the grid on which commands are averaged depends on the delays in it.
     predicted = problem.predict(lanes, states, problem.zeros.none()[None].repeat(len(lanes), 1))
     change = ((predicted - predicted[0]) * problem.weight).flatten(2)
     basis, _ = torch.linalg.qr(change[1 + len(columns) : fixed].permute(1, 2, 0))
