@@ -91,7 +91,7 @@ def test_efforts_change_smoothly_with_the_delay():
 
 
 @pytest.mark.parametrize(
-    "short, long", [(0.0, 0.04), (0.013, 0.04), (0.04, 0.04), (0.04, 0.0400001), (1e-4, 0.3)]
+    ("short", "long"), [(0.0, 0.04), (0.013, 0.04), (0.04, 0.04), (0.04, 0.0400001), (1e-4, 0.3)]
 )
 def test_lags_in_a_row_answer_as_the_differential_equation(short, long):
     """Irregular commands through two lags, against the state-space solution at much finer times."""
