@@ -9,9 +9,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from deepkoco.graph.log_checks import Span, check_content, check_units, unknown_stretches
+from deepkoco.graph.log_checks import (
+    Span,
+    check_content,
+    check_units,
+    derivative_pairs,
+    unknown_stretches,
+)
 from deepkoco.graph.log_files import LogFile, open_log
 from deepkoco.graph.log_files.log_file import HEADER, LogError
+from deepkoco.graph.log_frozen import frozen_stretches, without_frozen
 from deepkoco.graph.log_series import ChannelReader, Series
 from deepkoco.graph.sidecar import (
     KINDS,
@@ -38,7 +45,7 @@ class Recording:
         path: file it was read from, None if it never was in a file.
         system: name of the system that was measured, None if the log does not say.
         meta: anything else the sidecar says.
-        unknown: stretches (start, stop) [s] in which a command is not known or a measurement was filled in.
+        unknown: stretches (start, stop) [s] in which a command is not known, or a measurement was filled in or frozen.
         warnings: what reading had to assume or doubts.
     """
 
@@ -134,12 +141,16 @@ def read_log(
     }
     check_content(path, series, min_samples, min_seconds, allow_constant_command)
     notes = [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
+    doubtful = {n: s for n, s in series.items() if not sidecar.channels[n].checked}
+    frozen = frozen_stretches(doubtful, derivative_pairs(doubtful))
+    series = {n: without_frozen(s, [f for f in frozen if f.channel == n]) for n, s in series.items()}
+    notes += [f.note for f in frozen]
     doubts = check_units(path, series, sidecar.channels)
-    unknown = unknown_stretches(series)
+    unknown = tuple(sorted({*unknown_stretches(series), *((f.start, f.stop) for f in frozen)}))
     if unknown:
         seconds = sum(end - begin for begin, end in unknown if end < np.inf)
         notes.append(
-            f"{len(unknown)} stretches ({seconds:.3g} s) in which a command is not known or a measurement filled in; "
+            f"{len(unknown)} stretches ({seconds:.3g} s) in which a command or a measurement is not known; "
             "fits leave out the windows there"
         )
     return Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))

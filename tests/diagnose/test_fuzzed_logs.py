@@ -43,6 +43,13 @@ def test_a_damaged_log_names_no_cause_that_the_clean_one_does_not_show(fault, se
     assert result.wrong == "", result
 
 
+@pytest.mark.parametrize("case", [FuzzCase(0, "parquet", ("frozen channel",), 25261)])
+def test_a_frozen_sensor_is_told_and_names_no_cause(case, verdicts):
+    result = run_case(case, verdicts)
+    assert result.wrong == "", result
+    assert '"theta" repeats one value from 2.66 to 6.2 s (355 samples)' in result.text
+
+
 @pytest.mark.skipif(DIAGNOSED == 0, reason="DEEPKOCO_FUZZ_CASES is not set")
 @settings(max_examples=max(DIAGNOSED, 1), deadline=None, phases=[Phase.generate], suppress_health_check=QUIET)
 @given(case=case_strategy())
