@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from deepkoco.graph.node import GraphError
 from deepkoco.graph.timing_kernel import LOST
 
 if TYPE_CHECKING:
@@ -83,6 +84,26 @@ class ComputationGraph:
     def batch(self) -> int:
         """Number of environments."""
         return len(self.row)
+
+    def check_graph(self, graph: "Graph") -> None:
+        """Check that this is a timing of a graph; rates and delays may be others.
+
+        Raises:
+            GraphError: nodes, connections, windows or the supervisor differ.
+        """
+        own = self.layout
+        edges = graph.connections
+        for what, here, there in (
+            ("nodes", own.names, tuple(node.name for node in graph.nodes)),
+            ("connections", own.connections, tuple(c.key for c in edges)),
+            ("windows", tuple(own.window.tolist()), tuple(c.window for c in edges)),
+            ("supervisor", (own.names[own.supervisor],), (graph.supervisor,)),
+        ):
+            if here != there:
+                raise GraphError(
+                    f"the timing was made for another graph: its {what} {', '.join(map(str, here)) or 'none'}; "
+                    f"of this graph {', '.join(map(str, there)) or 'none'}"
+                )
 
     def count(self, row: int, node: int) -> int:
         """Return how many steps of a node the schedule has, the last supervisor step included."""

@@ -41,6 +41,7 @@ class BatchedRuntime:
 
     Raises:
         ValueError: there is no such executor, not on this device, or no such device.
+        GraphError: the timing was made for another graph.
     """
 
     def __init__(
@@ -56,6 +57,8 @@ class BatchedRuntime:
             raise ValueError(f'executor "{executor}" is none of {", ".join(EXECUTORS)}')
         self.graph = graph
         self.device = torch.device(device or ("cuda" if executor == "cuda" else "cpu"))
+        if timing is not None:
+            timing.check_graph(graph)
         self._executor: Any = _make_executor(executor, graph, self.device, threads)
         self._schedule = None if timing is None else Schedule(timing, self.device)
 
@@ -95,10 +98,13 @@ class BatchedRuntime:
 
         Raises:
             ValueError: no timing was given, or names and shapes do not fit.
-            GraphError: a node that is not pure is to run in more than one environment.
+            GraphError: a node that is not pure is to run in more than one environment, or the timing was made
+                for another graph.
+            StepError: a node raised.
         """
         schedule = self._schedule if state is None else state.schedule
         if timing is not None:
+            timing.check_graph(self.graph)
             # Slots that are there are used again: no search, and what is running keeps its place in them.
             merged = None if schedule is None else merge_slots(timing, schedule.slots)
             schedule = Schedule(timing, self.device, merged)

@@ -184,3 +184,37 @@ def test_an_agent_that_fails_to_look_is_named_with_its_step():
             warnings.simplefilter("ignore", RuntimeWarning)  # that it cannot be compiled
             with pytest.raises(StepError, match=r"^node .agent. at its step 0: KeyError: .camera."):
                 runtime.reset({}, torch.Generator())
+
+
+def another(kind: str) -> Graph:
+    """A graph that takes the timing of `graph()` for its own, but for one thing."""
+    agent = Supervisor("agent", 50, initial_action=torch.zeros(2))
+    plant = Connection("plant", "agent", window=2 if kind == "windows" else 1)
+    match kind:
+        case "nodes":
+            return Graph([agent, Faulty()], [plant, Connection("agent", "plant", skip=True)])
+        case "connections":
+            return Graph([Faulty(), agent], [plant])
+        case _:
+            return Graph([Faulty(), agent], [plant, Connection("agent", "plant", skip=True)])
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("nodes", "its nodes plant, agent; of this graph agent, plant"),
+        ("connections", "its connections plant->agent, agent->plant; of this graph plant->agent$"),
+        ("windows", "its windows 1, 1; of this graph 2, 1"),
+    ],
+)
+def test_the_timing_of_another_graph_is_refused_in_every_runtime(kind, message):
+    robot, timing = another(kind), drawn(graph())
+    with pytest.raises(GraphError, match=message):
+        BatchedRuntime(robot, timing)
+    runtime = BatchedRuntime(robot)
+    with pytest.raises(GraphError, match=message):
+        runtime.reset({}, torch.Generator(), timing=timing)
+    with SimulatedRuntime(robot, timing) as simulated, pytest.raises(GraphError, match=message):
+        simulated.reset({}, torch.Generator())
+    with ConcurrentRuntime(robot, timing) as concurrent, pytest.raises(GraphError, match=message):
+        concurrent.reset({}, torch.Generator())

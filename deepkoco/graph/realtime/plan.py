@@ -76,9 +76,13 @@ class TimingPlan(Plan):
         graph: the nodes and connections.
         timing: what was drawn for it.
         row: which of its schedules.
+
+    Raises:
+        GraphError: it was drawn for another graph.
     """
 
     def __init__(self, graph: Graph, timing: ComputationGraph, row: int = 0) -> None:
+        timing.check_graph(graph)
         self.graph, self.timing, self.row = graph, timing, row
         self.steps = timing.steps
 
