@@ -33,6 +33,7 @@ from deepkoco.diagnose.selection import (
     without_events_first,
 )
 from deepkoco.diagnose.shortage import missing_for_diagnosis
+from deepkoco.diagnose.signatures import signatures
 from deepkoco.diagnose.spectrum import spectrum_of
 from deepkoco.diagnose.unknown import carries_over, describe, explained_share
 from deepkoco.graph.recording import Recording
@@ -187,6 +188,7 @@ class _Study:
                 "limits": {"chi2_per_sample": limit, "lag_one": alike},
                 "white": final.chi2 / data.train.samples <= limit and after.lag_one <= alike,
                 "spectrum": spectrum_of(remaining),
+                "signatures": [vars(e) for e in signatures(self.system, data.train, final)],
                 **({} if learned is None else {"residual_model": learned.to_json()}),
             },
             detection=self.detection,

@@ -36,6 +36,7 @@ def remains(diagnosis: Diagnosis) -> list[str]:
     else:
         result.append(f"Neighbouring errors are hardly alike (correlation {lag:.2f}): it looks like noise.")
     result.append(_related(left["correlations"]))
+    result += [signature["text"] for signature in left.get("signatures", [])]
     if (learned := left.get("residual_model")) is not None:
         result.append(_learned(learned))
     return result

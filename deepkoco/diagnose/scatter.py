@@ -44,7 +44,7 @@ def jitter(view: Scatter, _: int) -> Verdict | None:
     """Stamps that scatter by tau: the variance of a channel grows by (tau times its rate)^2."""
     pieces = []
     for c in range(view.windows.valid.shape[1]):
-        residual, slope = _residual_and_slope(view, c)
+        residual, slope = residual_and_slope(view.windows, view.fit, c)
         if len(residual) > 40:
             pieces.append((residual, slope))
     if not pieces:
@@ -95,16 +95,16 @@ def _grid(view: Scatter, channel: int) -> float:
     return quantum_of(view.windows.value[:, channel][valid].numpy())
 
 
-def _residual_and_slope(view: Scatter, c: int) -> tuple[np.ndarray, np.ndarray]:
+def residual_and_slope(windows: Windows, fit: Fit, c: int) -> tuple[np.ndarray, np.ndarray]:
     """Whitened residuals of a channel and its whitened rate of change [1/s], where neighbours allow one."""
-    windows, sd = view.windows, view.windows.noise[c].sd
+    sd = windows.noise[c].sd
     residuals, slopes = [], []
     for w in range(len(windows)):
         n = int(windows.valid[w, c].sum())
         if n < 5:
             continue
         t = windows.t[w, c, :n].numpy()
-        residual = view.fit.residual[w, c, :n].numpy()
+        residual = fit.residual[w, c, :n].numpy()
         shown = windows.value[w, c, :n].numpy() / sd - residual
         residuals.append(residual)
         slopes.append(np.gradient(shown, t))

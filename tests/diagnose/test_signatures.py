@@ -1,0 +1,56 @@
+"""What sensors and clocks leave in the residuals is told where it is there, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.signatures import signatures
+from deepkoco.graph.recording import Recording
+from deepkoco.identify import cut_windows, moving
+from deepkoco.systems import make_system
+from experiments.hidden.unit import hidden_log
+
+SYSTEM = make_system("rod_pendulum")
+
+
+def told(recording: Recording) -> dict[str, float]:
+    """Kinds of the signatures that the refitted baseline leaves, each with its statistic over its threshold."""
+    windows = cut_windows([recording], SYSTEM, 1.6)
+    windows, fit = refit_sharply(start_from(SYSTEM, windows), windows.take(moving(windows)))
+    return {e.kind: e.statistic / e.threshold for e in signatures(SYSTEM, windows, fit)}
+
+
+def unit(hidden: dict, excitation: str = "steps") -> Recording:
+    return hidden_log("rod_pendulum", hidden, excitation, 11, 12.0)
+
+
+@pytest.mark.parametrize("excitation", ["steps", "chirp", "closed-loop"])
+def test_a_healthy_unit_has_none(excitation):
+    assert told(unit({}, excitation)) == {}
+
+
+def test_jitter_shows_in_the_squares_of_white_residuals():
+    found = told(unit({"jitter": {"sd": 0.003}}))
+    assert set(found) == {"scattered_stamps"}
+    assert found["scattered_stamps"] > 1.0
+
+
+def test_a_grid_is_told_with_its_step():
+    assert told(unit({"quantisation(theta)": {"step": 0.01}})) == {"value_grid": pytest.approx(3.0, rel=0.3)}
+    assert told(unit({"quantisation(theta)": {"step": 0.0005}})) == {}
+
+
+def test_readings_that_were_written_again_are_told():
+    log = unit({})
+    theta, rng = log.channels["theta"], np.random.default_rng(2)
+    value = theta.value.copy()
+    for k in np.flatnonzero(rng.random(len(value)) < 0.03):
+        value[k] = value[max(k - 1, 0)]
+    found = told(replace(log, channels={**log.channels, "theta": replace(theta, value=value)}))
+    assert 4.0 < found["repeated_readings"] < 8.0
+
+
+def test_a_wrong_model_is_not_taken_for_jitter():
+    assert told(unit({"cubic_gain": {"share": -0.3}}, "chirp")) == {}
