@@ -163,7 +163,9 @@ def _sentence(
 
 
 def _origin(system: System) -> list[str]:
-    return ["--model", "model.yaml"] if isinstance(system, ExtendedSystem) else ["--system", system.name]
+    if isinstance(system, ExtendedSystem):
+        return ["--model", str(system.source or "model.yaml")]
+    return ["--system", system.name]
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Compare logs of a robot with its simulation, name what the simulation gets wrong, and write a report, the
-extended simulation (model.yaml) and what it is worth on data that no fit has seen.
+extended simulation (model.yaml) and what it is worth on data kept away from every fit.
 
 Exit status: 0 diagnosed (also when nothing is wrong), 2 bad input, 3 the data do not suffice."""
 EXAMPLE = """\

@@ -46,7 +46,7 @@ def replay(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
     """Measured and simulated first channel over a few windows."""
     gain = diagnosis.gain
     if gain is not None:
-        windows, fits, where = gain.replayed, gain.fits, "that no fit has seen"
+        windows, fits, where = gain.replayed, gain.fits, "kept away from every fit"
     else:
         windows, where = details.windows, "that were fitted"
         fits = {

@@ -117,14 +117,14 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     gain = diagnosis.gain
     if gain is not None and diagnosis.verdict in ("cause", "ambiguous"):
         text = (
-            "less error than the refitted simulation, on windows that no fit has seen "
+            "less error than the refitted simulation, on windows kept away from every fit "
             f"(95 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
         )
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})
     if gain is not None:
         c = gain.channels[0]
         last = next(reversed(held_out_models(diagnosis).values()))
-        text = f"error of {c.name} on windows that no fit has seen: simulation as given, and {last}"
+        text = f"error of {c.name} on windows kept away from every fit: simulation as given, and {last}"
         tiles.append({"value": f"{c.baseline:.3g} → {c.extended:.3g} {c.unit}", "text": text})
     return tiles
 

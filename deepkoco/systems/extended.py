@@ -56,6 +56,8 @@ class ExtendedSystem(System):
         ParameterError: An effect or a name in ``values`` is unknown, or a value is out of bounds.
     """
 
+    source: Path | None = None  # model.yaml that it was read from
+
     def __new__(cls, base: System | None = None, *_: Any, **__: Any) -> ExtendedSystem:
         return object.__new__(ExtendedJoint if isinstance(base, JointSystem) else cls)
 
@@ -369,8 +371,10 @@ def load_model(path: str | Path) -> ExtendedSystem:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
-        return ExtendedSystem(make_system(document["system"]), tuple(document["effects"]), values)
+        system = ExtendedSystem(make_system(document["system"]), tuple(document["effects"]), values)
     except (KeyError, TypeError, AttributeError) as error:
         raise ModelFileError(f"{path}: misses or garbles the entry {error}") from error
     except ValueError as error:
         raise ModelFileError(f"{path}: {error}") from error
+    system.source = path
+    return system

@@ -91,6 +91,7 @@ def test_model_file_round_trips_and_is_never_overwritten(tmp_path):
     path = tmp_path / "model.yaml"
     save_model(path, system, {"log": "a.csv"})
     read = load_model(path)
+    assert read.source == path
     assert [(p.name, p.value, p.unit) for p in read.parameters] == [
         (p.name, p.value, p.unit) for p in system.parameters
     ]
