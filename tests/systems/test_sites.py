@@ -1,5 +1,7 @@
 """Effects at joints, commands and channels: names, null values, loads in lanes, and hand-worked equations."""
 
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.systems import SYSTEMS, ExtendedSystem, MemoryEffectError, Motion, make_system
-from deepkoco.systems.effects import effects_of
+from deepkoco.systems.effects import EFFECTS, effects_of
 
 
 def scalar(value: float) -> torch.Tensor:
@@ -99,3 +101,26 @@ def test_a_quadrotor_hovers_at_its_weight():
     p = height.default_parameters()
     motion = Motion((scalar(1.0),), (scalar(0.0),), (scalar(0.033 * 9.81),))
     assert float(height.accelerations(p)(motion)[0]) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_can_be_sent_to_another_process(name):
+    assert pickle.loads(pickle.dumps(EFFECTS[name])) == EFFECTS[name]
+
+
+@pytest.mark.parametrize("name", sorted(SYSTEMS))
+def test_a_system_with_every_effect_computes_the_same_in_another_process(name):
+    base = make_system(name)
+    system = ExtendedSystem(base, tuple(effects_of(base)))
+    back = pickle.loads(pickle.dumps(system))
+    assert [e.name for e in back.effects] == [e.name for e in system.effects]
+    p = system.default_parameters()
+    state = torch.linspace(0.3, 1.1, 2 * base.joints, dtype=torch.float64)
+    effort = base.effort_of(torch.full((len(base.commands),), 0.2, dtype=torch.float64))
+    assert torch.equal(back.derivative(state, effort, p), system.derivative(state, effort, p))
+
+
+def test_a_system_with_some_effects_can_be_sent_to_another_process():
+    system = ExtendedSystem(make_system("rod_pendulum"), ("coulomb", "lag"), {})
+    back = pickle.loads(pickle.dumps(system))
+    assert (back.effects, back.parameters) == (system.effects, system.parameters)

@@ -80,6 +80,11 @@ def _carried_out_elsewhere(*_: Any) -> Any:
     raise TypeError("an effect in time, or on the noise, has no equation to apply")
 
 
+def _all_of(p: Parameters) -> Parameters:
+    # A module's function, not a lambda: systems travel between processes.
+    return p
+
+
 @dataclass(frozen=True)
 class Effect:
     """Extra physics whose parameters have null values that recover the system without it exactly.
@@ -115,7 +120,7 @@ class Effect:
     summary: str
     apply: Callable[..., Any] = _carried_out_elsewhere
     site: Site = "joint"
-    acting: Callable[[Parameters], Parameters] = lambda p: p
+    acting: Callable[[Parameters], Parameters] = _all_of
 
 
 class PlacedEffect(NamedTuple):
