@@ -18,7 +18,7 @@ from deepkoco.graph.log_checks import (
 )
 from deepkoco.graph.log_files import LogFile, open_log
 from deepkoco.graph.log_files.log_file import HEADER, LogError
-from deepkoco.graph.log_frozen import frozen_stretches, without_frozen
+from deepkoco.graph.log_frozen import check_share, frozen_stretches, summarised, without_frozen
 from deepkoco.graph.log_series import ChannelReader, Series
 from deepkoco.graph.sidecar import (
     KINDS,
@@ -141,10 +141,12 @@ def read_log(
     }
     check_content(path, series, min_samples, min_seconds, allow_constant_command)
     notes = [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
-    doubtful = {n: s for n, s in series.items() if not sidecar.channels[n].checked}
-    frozen = frozen_stretches(doubtful, derivative_pairs(doubtful))
+    frozen = frozen_stretches(series, derivative_pairs(series))
+    frozen = [f for f in frozen if not sidecar.channels[f.channel].checked]
+    measured = series
     series = {n: without_frozen(s, [f for f in frozen if f.channel == n]) for n, s in series.items()}
-    notes += [f.note for f in frozen]
+    check_share(path, measured, series)
+    notes += summarised(frozen)
     doubts = check_units(path, series, sidecar.channels)
     unknown = tuple(sorted({*unknown_stretches(series), *((f.start, f.stop) for f in frozen)}))
     if unknown:

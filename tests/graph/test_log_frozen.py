@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.graph.log_frozen import frozen_stretches, without_frozen
+from deepkoco.graph.log_frozen import frozen_stretches, summarised, without_frozen
 from deepkoco.graph.log_series import Series
-from deepkoco.graph.recording import Recording, read_log, write_log
+from deepkoco.graph.recording import LogError, Recording, read_log, write_log
 
 PAIRS = [("theta", "omega")]
 
@@ -95,10 +95,105 @@ def test_reading_warns_and_leaves_the_stretch_out(tmp_path, name):
     path = write_log(tmp_path / "log.csv", Recording(channels))
     log = read_log(path)
     assert log.unknown == ((7.0, 7.79),)
-    assert any(f'"{name}" repeats one value from 7 to 7.79 s (80 samples)' in w for w in log.warnings)
+    assert any(
+        f'"{name}" repeats one value from 7 to 7.79 s (80 samples)' in w and "checked: true" in w
+        for w in log.warnings
+    )
     assert len(log.channels[name]) == len(t) - 79
     text = path.with_suffix(".yaml").read_text()
     checked = text.replace(f"column: {name}\n", f"column: {name}\n    checked: true\n")
     assert checked != text
     path.with_suffix(".yaml").write_text(checked)
     assert read_log(path).unknown == ()
+
+
+def motion(omega: np.ndarray, rate: float, steps: tuple[float, float]) -> dict[str, Series]:
+    """A joint with this speed, by an encoder and a tachometer of these resolutions."""
+    t = np.arange(len(omega)) / rate
+    theta = np.append(0.0, np.cumsum(0.5 * (omega[1:] + omega[:-1]) / rate))
+    theta, omega = (step * np.round(value / step) for step, value in zip(steps, (theta, omega), strict=True))
+    return {
+        "theta": Series(t, theta, "rad", "measurement"),
+        "omega": Series(t, omega, "rad/s", "measurement"),
+    }
+
+
+def driven(time_constant: float) -> np.ndarray:
+    """20 s of a motor that is told 0, 3, 0 and -3 rad/s in turn."""
+    omega, told = np.zeros(2000), np.repeat([0.0, 3.0, 0.0, -3.0] * 5, 100)
+    for k in range(1, 2000):
+        omega[k] = told[k] + (omega[k - 1] - told[k]) * np.exp(-0.01 / time_constant)
+    return omega
+
+
+def knocked() -> np.ndarray:
+    """At rest but for three knocks."""
+    t = np.arange(2000) / 100.0
+    return np.sum(
+        [2.0 * np.exp(-(t - at) / 0.5) * (t >= at) * ((t - at) < 4.0) for at in (3.0, 9.0, 15.0)], axis=0
+    )
+
+
+def decaying(rate: float = 100.0) -> np.ndarray:
+    t = np.arange(int(30.0 * rate)) / rate
+    return 2.0 * np.exp(-t / 8.0) * np.cos(4.0 * t)
+
+
+def dead_band() -> np.ndarray:
+    omega = decaying()
+    return np.where(np.abs(omega) < 0.2, 0.0, omega)
+
+
+@pytest.mark.parametrize(
+    "channels",
+    [
+        motion(driven(0.01), 100.0, (1e-3, 1e-2)),
+        motion(driven(0.02), 100.0, (1e-3, 1e-2)),
+        motion(driven(0.02), 100.0, (2e-3, 5e-2)),
+        motion(knocked(), 100.0, (1e-3, 1e-2)),
+        motion(decaying(), 100.0, (1e-3, 1e-2)),
+        {
+            name: Series(np.arange(3000) / 100.0, np.repeat(series.value, 10), series.unit, series.kind)
+            for name, series in motion(decaying(10.0), 10.0, (1e-6, 1e-6)).items()
+        },
+        {
+            "theta": motion(decaying(), 100.0, (1e-4, 1e-2))["theta"],
+            "omega": motion(dead_band(), 100.0, (1e-4, 1e-2))["omega"],
+        },
+    ],
+    ids=[
+        "motor 10 ms",
+        "motor 20 ms",
+        "motor, coarse",
+        "knocks",
+        "decay",
+        "held readings",
+        "dead band of the speed",
+    ],
+)
+@pytest.mark.parametrize("alone", [False, True])
+def test_what_looks_frozen_and_is_not(channels, alone):
+    if alone:
+        assert all(frozen_stretches({name: series}, []) == [] for name, series in channels.items())
+    else:
+        assert frozen_stretches(channels, PAIRS) == []
+
+
+def test_a_log_that_is_mostly_frozen_is_refused(tmp_path):
+    channels = swing(2)
+    channels["torque"] = Series(channels["theta"].t, np.sin(3.0 * channels["theta"].t), "N m", "command")
+    for first in (20, 600, 800):
+        channels["theta"] = freeze(channels["theta"], first, 180)
+    path = write_log(tmp_path / "log.csv", Recording(channels))
+    with pytest.raises(LogError, match=r'"theta" repeats values in 5. % of its samples.*checked: true'):
+        read_log(path)
+
+
+def test_many_stretches_are_told_in_one_line():
+    channels = swing(4)
+    for first in range(0, 400, 80):
+        channels["theta"] = freeze(channels["theta"], first, 40)
+    found = frozen_stretches(channels, PAIRS)
+    assert len(found) > 3
+    assert len(summarised(found)) == 1
+    assert f"in {len(found)} stretches" in summarised(found)[0]
