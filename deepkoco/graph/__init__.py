@@ -51,12 +51,33 @@ _LATER = {
     **dict.fromkeys(("EpisodeFileError", "EpisodeWriter", "RecordedRun"), "storage"),
     **dict.fromkeys(("read_episodes", "write_episodes"), "storage"),
 }
+# Modules that a plain `import deepkoco.graph` is enough for.
+_MODULES = frozenset(
+    (
+        "cuda",
+        "derivative",
+        "log_checks",
+        "log_files",
+        "log_series",
+        "realtime",
+        "recording",
+        "sidecar",
+        "storage",
+        "units",
+    )
+)
 
 
 def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f"{__name__}.{name}")
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATER, *_MODULES})
 
 
 __all__ = [

@@ -1,5 +1,6 @@
 """Recordings on disk: episodes of every runtime in MCAP files, streamed, read back exactly, exported."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from deepkoco.graph.storage.container import EpisodeFileError
@@ -11,14 +12,19 @@ from deepkoco.graph.storage.write import write_episodes
 if TYPE_CHECKING:
     from deepkoco.graph.storage.export import episode_table, export_episodes
 
+# Imported when they are asked for: tables need pandas, which the runtimes that write recordings do without.
+_LATER = ("episode_table", "export_episodes")
+
 
 def __getattr__(name: str) -> Any:
-    # Tables need pandas, which the runtimes that write recordings do without.
-    if name not in ("episode_table", "export_episodes"):
+    if name not in ("export", *_LATER):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from deepkoco.graph.storage import export
+    export = import_module(f"{__name__}.export")
+    return export if name == "export" else getattr(export, name)
 
-    return getattr(export, name)
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), "export", *_LATER})
 
 
 __all__ = [
