@@ -20,6 +20,16 @@ class StepError(RuntimeError):
         return cls(f'node "{node}" at {where}: {type(error).__name__}: {error}')
 
 
+def located(node: str, steps: np.ndarray, error: Exception) -> GraphError | StepError:
+    """What to raise, from the original, where a node raised at the steps (B,) that its environments were at.
+
+    What breaks the rules of a graph stays a GraphError; anything else becomes a StepError.
+    """
+    if isinstance(error, GraphError):
+        return GraphError(f'node "{node}" at its step {steps.min()}: {error}')
+    return StepError.of(node, steps, error)
+
+
 def check_batch(what: str, value: Any, batch: int) -> None:
     """Check that a value has one entry for each environment.
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from deepkoco.graph import cells
 from deepkoco.graph.computation_graph import concatenate
-from deepkoco.graph.contract import StepError, check_action, check_batch, check_output, check_state
+from deepkoco.graph.contract import check_action, check_batch, check_output, check_state, located
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State, Supervisor
 from deepkoco.graph.policy import Policy, as_function, given_actions
@@ -151,7 +151,7 @@ class EagerExecutor:
         try:
             own, readings = supervisor.observe(state.parameters[name], state.nodes[name], seen, action)
         except Exception as error:
-            raise StepError.of(name, state.step, error) from error
+            raise located(name, state.step, error) from error
         return replace(state, nodes=state.nodes | {name: own}, readings=readings)
 
     def _run(self, state: RuntimeState, trace: Trace | None) -> RuntimeState:
@@ -176,10 +176,8 @@ class EagerExecutor:
                 node_state, output = node.step(state.parameters[node.name], old, inputs)
                 check_state(node_state, old)
                 check_output(output, outputs[node.name][0])
-            except GraphError as error:
-                raise GraphError(f'node "{node.name}" at its step {seq[runs].min()}: {error}') from error
             except Exception as error:
-                raise StepError.of(node.name, seq[runs], error) from error
+                raise located(node.name, seq[runs], error) from error
             if not every[slot]:
                 mask = torch.from_numpy(np.ascontiguousarray(runs)).to(self.device)
                 node_state = {key: cells.where(mask, value, old[key]) for key, value in node_state.items()}

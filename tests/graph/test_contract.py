@@ -186,6 +186,38 @@ def test_an_agent_that_fails_to_look_is_named_with_its_step():
                 runtime.reset({}, torch.Generator())
 
 
+@pytest.mark.parametrize("place", ["step", "observe"])
+@pytest.mark.parametrize(
+    ("raised", "error", "message"),
+    [
+        (GraphError("no such camera"), GraphError, "no such camera"),
+        (KeyError("camera"), StepError, "KeyError: 'camera'"),
+    ],
+)
+def test_what_a_node_raises_is_told_alike_wherever_it_raises(place, raised, error, message):
+    class Plant(Faulty):
+        def step(self, parameters, state, inputs):
+            if place == "step":
+                raise raised
+            return state, state["x"]
+
+    class Agent(Supervisor):
+        def observe(self, parameters, state, inputs, action):
+            if place == "observe":
+                raise raised
+            return state, {}
+
+    robot = Graph(
+        [Plant(), Agent("agent", 50, initial_action=torch.zeros(2))], [Connection("plant", "agent")]
+    )
+    runtime = BatchedRuntime(robot, drawn(robot))
+    name = {"step": "plant", "observe": "agent"}[place]
+    with pytest.raises(error, match=f'^node "{name}" at its step 0: {message}$') as caught:
+        runtime.reset({}, torch.Generator())
+    assert type(caught.value) is error
+    assert caught.value.__cause__ is raised
+
+
 def another(kind: str) -> Graph:
     """A graph that takes the timing of `graph()` for its own, but for one thing."""
     agent = Supervisor("agent", 50, initial_action=torch.zeros(2))
