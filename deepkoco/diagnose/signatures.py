@@ -36,11 +36,10 @@ def signatures(system: System, windows: Windows, fit: Fit) -> tuple[Evidence, ..
     found: list[Evidence | None] = []
     for c, channel in enumerate(system.measurements):
         if bool(windows.valid[:, c].any()):
-            found += [
-                scattered_stamps(windows, fit, c, channel.name),
-                repeated_readings(windows, c, channel.name),
-                value_grid(windows, c, channel.name, channel.unit),
-            ]
+            repeated = repeated_readings(windows, c, channel.name)
+            # A reading that is older than its stamp errs with the rate, too, however regular the stamps are.
+            scattered = scattered_stamps(windows, fit, c, channel.name) if repeated is None else None
+            found += [scattered, repeated, value_grid(windows, c, channel.name, channel.unit)]
     return tuple(e for e in found if e is not None)
 
 
@@ -72,7 +71,7 @@ def repeated_readings(windows: Windows, index: int, name: str) -> Evidence | Non
         return None
     text = (
         f"{100 * share:.1f} % of the readings of {name} repeat the one before to the last digit (noise lets none): "
-        "readings were lost and the last one was written again."
+        "readings are held (the sensor is slower than the log), clipped, or lost and the last one written again."
     )
     return Evidence("repeated_readings", share, REPEATED, text)
 

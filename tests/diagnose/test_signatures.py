@@ -52,5 +52,15 @@ def test_readings_that_were_written_again_are_told():
     assert 4.0 < found["repeated_readings"] < 8.0
 
 
+@pytest.mark.parametrize("excitation", ["steps", "chirp"])
+def test_readings_of_a_slower_sensor_are_not_taken_for_scattered_stamps(excitation):
+    log = unit({}, excitation)
+    held = {}
+    for name, series in log.channels.items():
+        at = np.arange(len(series)) // 2 * 2
+        held[name] = replace(series, value=series.value[at]) if series.kind == "measurement" else series
+    assert set(told(replace(log, channels=held))) == {"repeated_readings"}
+
+
 def test_a_wrong_model_is_not_taken_for_jitter():
     assert told(unit({"cubic_gain": {"share": -0.3}}, "chirp")) == {}
