@@ -273,7 +273,8 @@ class BaselineTrainer:
         )
 
     def _restore(self, state: dict[str, Any]) -> list[Row]:
-        check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed)
+        defaults = asdict(type(self.config)())
+        check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed, defaults)
         self.learner.load_state_dict(state["learner"])
         self._sampling.set_state(state["sampling"])
         self._noise.set_state(state["noise"])

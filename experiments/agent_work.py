@@ -78,7 +78,8 @@ def deepkoco_parts(config: TrainRunConfig, episode_steps: int) -> dict[str, Part
 
     later = max(0, agent.total_episodes - agent.first_episodes)
     iterations = -(-later // agent.iteration_episodes)
-    planned = later + iterations * agent.evaluation_episodes + agent.final_evaluation_episodes
+    evaluations = iterations + (agent.keep == "best")  # the last weights are compared with the others first
+    planned = later + evaluations * agent.evaluation_episodes + agent.final_evaluation_episodes
     steps = envs.num_envs * episode_steps
     first = min(agent.first_episodes, agent.total_episodes) * episode_steps
     return {

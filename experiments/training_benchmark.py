@@ -179,7 +179,8 @@ def benchmark(config: TrainRunConfig, seconds: float) -> dict:
     length = int(np.mean([episode.costs.numel() for episode in episodes]))
     updates = updates_of_a_run(config, length)
     iterations = -(-(agent.total_episodes - agent.first_episodes) // agent.iteration_episodes)
-    evaluated = iterations * agent.evaluation_episodes + agent.final_evaluation_episodes
+    evaluations = iterations + (agent.keep == "best")  # the last weights are compared with the others first
+    evaluated = evaluations * agent.evaluation_episodes + agent.final_evaluation_episodes
     planned = agent.total_episodes - agent.first_episodes + evaluated
     parts = {
         "updates": updates * float(np.median(times["sample"]) + np.median(times["chunked"])) / 1e3,

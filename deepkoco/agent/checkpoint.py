@@ -83,7 +83,13 @@ def damaged(path: Path, error: Exception) -> CheckpointError:
     )
 
 
-def check_settings(path: Path, state: dict[str, Any], config: dict[str, Any], seed: int) -> None:
+def check_settings(
+    path: Path,
+    state: dict[str, Any],
+    config: dict[str, Any],
+    seed: int,
+    defaults: dict[str, Any] | None = None,
+) -> None:
     """Check that a checkpoint was made with the settings it is to go on with.
 
     Args:
@@ -91,12 +97,15 @@ def check_settings(path: Path, state: dict[str, Any], config: dict[str, Any], se
         state: As given by `load_checkpoint`; one that holds no settings passes.
         config: Nested settings of the run.
         seed: The run's seed.
+        defaults: Nested values of the settings that are younger than the checkpoint.
 
     Raises:
         CheckpointError: Names the settings that differ, with both values.
     """
     own = flatten({"seed": seed, **config})
     stored = flatten({"seed": state.get("seed", seed), **state.get("config", {})})
+    if "config" in state:
+        stored = {n: v for n, v in flatten(defaults or {}).items() if n in own} | stored
     differing = [name for name in stored if name not in own or own[name] != stored[name]]
     if differing:
         texts = (f"{name} = {stored[name]!r} instead of {own.get(name)!r}" for name in differing)

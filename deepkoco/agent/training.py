@@ -246,6 +246,8 @@ class Trainer:
 
     def _finish_iteration(self, planned: int, started: float) -> None:
         config = self.config
+        self._note_eigenvalues()  # of the last weights, as the losses are, whichever are kept
+        growth = float(self.averaged_model.dynamics.mu.detach().max())
         means = (self._loss_sums / min(planned, config.iteration_updates)).tolist()
         losses = dict(zip((f"loss/{name}" for name in LOSS_NAMES), means, strict=True))
         final = len(self._buffer) >= config.total_episodes
@@ -262,8 +264,10 @@ class Trainer:
             failures = agent.statistics.failures
         if config.keep == "best" and not final:
             self._kept.offer(self.averaged_model, float(costs.mean()), len(self._buffer))
+        kept: Row = {}
+        if config.keep == "best":
+            kept = {"kept/cost": self._kept.cost, "kept/episodes": self._kept.episodes}
         planner, clock = planner_metrics(agent, episodes, config.planner.horizon)
-        self._note_eigenvalues()
         self.progress.iteration += 1
         self.progress.collected, self.progress.iteration_updates = False, 0
         self.metrics.add(
@@ -273,12 +277,13 @@ class Trainer:
                 "updates": self.progress.updates,
                 **self._collected,
                 **losses,
-                "model/largest_growth_rate": float(self.averaged_model.dynamics.mu.detach().max()),
+                "model/largest_growth_rate": growth,
                 "evaluation/cost": float(costs.mean()),
                 "evaluation/cost_sd": cost_spread(costs),
                 "evaluation/cost_median": float(np.median(costs)),
                 "evaluation/episodes": count,
                 "evaluation/planner_failures": failures,
+                **kept,
                 **planner,
                 "seconds": time.perf_counter() - started,
             },
@@ -314,7 +319,8 @@ class Trainer:
         )
 
     def _restore(self, state: dict[str, Any]) -> tuple[list[Row], list[Row]]:
-        check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed)
+        defaults = asdict(type(self.config)())
+        check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed, defaults)
         self._learner.load_state_dict(state)
         self._sampling.set_state(state["sampling"])
         self._noise.set_state(state["noise"])

@@ -22,6 +22,7 @@ from deepkoco.unit import UnitError, UnitSpecError
 from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, STRENGTHS, Case, cases
 from experiments.closing_the_loop.steps import (
     ARMS,
+    SELECTION_EPISODES,
     TrainingError,
     evaluate,
     prepare,
@@ -69,7 +70,8 @@ def run_study(
         TrainingError: A training failed.
     """
     runs.mkdir(parents=True, exist_ok=True)
-    write_once(runs / "study.json", json.dumps({"training_episodes": training}) + "\n")
+    study = {"training_episodes": training, "selection_episodes": SELECTION_EPISODES}
+    write_once(runs / "study.json", json.dumps(study) + "\n")
     for case in units:
         prepare(case, runs / case.name)
     summary = pd.DataFrame()

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
+from deepkoco.graph.contract import StepError
 from deepkoco.graph.recording import read_log, write_log
 from deepkoco.systems import ExtendedSystem, MemoryEffectError, make_system, save_model
 from deepkoco.unit import load_unit
@@ -25,6 +26,7 @@ from experiments.unit_trials import run_trials
 LOG_SECONDS, LOG_SEED = 30.0, 3
 # Past actions in the observation, so that a policy trained with a delay can know what is under way; the same for all.
 ACTION_HISTORY = 3
+SELECTION_EPISODES = 30  # after every iteration of a training, to keep the best weights
 SIMULATOR = "deepkoco/RodPendulumDelay-v0"
 UNIT = "deepkoco/Unit-v0"
 ARMS = ("baseline", "refit", "extended", "unit")
@@ -78,8 +80,10 @@ def refusal(arm: str, folder: Path) -> str | None:
     try:
         env.reset(seed=0)
         env.step(np.zeros(1, np.float32))
-    except MemoryEffectError as error:
-        return str(error)
+    except StepError as error:
+        if not isinstance(error.__cause__, MemoryEffectError):
+            raise
+        return str(error.__cause__)
     finally:
         env.close()
     return None
@@ -109,7 +113,7 @@ def training_command(root: Path, case: Case, arm: str, seed: int, episodes: int)
         *(sys.executable, "-m", "experiments.train", "task=pendulum", *where),
         *(f"+task.kwargs.action_history={ACTION_HISTORY}", "distractors=none", f"seed={seed}"),
         *(f"agent.total_episodes={episodes}", f"agent.noise_last_episode={max(1, 3 * episodes // 4)}"),
-        *("agent.keep=best", "agent.evaluation_episodes=30"),
+        *("agent.keep=best", f"agent.evaluation_episodes={SELECTION_EPISODES}"),
         *("existing=resume", f"run={run_folder(root, case, arm, seed)}"),
     ]
 

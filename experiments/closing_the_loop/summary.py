@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,9 +19,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import FuncFormatter
 
+from deepkoco.agent.config import TrainingConfig
 from experiments.ablation_differences import paired_interval
 from experiments.closing_the_loop.hidden import Case
-from experiments.closing_the_loop.steps import ARMS
+from experiments.closing_the_loop.steps import ARMS, SELECTION_EPISODES
 from experiments.provenance import as_markdown
 
 COLOURS = {"baseline": "#9a9a9a", "refit": "#3b7dd8", "extended": "#e4572e", "unit": "#222222"}
@@ -36,11 +38,11 @@ python -m experiments.closing_the_loop --seeds 0 1 2 --json
 An effect is hidden in a rod pendulum's unit (own integrator, true sticking, sensor noise). 30 s of torque steps
 are recorded and diagnosed. DeepKoCo is trained with {training} episodes in the simulator as given, in the one
 whose own parameters were refitted to the log, in the one extended with what was named, and on the unit itself
-in virtual time: what knowing the unit would give this agent, at {minutes:.0f} minutes of a robot's time. All
-see the sensor's noise and the last three actions; kept are the weights with the lowest noise-free cost over 30 episodes
-of their own simulator. Each policy then runs on the unit from the same start states;
-differences are paired by seed and start state, intervals are a bootstrap over both. A cell holds the mean cost
-of an episode [95 % interval] and the share that stands at the end.
+in virtual time: what knowing the unit would give this agent, at {minutes:.0f} minutes of a robot's time and
+{selection:.0f} more to choose among its weights. All see the sensor's noise and the last three actions; kept are
+the weights with the lowest noise-free cost over 30 episodes where they were trained. Each policy then runs on
+the unit from the same start states; differences are paired by seed and start state, intervals are a bootstrap
+over both. A cell holds the mean cost of an episode [95 % interval] and the share that stands at the end.
 
 """
 LABELS = {
@@ -90,6 +92,13 @@ def summarise(episodes: Any) -> Any:
             rows.append(row)
     columns = ["case", "clock", "arm", "seeds", "episodes", "cost", "low", "high", "upright", "overruns"]
     return pd.DataFrame(rows, columns=[*columns, "saved", "saved_low", "saved_high"])
+
+
+def _selection_minutes(training: int) -> float:
+    """Time on the unit for the episodes that tell which weights are best [min]."""
+    config = TrainingConfig()
+    iterations = 1 + math.ceil(max(0, training - config.first_episodes) / config.iteration_episodes)
+    return iterations * SELECTION_EPISODES * EPISODE / 60.0
 
 
 def _by_seed(table: Any) -> dict[int, np.ndarray]:
@@ -174,7 +183,12 @@ def write_results(out: Path, root: Path, cases: Sequence[Case], episodes: pd.Dat
 
 def _readme(out: Path, root: Path, table: str) -> str:
     training = json.loads((root / "study.json").read_text(encoding="utf-8"))["training_episodes"]
-    text = METHOD.format(training=training, minutes=training * EPISODE / 60.0) + table
+    text = (
+        METHOD.format(
+            training=training, minutes=training * EPISODE / 60.0, selection=_selection_minutes(training)
+        )
+        + table
+    )
     text += "\n![cost of every seed](closing_the_loop.png)\n"
     path = out / "README.md"
     had = path.read_text(encoding="utf-8") if path.exists() else ""

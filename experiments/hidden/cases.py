@@ -123,7 +123,7 @@ def judge(case: Case, recorded: Recorded, system: str, condition: str) -> dict[s
         physics = make_system(system)
         with one_thread():
             baseline = learn_baseline(healthy, physics, window_length(physics))
-    result = diagnose([log], system, healthy, seed=case.seed, baseline=baseline)
+    result = diagnose([log], system, seed=case.seed, baseline=baseline)
     spent = time.process_time() - began
     oracle = _oracle(case, result, log, system, baseline)
     return {

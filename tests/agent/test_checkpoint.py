@@ -126,3 +126,11 @@ def test_a_checkpoint_of_other_settings_is_refused_by_name(tmp_path):
     with pytest.raises(CheckpointError, match=r"model\.encoder_hidden = \[8, 8\] instead of \[8\];"):
         check_settings(path, state, {"horizon": 15, "model": {"encoder_hidden": (8,)}}, 3)
     check_settings(path, {}, config, 4)  # written before settings were stored
+
+
+def test_a_setting_that_is_younger_than_the_checkpoint_had_its_default(tmp_path):
+    path, state = tmp_path / "c.pt", {"seed": 3, "config": {"horizon": 15}}
+    defaults = {"horizon": 20, "keep": "last"}
+    check_settings(path, state, {"horizon": 15, "keep": "last"}, 3, defaults)
+    with pytest.raises(CheckpointError, match="made with keep = 'last' instead of 'best';"):
+        check_settings(path, state, {"horizon": 15, "keep": "best"}, 3, defaults)

@@ -49,11 +49,11 @@ def test_the_exported_weights_are_those_of_the_best_iteration(best):
         collect_episodes(make_envs(COUNT, SEED), load_agent(best / "model", COUNT), seed)
     ).mean()
     training = read_controller(best / "model").training
-    if training["kept_episodes"] == rows["episodes"].iloc[-1]:
-        assert cost <= earlier.min()
-    else:
-        assert cost == pytest.approx(earlier.min(), rel=1e-9)
-        assert training["kept_episodes"] == rows["episodes"][earlier.idxmin()]
+    assert training["kept_episodes"] < rows["episodes"].iloc[-1]  # else nothing was put back
+    assert cost == pytest.approx(earlier.min(), rel=1e-9)
+    assert training["kept_episodes"] == rows["episodes"][earlier.idxmin()]
+    assert rows["kept/cost"].tolist()[:-1] == pytest.approx(earlier.cummin().tolist())
+    assert rows["kept/episodes"].iloc[-1] == training["kept_episodes"]
 
 
 def test_the_lowest_cost_is_kept_and_the_later_of_two_equal_ones():
