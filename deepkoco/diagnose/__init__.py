@@ -1,5 +1,6 @@
 """Show what a simulation gets wrong about a unit, name the cause, and measure what it is worth."""
 
+from deepkoco.diagnose.baseline import BaselineError
 from deepkoco.diagnose.causes import CAUSES, Cause
 from deepkoco.diagnose.diagnose import diagnose
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Evidence, Finding
@@ -8,6 +9,7 @@ from deepkoco.new_folder import FolderExistsError
 
 __all__ = [
     "CAUSES",
+    "BaselineError",
     "Cause",
     "Diagnosis",
     "Estimate",

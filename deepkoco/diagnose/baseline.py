@@ -33,6 +33,41 @@ class Start:
     effects: tuple[str, ...] = ()
 
 
+class BaselineError(ValueError):
+    """A baseline that was learned before does not fit what it is given with."""
+
+
+def check_learned(baseline: Start, system: System) -> None:
+    """Check that a baseline was learned on this very system.
+
+    Args:
+        baseline: What was learned.
+        system: The system of the diagnosis.
+
+    Raises:
+        BaselineError: It was learned on another one, or on the same with other values.
+    """
+    learned, wanted = baseline.system, catalogue_system(system)
+    if type(learned.base) is not type(wanted.base):
+        raise BaselineError(
+            f'the baseline was learned on "{learned.name}", the diagnosis is of "{wanted.name}"; learn it on '
+            f'"{wanted.name}"'
+        )
+    had = {p.name: p.value for p in learned.parameters}
+    other = [p for p in wanted.parameters if had.get(p.name) != p.value]
+    if other or len(had) != len(wanted.parameters):
+        first = other[0] if other else None
+        what = (
+            ""
+            if first is None
+            else f": {first.name} was {had.get(first.name)}, now {first.value} {first.unit}"
+        )
+        raise BaselineError(
+            f'the baseline was learned on another "{learned.name}" than that of the diagnosis{what}; learn it on the '
+            "same model"
+        )
+
+
 def catalogue_system(system: System) -> ExtendedSystem:
     """The system with every effect: those that it does not have yet are at their null values."""
     base = system.base if isinstance(system, ExtendedSystem) else system

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from deepkoco.diagnose.advice import class_advice, level_advice
-from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
+from deepkoco.diagnose.baseline import BaselineError, Start, check_learned, refit_sharply, start_from
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
@@ -90,15 +90,23 @@ def diagnose(
         window: Length of a window [s]; None takes about one period of the system.
         detection: Fall of the BIC from which a cause is named.
         only: Causes to try, by their names at this system; None tries the whole catalogue.
-        baseline: What :func:`learn_baseline` made of the healthy logs, where several diagnoses share it; None learns
-            it.
+        baseline: What :func:`learn_baseline` made of the healthy logs, where several diagnoses share it, in the
+            place of ``healthy``; None learns it.
 
     Raises:
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
+        BaselineError: ``healthy`` and ``baseline`` are both given, or the baseline was learned on another system.
     """
     began = time.perf_counter()
     base = any_system(system)
+    if baseline is not None:
+        if healthy:
+            raise BaselineError(
+                f"both a baseline and {len(healthy)} healthy logs are given; give the logs, to learn a baseline from "
+                "them, or the baseline that was learned"
+            )
+        check_learned(baseline, base)
     length = window_length(base) if window is None else window
     with one_thread():
         data = _cut(recordings, holdout, base, length)

@@ -1,0 +1,56 @@
+"""A baseline that several diagnoses share: what it stands for is checked, and it gives what its logs give."""
+
+import pytest
+
+from deepkoco.diagnose import BaselineError, diagnose
+from deepkoco.diagnose.baseline import start_from
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.identify import cut_windows
+from deepkoco.identify.threads import one_thread
+from deepkoco.identify.windows import window_length
+from deepkoco.systems import ExtendedSystem, make_system
+from experiments.hidden.unit import hidden_log
+
+SYSTEM = make_system("rod_pendulum")
+LENGTH = window_length(SYSTEM)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 3, 12.0)
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return hidden_log("rod_pendulum", {}, "chirp", 3, 12.0)
+
+
+@pytest.fixture(scope="module")
+def start(healthy):
+    return start_from(SYSTEM, cut_windows([healthy], SYSTEM, LENGTH))
+
+
+def test_a_baseline_and_healthy_logs_are_not_taken_together(log, healthy, start):
+    with pytest.raises(BaselineError, match="both a baseline and 1 healthy logs are given"):
+        diagnose([log], "rod_pendulum", [healthy], baseline=start, only=["coulomb"])
+
+
+def test_a_baseline_of_another_system_is_refused(log, start):
+    message = 'learned on "rod_pendulum", the diagnosis is of "torque_pendulum"'
+    with pytest.raises(BaselineError, match=message):
+        diagnose([log], "torque_pendulum", baseline=start, only=["coulomb"])
+
+
+def test_a_baseline_of_the_system_with_other_values_is_refused(log, start):
+    extended = ExtendedSystem(SYSTEM, ("lag",), {"lag.time_constant": 0.02})
+    with pytest.raises(BaselineError, match=r"lag\.time_constant was 0\.0, now 0\.02 s"):
+        diagnose([log], extended, baseline=start, only=["coulomb"])
+
+
+def test_a_shared_baseline_gives_what_its_logs_give(log, healthy):
+    with one_thread():
+        learned = learn_baseline([healthy], SYSTEM, LENGTH)
+    shared = diagnose([log], "rod_pendulum", baseline=learned, only=["coulomb"])
+    own = diagnose([log], "rod_pendulum", [healthy], only=["coulomb"])
+    assert shared.names == own.names == ("coulomb",)
+    assert (shared.chi2_before, shared.chi2_after) == (own.chi2_before, own.chi2_after)
