@@ -13,6 +13,10 @@ from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import System
 
 
+class TooManyLagsError(ValueError):
+    """A command goes through more lags in a row than the efforts are worked out for."""
+
+
 def step_efforts(
     system: System, windows: Windows, parameters: Mapping[str, Tensor], lanes: int
 ) -> tuple[Tensor, Tensor]:
@@ -43,10 +47,19 @@ def command_efforts(
 
     Returns:
         a (n, W, L) in the command's unit and b (n, W, L) per second.
+
+    Raises:
+        TooManyLagsError: More than two lags in a row are not 0.
     """
     timing = system.command_timing(index, parameters)
     delay, skew = timing.delay.expand(lanes).numpy(), timing.skew.expand(lanes).numpy()
     lags = [lag.expand(lanes).numpy() for lag in timing.lag]
+    most = np.count_nonzero(np.stack(lags) > 0.0, axis=0).max() if len(lags) > 2 else 0
+    if most > 2:
+        raise TooManyLagsError(
+            f'{system.name}: the command "{system.commands[index].name}" goes through {most} lags in a row; two can be '
+            "fitted: set the time constant of one to 0 s"
+        )
     start = torch.empty(windows.steps, len(windows), lanes, dtype=torch.float64)
     slope = torch.empty_like(start)
     for number, command in enumerate(windows.commands):
@@ -152,7 +165,9 @@ def _remaining(keep: np.ndarray, jump: np.ndarray) -> np.ndarray:
     """(n + 1, U) how far a lag is from its input: x[0] = 0, x[i + 1] = keep[i] x[i] + jump[i]."""
     band = np.ones((2, len(keep) + 1))
     band[1, :-1], band[1, -1] = -keep, 0.0
-    return solve_banded((1, 0), band, np.concatenate([np.zeros((1, jump.shape[1])), jump]))
+    given = np.concatenate([np.zeros((1, jump.shape[1])), jump])
+    # Every column is a lane of its own: one that is not finite must not stop the others.
+    return solve_banded((1, 0), band, given, check_finite=False)
 
 
 def _decay(since: np.ndarray, constant: np.ndarray) -> np.ndarray:

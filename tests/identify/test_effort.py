@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.identify.effort import _Held, step_efforts
+from deepkoco.identify.effort import TooManyLagsError, _Held, step_efforts
 from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import ExtendedSystem, make_system
 
@@ -128,3 +128,44 @@ def test_a_log_of_one_command_has_settled_behind_its_lag():
     start, slope = efforts(windows, lag__time_constant=0.05, actuation_delay__delay=0.02)
     assert start == pytest.approx(1.5, abs=1e-9)
     assert slope == pytest.approx(0.0, abs=1e-6)
+
+
+class TwiceLagged(type(make_system("rod_pendulum"))):
+    """A pendulum whose motor has two lags of its own."""
+
+    def command_timing(self, index, parameters):
+        own = tuple(torch.tensor(lag, dtype=torch.float64) for lag in (0.02, 0.03))
+        return super().command_timing(index, parameters)._replace(lag=own)
+
+
+def test_a_third_lag_in_a_row_is_refused_and_one_of_zero_changes_nothing():
+    system = ExtendedSystem(TwiceLagged(), ("lag",))
+    windows = windows_of([0.0, 1.0], [0.0, 1.0], [1.0], 0.01, 30)
+    p = system.default_parameters()
+    without = step_efforts(system, windows, p, 1)
+    two = _Held(windows.commands[0], np.array([[0.0, 1.0]]), [np.array([0.02]), np.array([0.03])]).steps(
+        np.array([0]), np.zeros((1, 1)), windows.t0, 0.01, 30
+    )
+    assert without[0].numpy() == pytest.approx(two[0], abs=1e-12)
+    with pytest.raises(
+        TooManyLagsError, match=r'rod_pendulum: the command ".*" goes through 3 lags in a row'
+    ):
+        step_efforts(system, windows, p | {"lag.time_constant": torch.tensor([0.01], dtype=torch.float64)}, 1)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_a_lane_of_infinite_efforts_leaves_the_others_as_they_are():
+    system = ExtendedSystem(make_system("rod_pendulum"), ("gain", "lag"))
+    rng = np.random.default_rng(5)
+    windows = windows_of(0.01 * np.arange(100), rng.normal(size=100), [0.2, 0.5], 0.01, 20)
+
+    def lanes(*factors):
+        given = {
+            "gain.factor": torch.tensor(factors, dtype=torch.float64),
+            "lag.time_constant": torch.tensor(0.05, dtype=torch.float64),
+        }
+        return step_efforts(system, windows, system.default_parameters() | given, len(factors))
+
+    for alone, beside in zip(lanes(0.8, 1.2), lanes(0.8, np.inf, 1.2), strict=True):
+        assert torch.equal(beside[[0, 2]], alone)
+        assert not torch.isfinite(beside[1]).all()
