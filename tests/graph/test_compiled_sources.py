@@ -10,8 +10,20 @@ import hashlib
 import importlib.util
 from pathlib import Path
 
+import pytest
+
 import deepkoco
 
+OTHER_COMPILERS = {
+    "cfunc",
+    "generated_jit",
+    "guvectorize",
+    "jit",
+    "jitclass",
+    "overload",
+    "stencil",
+    "vectorize",
+}
 ROOT = Path(deepkoco.__file__).parent
 
 
@@ -21,7 +33,11 @@ def test_compiled_functions_change_with_the_sources_that_they_call() -> None:
         text = path.read_text()
         if "numba" not in text:
             continue
-        called = sources_called(ast.parse(text))
+        tree = ast.parse(text)
+        assert unseen(tree) == [], (
+            f"{path.relative_to(ROOT.parent)}: what its compiled functions call is not seen"
+        )
+        called = sources_called(tree)
         if not called:
             continue
         checked += 1
@@ -32,6 +48,76 @@ def test_compiled_functions_change_with_the_sources_that_they_call() -> None:
             f"{path.relative_to(ROOT.parent)} calls {names}; it needs the line {line}"
         )
     assert checked >= 3
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import deepkoco.graph.supergraph.embedding as embedding",
+        "import deepkoco",
+        "from . import embedding",
+        "from .embedding import at",
+        "from deepkoco import graph",
+        "from deepkoco.graph.supergraph import embedding",
+        "from numba import jit",
+        "from numba import njit, vectorize as v",
+        "@jit(nopython=True)\ndef f(x): return x",
+        "@numba.vectorize\ndef f(x): return x",
+        "@nb.guvectorize([], '()->()')\ndef f(x, y): y[0] = x",
+        "f = njit(g)",
+        "class A:\n    @njit\n    def f(x): return x",
+        "def make():\n    from deepkoco.graph.supergraph.embedding import at\n    return at",
+    ],
+)
+def test_what_would_hide_a_call_is_refused(line: str) -> None:
+    assert len(unseen(ast.parse(line))) == 1
+
+
+def test_what_is_seen_is_not_refused() -> None:
+    seen = """
+import numpy as np
+from numba import njit
+from deepkoco.graph.supergraph.embedding import at
+
+@njit(cache=True)
+def f(x):
+    return at(x)
+"""
+    tree = ast.parse(seen)
+    assert unseen(tree) == []
+    assert [path.name for path in sources_called(tree)] == ["embedding.py"]
+
+
+def unseen(tree: ast.Module) -> list[str]:
+    """Lines of a module through which compiled functions may call what `sources_called` does not see."""
+    decorated = {
+        id(d) for node in tree.body if isinstance(node, ast.FunctionDef) for d in node.decorator_list
+    }
+    decorating = {id(part) for d in ast.walk(tree) if id(d) in decorated for part in ast.walk(d)}
+    lines = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import(names=names):
+                hidden = any(name.name.split(".")[0] == "deepkoco" for name in names)
+            case ast.ImportFrom(module="numba", names=names):
+                hidden = any(name.name in OTHER_COMPILERS or name.asname for name in names)
+            case ast.ImportFrom(module=module, level=level):
+                ours = (module or "").split(".")[0] == "deepkoco"
+                # What a package passes on is defined in another file.
+                hidden = level > 0 or (ours and (node not in tree.body or is_package(str(module))))
+            case ast.Name(id=name) | ast.Attribute(attr=name):
+                hidden = name in OTHER_COMPILERS or (name == "njit" and id(node) not in decorating)
+            case _:
+                hidden = False
+        if hidden:
+            lines.add(ast.unparse(node))
+    return sorted(lines)
+
+
+def is_package(module: str) -> bool:
+    """Whether a module has others below it."""
+    spec = importlib.util.find_spec(module)
+    return spec is not None and spec.submodule_search_locations is not None
 
 
 def sources_called(tree: ast.Module) -> list[Path]:
