@@ -9,6 +9,7 @@ import torch
 from deepkoco.identify.effort import TooManyLagsError, _Held, step_efforts
 from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import ExtendedSystem, make_system
+from deepkoco.systems.rod_pendulum import RodPendulum
 
 
 def windows_of(t, value, t0, step, steps) -> Windows:
@@ -130,7 +131,7 @@ def test_a_log_of_one_command_has_settled_behind_its_lag():
     assert slope == pytest.approx(0.0, abs=1e-6)
 
 
-class TwiceLagged(type(make_system("rod_pendulum"))):
+class TwiceLagged(RodPendulum):
     """A pendulum whose motor has two lags of its own."""
 
     def command_timing(self, index, parameters):
