@@ -171,6 +171,8 @@ class ChannelReader:
         own_time: bool,
     ) -> np.ndarray:
         """Indices of the samples that count: exact repetitions do not."""
+        if not len(time):
+            return np.zeros(0, dtype=np.intp)
         again = np.append(False, (np.diff(time) == 0) & (np.diff(value) == 0))
         if again.any() and not (own_time and channel.kind == "command"):
             self.notes.append(

@@ -313,3 +313,10 @@ def test_empty_cells_at_the_end_of_rows_are_accepted(tmp_path):
     path.write_text("\n".join([header, *(row + ",," for row in rows)]))
     trailing = read_log(path)
     np.testing.assert_array_equal(trailing.channels["omega"].value, plain.channels["omega"].value)
+
+
+def test_a_column_without_a_single_value_is_refused_in_words(tmp_path):
+    frame = table()
+    frame["torque"] = np.nan
+    with pytest.raises(LogError, match='channel "torque" is too short: 0 samples'):
+        read_log(save(tmp_path, frame, sidecar()), fill="drop")
