@@ -317,6 +317,6 @@ def test_empty_cells_at_the_end_of_rows_are_accepted(tmp_path):
 
 def test_a_column_without_a_single_value_is_refused_in_words(tmp_path):
     frame = table()
-    frame["torque"] = np.nan
+    frame["command"] = np.nan
     with pytest.raises(LogError, match='channel "torque" is too short: 0 samples'):
-        read_log(save(tmp_path, frame, sidecar()), fill="drop")
+        read_log(save(tmp_path, frame), fill="drop")
