@@ -5,15 +5,18 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
 from deepkoco.diagnose.advice import class_advice, level_advice
 from deepkoco.diagnose.baseline import BaselineError, Start, check_learned, refit_sharply, start_from
+from deepkoco.diagnose.beyond import at_bound, doubts_of_commands, doubts_of_estimates
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
+from deepkoco.diagnose.causes.units import LOUD
 from deepkoco.diagnose.classes import equivalent
+from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
 from deepkoco.diagnose.elimination import eliminated
 from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
@@ -40,26 +43,14 @@ from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.identifiability import unidentified
 from deepkoco.identify.threads import one_thread
-from deepkoco.identify.windows import Windows, cut_windows, estimate_channels, moving, window_length
+from deepkoco.identify.windows import window_length
 from deepkoco.systems import ExtendedSystem, System, any_system
 
-FEWEST_WINDOWS = 4
-HELD_OUT = 4  # without hold-out logs, one window in four is kept back
 MOST_CAUSES = 3
 # While structure remains, causes are named if they explain this share of the excess chi2 and take this share off the
 # error on windows that no fit saw: what only imitates them does not get there, and real logs keep some model error.
 EXPLAINED = 0.6
 WORTH_NAMING = 0.5
-
-
-@dataclass(frozen=True)
-class _Data:
-    """Windows of one diagnosis: what is fitted, what is kept back, and whether both are of the same logs."""
-
-    train: Windows
-    held: Windows | None
-    resting: int
-    own: bool
 
 
 def diagnose(
@@ -109,7 +100,7 @@ def diagnose(
         check_learned(baseline, base)
     length = window_length(base) if window is None else window
     with one_thread():
-        data = _cut(recordings, holdout, base, length)
+        data = cut_data(recordings, holdout, base, length)
         if len(data.train) < FEWEST_WINDOWS:
             return _insufficient(data, base, recordings, length, seed, began)
         start = baseline
@@ -122,7 +113,7 @@ class _Study:
     """One diagnosis under way."""
 
     def __init__(
-        self, system: System, start: Start, data: _Data, detection: float, only: Sequence[str] | None
+        self, system: System, start: Start, data: Data, detection: float, only: Sequence[str] | None
     ) -> None:
         known = catalogue(start.system.base)
         self.causes = None if only is None else [known[name] for name in only]
@@ -135,6 +126,7 @@ class _Study:
         self.problem = FitProblem(start.system, train)
         self.accepted: list[Cause] = []
         self.steps: list[tuple[Ranking, tuple[str, ...]]] = []
+        self.doubts: tuple[str, ...] = ()
 
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
         problem, start, data = self.problem, self.start, self.data
@@ -148,6 +140,10 @@ class _Study:
         gain = self._gain(reference, final, seed)
         alike = 5.0 / np.sqrt(data.train.samples)
         white = after.lag_one <= alike
+        self.doubts = (
+            *doubts_of_commands(data.train, self.system),
+            *doubts_of_estimates(problem, self.accepted, final, reference),
+        )
         verdict = self._verdict(reference, final, limit, white, gain)
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted)):
@@ -196,6 +192,7 @@ class _Study:
                 "limits": {"chi2_per_sample": limit, "lag_one": alike},
                 "white": final.chi2 / data.train.samples <= limit and after.lag_one <= alike,
                 "spectrum": spectrum_of(remaining),
+                "doubts": list(self.doubts),
                 "signatures": [vars(e) for e in signatures(self.system, data.train, final)],
                 **({} if learned is None else {"residual_model": learned.to_json()}),
             },
@@ -238,9 +235,8 @@ class _Study:
         ranking = rank(problem, start, reference, (), hints, self.causes)
         first, final = ranking, reference
         while ranking.candidates and ranking.best.delta_bic > (FURTHER if self.accepted else self.detection):
-            ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
-            best = replace(ranking.best, fit=settled(problem, start, self.accepted, ranking.best))
-            ranking = replace(ranking, candidates=(best, *ranking.candidates[1:]))
+            ranking = self._led(ranking, hints)
+            first = ranking if not self.accepted else first
             members = equivalent(problem, start, ranking, tuple(self.accepted))
             self.steps.append((ranking, members))
             self.accepted.append(ranking.best.cause)
@@ -256,6 +252,19 @@ class _Study:
             self.accepted = kept
         return first, final
 
+    def _led(self, ranking: Ranking, hints: Hints) -> Ranking:
+        """A ranking with its winner fitted to the end."""
+        problem, start = self.problem, self.start
+        ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
+        best = replace(ranking.best, fit=settled(problem, start, self.accepted, ranking.best))
+        if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit, ranking.reference):
+            # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
+            hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
+            again = rank(problem, start, ranking.reference, self.accepted, hints, self.causes)
+            if not again.best.cause.free:
+                return self._led(again, hints)
+        return replace(ranking, candidates=(best, *ranking.candidates[1:]))
+
     def _hints(self, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
         chi2 = fit.chi2 / self.data.train.samples
         return Hints(self.start.system, self.data.train, missing, chi2)
@@ -264,6 +273,8 @@ class _Study:
         train = self.data.train
         if not self.accepted:
             return "unknown" if before.chi2 / train.samples > limit else "nothing"
+        if self.doubts:
+            return "unknown"
         share = explained_share(before, after, train, self.start.floor)
         if after.chi2 / train.samples > limit:
             # Something is left; then what is named has to account for most of what was seen.
@@ -320,26 +331,8 @@ class _Study:
         return ExtendedSystem(base, effects, kept)
 
 
-def _cut(
-    recordings: Sequence[Recording], holdout: Sequence[Recording], system: System, length: float
-) -> _Data:
-    noise = estimate_channels(recordings, system)
-    # With logs of their own to test on, windows may overlap: nothing that is fitted is tested.
-    windows = cut_windows(recordings, system, length, noise, cover=bool(holdout))
-    moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
-    order = np.cumsum(moves) - 1  # among the windows that are used
-    enough = moves.sum() >= FEWEST_WINDOWS + 2
-    keep_back = moves & (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & enough
-    train = windows.take(moves & ~keep_back)
-    if holdout:
-        held = cut_windows(holdout, system, length, estimate_channels(holdout, system), cover=True)
-    else:
-        held = windows.take(moves & keep_back) if keep_back.any() else None
-    return _Data(train, held, int((~moves).sum()), not holdout)
-
-
 def _insufficient(
-    data: _Data, system: System, recordings: Sequence[Recording], length: float, seed: int, began: float
+    data: Data, system: System, recordings: Sequence[Recording], length: float, seed: int, began: float
 ) -> Diagnosis:
     found = len(data.train)
     advice = missing_for_diagnosis(recordings, system, data.train.noise, length, found, FEWEST_WINDOWS)
@@ -363,26 +356,6 @@ def _insufficient(
         time.perf_counter() - began,
         DETECTION,
     )
-
-
-def describe_data(recordings: Sequence[Recording], data: _Data) -> dict:
-    """Files, lengths, noise and windows, for the report."""
-    logs = []
-    for recording in recordings:
-        logs.append(
-            {
-                "file": recording.path.name if recording.path else None,
-                "seconds": recording.stop - recording.start,
-                "samples": {name: len(series) for name, series in recording.channels.items()},
-                "warnings": list(recording.warnings),
-            }
-        )
-    return {
-        "logs": logs,
-        "noise_sd": [n.sd for n in data.train.noise],
-        "windows_resting": data.resting,
-        "windows_held_out": 0 if data.held is None else len(data.held),
-    }
 
 
 def versions() -> dict[str, str]:

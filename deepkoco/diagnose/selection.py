@@ -97,13 +97,21 @@ def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
 def prior_with(
     problem: FitProblem, start: Start, causes: Sequence[Cause], values: Mapping[str, float]
 ) -> Prior:
-    """The baseline's prior, widened by what the causes free."""
+    """The baseline's prior, widened by what the causes free.
+
+    A cause's spread is at least as wide as its value has come from null: the declared one, for small effects, would
+    pull a large one back, and what that lacks would pass for a further cause.
+    """
     prior = start.prior
     for cause in causes:
         # What only chooses a shape or a place has no null: its prior is around where the search found it.
         shapes = {*Push.NAMES[1:3], f"{cause.effect}.frequency"}
         centre = {n: values[n] if n in shapes else start.values[n] for n in cause.free}
-        prior = prior.widened(declared(problem, cause.free), centre)
+        own = [
+            replace(p, prior_sd=max(p.prior_sd, abs(values[p.name] - centre[p.name])))
+            for p in declared(problem, cause.free)
+        ]
+        prior = prior.widened(own, centre)
     return prior
 
 

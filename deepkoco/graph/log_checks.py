@@ -155,6 +155,12 @@ def _contradiction(
         )
     if relation.moved < STANDS * _noise(a.value):
         return None
+    turned = relate(b.t, b.value, a.t, a.value)
+    if turned is not None and turned.agreement > AGREES and 1.0 / RATIO < turned.ratio < RATIO:
+        raise LogError(
+            f"{said}: the first is the derivative of the second (agreement {turned.agreement:.2f} of 1, the other way "
+            f"round {max(relation.agreement, 0):.2f}); the two columns are swapped; {remedy}"
+        )
     if relation.agreement < APART:
         raise LogError(
             f"{said}: the second is not the derivative of the first (agreement {max(relation.agreement, 0):.2f} of 1); "

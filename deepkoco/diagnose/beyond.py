@@ -1,0 +1,72 @@
+"""Signs that what is wrong lies beyond what the catalogue can say, so that no name in it can be trusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause
+from deepkoco.identify.fit import Fit, FitProblem
+from deepkoco.identify.windows import Windows
+from deepkoco.systems import System
+
+EDGE = 1e-6  # share of its range within which an estimate lies at its bound
+FAINT = 1e-4  # largest command per limit of the system, below which the log's unit is doubted
+WILD = 1e4  # and above which it is
+SHAPES = (
+    "speed",
+    "frequency",
+    "cycles",
+)  # they choose where a cause acts; at their bounds it is still the same one
+
+
+def at_bound(problem: FitProblem, cause: Cause, fit: Fit, null: Fit) -> tuple[str, ...]:
+    """Parameters of a cause that a fit has driven to a bound: the data want more of it than it can give.
+
+    Args:
+        problem: Training windows.
+        cause: The cause; an event has no bounds of its own and never counts.
+        fit: Fit with it.
+        null: Fit without it; a null value that is a bound does not count.
+    """
+    if cause.effect == "event":
+        return ()
+    found = []
+    for name in cause.free:
+        j = problem.names.index(name)
+        low, high, value = float(problem.low[j]), float(problem.high[j]), fit.values[name]
+        near = EDGE * (high - low)
+        if name.rsplit(".", 1)[1] in SHAPES or value == null.values[name]:
+            continue
+        if value <= low + near or value >= high - near:
+            found.append(name)
+    return tuple(found)
+
+
+def doubts_of_estimates(problem: FitProblem, causes: Sequence[Cause], fit: Fit, null: Fit) -> tuple[str, ...]:
+    """One sentence for every estimate of named causes that lies at its bound."""
+    result = []
+    for cause in causes:
+        for name in at_bound(problem, cause, fit, null):
+            result.append(
+                f"{cause.name} fits best of all, but its {name.rsplit('.', 1)[1]} stops at the bound of "
+                f"{fit.values[name]:.4g}: the true cause is another, or the log and the system disagree in a unit."
+            )
+    return tuple(result)
+
+
+def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
+    """One sentence for every command that is out of all proportion to what the system takes."""
+    result = []
+    for k, channel in enumerate(system.commands):
+        limit = max(abs(channel.low), abs(channel.high))
+        top = max((float(np.abs(c.column(k)).max(initial=0.0)) for c in windows.commands), default=0.0)
+        if not math.isfinite(limit) or top == 0.0 or FAINT * limit <= top <= WILD * limit:
+            continue
+        result.append(
+            f'Command "{channel.name}" reaches {top:.3g} {channel.unit}, {top / limit:.2g} of the {limit:.4g} '
+            f"{channel.unit} that the system takes: check its unit and scale before anything else."
+        )
+    return tuple(result)

@@ -1,0 +1,64 @@
+"""What a diagnosis is made from: windows that are fitted, windows that are kept back, and a word on their logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepkoco.graph.recording import Recording
+from deepkoco.identify.windows import Windows, cut_windows, estimate_channels, moving
+from deepkoco.systems import System
+
+FEWEST_WINDOWS = 4
+HELD_OUT = 4  # without hold-out logs, one window in four is kept back
+
+
+@dataclass(frozen=True)
+class Data:
+    """Windows of one diagnosis: what is fitted, what is kept back, and whether both are of the same logs."""
+
+    train: Windows
+    held: Windows | None
+    resting: int
+    own: bool
+
+
+def cut_data(
+    recordings: Sequence[Recording], holdout: Sequence[Recording], system: System, length: float
+) -> Data:
+    """Cut logs into windows; those in which nothing moves teach nothing and are left out."""
+    noise = estimate_channels(recordings, system)
+    # With logs of their own to test on, windows may overlap: nothing that is fitted is tested.
+    windows = cut_windows(recordings, system, length, noise, cover=bool(holdout))
+    moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
+    order = np.cumsum(moves) - 1  # among the windows that are used
+    enough = moves.sum() >= FEWEST_WINDOWS + 2
+    keep_back = moves & (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & enough
+    train = windows.take(moves & ~keep_back)
+    if holdout:
+        held = cut_windows(holdout, system, length, estimate_channels(holdout, system), cover=True)
+    else:
+        held = windows.take(moves & keep_back) if keep_back.any() else None
+    return Data(train, held, int((~moves).sum()), not holdout)
+
+
+def describe_data(recordings: Sequence[Recording], data: Data) -> dict:
+    """Files, lengths, noise and windows, for the report."""
+    logs = []
+    for recording in recordings:
+        logs.append(
+            {
+                "file": recording.path.name if recording.path else None,
+                "seconds": recording.stop - recording.start,
+                "samples": {name: len(series) for name, series in recording.channels.items()},
+                "warnings": list(recording.warnings),
+            }
+        )
+    return {
+        "logs": logs,
+        "noise_sd": [n.sd for n in data.train.noise],
+        "windows_resting": data.resting,
+        "windows_held_out": 0 if data.held is None else len(data.held),
+    }
