@@ -36,6 +36,7 @@ DOSES: dict[str, Dose] = {
     "dead_zone": lambda x, load, command, time: {"width": 0.03 * x * command},
     "backlash": lambda x, load, command, time: {"width": 0.03 * x * command},
     "saturation": lambda x, load, command, time: {"limit": command / (1.0 + 0.1 * x)},
+    "gain_curve": lambda x, load, command, time: {"curvature": -0.1 * x / command**2},
     "gain_drift": lambda x, load, command, time: {"rate": 0.003 * x},
     "asymmetry": lambda x, load, command, time: {"share": 0.02 * x},
     "cogging": lambda x, load, command, time: {
@@ -60,7 +61,7 @@ DOSES: dict[str, Dose] = {
 OUTSIDE: dict[str, Dose] = {
     "turbulence": lambda x, load, command, time: {"size": 0.01 * x * load},
     "position_friction": lambda x, load, command, time: {"size": 0.02 * x * load * time},
-    "cubic_gain": lambda x, load, command, time: {"share": -0.1 * x},
+    "tether": lambda x, load, command, time: {"stiffness": 0.02 * x * load},
 }
 # Present in every log of the condition "floor", healthy ones included: (system's effect, dose).
 FLOOR: tuple[tuple[str, float], ...] = (

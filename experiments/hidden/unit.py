@@ -73,18 +73,22 @@ class HiddenUnit:
         u = min(max(last, command - width), command + width) if width else command
         u *= 1.0 + self._of("gain_drift", k).get("rate", 0.0) * t
         u *= self._of("gain", k).get("factor", 1.0)
+        u += self._of("gain_curve", k).get("curvature", 0.0) * u**3
         u += self._of("asymmetry", k).get("share", 0.0) * abs(u)
         u += self._of("torque_bias", k).get("effort", 0.0)
-        cubic = self._of("cubic_gain", k).get("share", 0.0)
-        u += cubic * u * (u / self.system.commands[k].high) ** 2
         zone = self._of("dead_zone", k).get("width", 0.0)
         u = math.copysign(max(abs(u) - zone, 0.0), u) if zone else u
         limit = self._of("saturation", k).get("limit", math.inf)
         return min(max(u, -limit), limit)
 
-    def load_on(self, j: int) -> Load | None:
-        """Load of the hidden effects on one joint, from angle, speed, effort, time and gust; None where none acts."""
-        parts = [self._friction(j), self._waves(j), self._rest(j)]
+    def load_on(self, j: int, start: float = 0.0) -> Load | None:
+        """Load of the hidden effects on one joint, from angle, speed, effort, time and gust; None where none acts.
+
+        Args:
+            j: The joint.
+            start: Position at which a log starts, from which a tether is taut.
+        """
+        parts = [self._friction(j), self._waves(j), self._rest(j), self._tether(j, start)]
         acting = [part for part in parts if part is not None]
         if not acting:
             return None
@@ -141,6 +145,11 @@ class HiddenUnit:
         return load
 
 
+    def _tether(self, j: int, start: float) -> Load | None:
+        stiffness = self._of("tether", j).get("stiffness", 0.0)
+        return None if not stiffness else lambda q, v, u, t, gust: -stiffness * max(q - start, 0.0)
+
+
 def hidden_log(
     system: str,
     hidden: Hidden,
@@ -155,7 +164,7 @@ def hidden_log(
     Args:
         system: Name of the system.
         hidden: Effects by the names of the catalogue, and besides ``turbulence``, ``position_friction`` and
-            ``cubic_gain``, which it does not know.
+            ``tether``, which it does not know.
         excitation: ``steps``, ``chirp``, ``closed-loop`` or ``bang-bang``; or commands of one's own.
         seed: Seed of parameters, excitation and noise.
         seconds: Length of the log [s].
@@ -184,7 +193,7 @@ class _Run:
         self.q, self.v = list(self.drive.start), [0.0] * self.joints
         self.slow = [[self.drive.rest[k]] * len(unit.lags[k]) for k in range(self.count)]
         self.acting = list(self.drive.rest)
-        self.loads = [unit.load_on(j) for j in range(self.joints)]
+        self.loads = [unit.load_on(j, self.q[j]) for j in range(self.joints)]
         self.gusty = any(kind == "turbulence" for kind, _ in unit.hidden)
         self.played = [0.0] * self.count
         self.filter = unit._of("low_pass").get("time_constant", 0.0)

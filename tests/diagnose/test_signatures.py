@@ -63,4 +63,4 @@ def test_readings_of_a_slower_sensor_are_not_taken_for_scattered_stamps(excitati
 
 
 def test_a_wrong_model_is_not_taken_for_jitter():
-    assert told(unit({"cubic_gain": {"share": -0.3}}, "chirp")) == {}
+    assert told(unit({"gain_curve": {"curvature": -0.075}}, "chirp")) == {}

@@ -38,7 +38,7 @@ def test_a_cause_that_shows_in_few_windows_carries_over():
     ("hidden", "imitators", "seed"),
     [
         ({"position_friction": {"size": 0.24}}, ["quadratic"], 129),
-        ({"cubic_gain": {"share": -0.07}}, ["saturation"], 153),
+        ({"gain_curve": {"curvature": -0.0175}}, ["saturation"], 153),
     ],
 )
 def test_what_imitates_a_cause_is_unknown(hidden, imitators, seed):

@@ -99,6 +99,15 @@ GAIN_DRIFT = Cause(
     "time",
     lambda motion: motion.command * (motion.time - motion.time.mean()),
 )
+GAIN_CURVE = Cause(
+    "gain_curve",
+    "actuator",
+    ("curvature",),
+    "The actuator's gain bends: large commands have less effect (or more) than in proportion.",
+    "Hold the joint at constant commands of many levels up to the limit and read the static angles.",
+    "command",
+    lambda motion: motion.command**3,
+)
 ASYMMETRY = Cause(
     "asymmetry",
     "actuator",

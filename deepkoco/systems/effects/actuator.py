@@ -49,6 +49,19 @@ def _apply_saturation(command: Tensor, p: Parameters) -> Tensor:
     return torch.maximum(torch.minimum(command, p["limit"]), -p["limit"])
 
 
+def _gain_curve(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    limit, unit = system.commands[command].high, system.commands[command].unit
+    text = "c, change of the gain with the squared command"
+    return (
+        Parameter("curvature", 0.0, f"1/({unit})^2", -0.9 / limit**2, 2.0 / limit**2, 0.1 / limit**2, text),
+    )
+
+
+def _apply_gain_curve(command: Tensor, p: Parameters) -> Tensor:
+    # u (1 + c u^2): the torque of a motor whose iron saturates falls behind its current.
+    return command + p["curvature"] * command**3
+
+
 def _asymmetry(system: System, command: int = 0) -> tuple[Parameter, ...]:
     text = "a, share by which the gain differs from one direction to the other"
     declared = Parameter("share", 0.0, "1", -0.9, 0.9, 0.1, text)
@@ -121,6 +134,15 @@ SATURATION = Effect(
     _saturation,
     "large commands are cut off",
     _apply_saturation,
+    "command",
+)
+GAIN_CURVE = Effect(
+    "gain_curve",
+    "actuator",
+    "command",
+    _gain_curve,
+    "the gain bends with the size of the command",
+    _apply_gain_curve,
     "command",
 )
 ASYMMETRY = Effect(
