@@ -14,6 +14,7 @@ from deepkoco.diagnose.advice import class_advice, level_advice
 from deepkoco.diagnose.baseline import BaselineError, Start, check_learned, refit_sharply, start_from
 from deepkoco.diagnose.beyond import at_bound, doubts_of_commands, doubts_of_estimates
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
+from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LOUD
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
@@ -23,6 +24,7 @@ from deepkoco.diagnose.findings import estimates, evidence_for, finding, localis
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import Hints
+from deepkoco.diagnose.lost import Losses, best_losses
 from deepkoco.diagnose.pushed import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
@@ -31,6 +33,7 @@ from deepkoco.diagnose.selection import (
     DETECTION,
     FURTHER,
     Ranking,
+    prior_with,
     rank,
     settled,
     without_events_first,
@@ -124,6 +127,10 @@ class _Study:
             train, held, self.reference = train_on_pushed(start, train, held, self.reference)
         self.data = replace(data, train=train, held=held)
         self.problem = FitProblem(start.system, train)
+        self.acting = (
+            self.problem
+        )  # with the commands that acted, where some of those that were sent were lost
+        self.lost: Finding | None = None
         self.accepted: list[Cause] = []
         self.steps: list[tuple[Ranking, tuple[str, ...]]] = []
         self.doubts: tuple[str, ...] = ()
@@ -146,10 +153,10 @@ class _Study:
         )
         verdict = self._verdict(reference, final, limit, white, gain)
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
-        if scattered and (verdict != "unknown" or (white and not self.accepted)):
+        if scattered and (verdict != "unknown" or (white and not self.accepted and self.lost is None)):
             # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
             verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
-        if (not self.accepted or verdict not in ("cause", "ambiguous")) and final is not reference:
+        if verdict not in ("cause", "ambiguous") and final is not reference:
             # What is dropped must not colour what is said of the rest.
             final, gain, after = reference, None, dispersion(reference, data.train)
             missing = missing_torque(problem, reference, after.deflation)
@@ -161,12 +168,13 @@ class _Study:
         if kept is not None:
             gain = kept.gain
         gain = self._gain(reference, final, seed) if gain is None else gain
-        remaining = missing if final is reference else missing_torque(problem, final)
+        remaining = missing if final is reference else missing_torque(self.acting, final)
         left = describe(remaining, after)
         if verdict == "unknown":
             named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
         candidates = tuple(finding(problem, c, first) for c in first.candidates)
-        candidates = tuple(sorted((*candidates, *scattered), key=lambda c: -c.delta_bic))
+        traced = (*scattered, *([self.lost] if self.lost else []))
+        candidates = tuple(sorted((*candidates, *traced), key=lambda c: -c.delta_bic))
         loose = unidentified(reference, start.prior)
         return Diagnosis(
             verdict=verdict,
@@ -230,31 +238,44 @@ class _Study:
 
     def _select(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Fit]:
         """Forward selection: the first ranking (over the whole catalogue) and the last fit."""
-        problem, start = self.problem, self.start
+        start = self.start
         hints = self._hints(reference, missing)
-        ranking = rank(problem, start, reference, (), hints, self.causes)
+        ranking = rank(self.acting, start, reference, (), hints, self.causes)
         first, final = ranking, reference
-        while ranking.candidates and ranking.best.delta_bic > (FURTHER if self.accepted else self.detection):
-            ranking = self._led(ranking, hints)
-            first = ranking if not self.accepted else first
-            members = equivalent(problem, start, ranking, tuple(self.accepted))
-            self.steps.append((ranking, members))
-            self.accepted.append(ranking.best.cause)
-            final = ranking.best.fit
-            if len(self.accepted) == MOST_CAUSES:
+        while len(self.accepted) < MOST_CAUSES:
+            wanted = FURTHER if self.accepted or self.lost else self.detection
+            if (found := self._losses(ranking, final, wanted)) is not None:
+                self.lost, self.acting, final = found.finding, found.problem, found.fit
+            elif ranking.candidates and ranking.best.delta_bic > wanted:
+                ranking = self._led(ranking, hints)
+                first = ranking if final is reference else first
+                members = equivalent(self.acting, start, ranking, tuple(self.accepted))
+                self.steps.append((ranking, members))
+                self.accepted.append(ranking.best.cause)
+                final = ranking.best.fit
+            else:
                 break
-            hints = self._hints(final, missing_torque(problem, final))
-            ranking = rank(problem, start, final, self.accepted, hints, self.causes)
+            hints = self._hints(final, missing_torque(self.acting, final))
+            ranking = rank(self.acting, start, final, self.accepted, hints, self.causes)
         if len(self.accepted) > 1:
             # What was worth its parameters when it was found need not be any more.
-            kept, final = eliminated(problem, start, self.accepted, final, FURTHER)
+            kept, final = eliminated(self.acting, start, self.accepted, final, FURTHER)
             self.steps = [s for s, c in zip(self.steps, self.accepted, strict=True) if c in kept]
             self.accepted = kept
         return first, final
 
+    def _losses(self, ranking: Ranking, fit: Fit, wanted: float) -> Losses | None:
+        """Lost commands, if they explain more than the best of a ranking."""
+        if self.lost is not None:
+            return None
+        known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
+        causes = [c for c in known if c.kind == LOST_COMMANDS.name]
+        prior = prior_with(self.acting, self.start, self.accepted, fit.values)
+        return best_losses(self.acting, fit, prior, causes, ranking, self.start.floor, wanted)
+
     def _led(self, ranking: Ranking, hints: Hints) -> Ranking:
         """A ranking with its winner fitted to the end."""
-        problem, start = self.problem, self.start
+        problem, start = self.acting, self.start
         ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
         best = replace(ranking.best, fit=settled(problem, start, self.accepted, ranking.best))
         if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit, ranking.reference):
@@ -267,11 +288,11 @@ class _Study:
 
     def _hints(self, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
         chi2 = fit.chi2 / self.data.train.samples
-        return Hints(self.start.system, self.data.train, missing, chi2)
+        return Hints(self.start.system, self.acting.windows, missing, chi2)
 
     def _verdict(self, before: Fit, after: Fit, limit: float, white: bool, gain: Gain | None) -> Verdict:
         train = self.data.train
-        if not self.accepted:
+        if not self.accepted and self.lost is None:
             return "unknown" if before.chi2 / train.samples > limit else "nothing"
         if self.doubts:
             return "unknown"
@@ -287,6 +308,8 @@ class _Study:
                 before, after, gain.fits["refit"], gain.fits["extended"]
             ):
                 return "unknown"
+        if not self.accepted:
+            return "cause"
         families = {CAUSES[kind_of(name)].family for name in self.steps[0][1]}
         return "ambiguous" if len(families) > 1 else "cause"
 
@@ -300,7 +323,7 @@ class _Study:
             motion = motion_of(self.data.train, own, self.system)
             evidence = evidence_for(best.cause, best, ranking, motion, own, places)
             result.append(finding(self.problem, best, ranking, members, evidence))
-        return tuple(result)
+        return (*result, *([self.lost] if self.lost else []))
 
     def _gain(self, reference: Fit, final: Fit, seed: int) -> Gain | None:
         if self.data.held is None or len(self.data.held) == 0:

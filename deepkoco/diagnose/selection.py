@@ -135,7 +135,7 @@ def rank(
     """
     everything = catalogue(problem.system.base).values() if causes is None else causes
     names = {c.name for c in accepted}
-    tried = [c for c in everything if c.name not in names and c.scatter is None]
+    tried = [c for c in everything if c.name not in names and c.scatter is None and not c.traced]
     listed = [(cause, place) for cause in tried for place in cause.starts(hints.for_cause(cause))]
     slips = [(cause, place) for cause, place in listed if not cause.free]
     prior = prior_with(problem, start, accepted, reference.values)

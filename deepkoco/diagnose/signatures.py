@@ -1,8 +1,8 @@
 """Signatures of timing and of sensors in what a model leaves: evidence for a reader, no verdict.
 
 A cause of the catalogue is named by its likelihood. These statistics say what the residuals look like, also where
-nothing is named: stamps that scatter, readings that repeat, values on a grid. Lost commands left no such mark: what
-is missing hardly goes with how the commands change, since a refit and the windows' states take most of it.
+nothing is named: stamps that scatter, readings that repeat, values on a grid. (Lost commands leave no such mark; they
+are searched for tick by tick: deepkoco.diagnose.lost.)
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ DOSES: dict[str, Dose] = {
     "actuation_delay": lambda x, load, command, time: {"delay": 0.01 * time * x},
     "sensing_delay": lambda x, load, command, time: {"delay": 0.01 * time * x},
     "lag": lambda x, load, command, time: {"time_constant": 0.01 * time * x},
+    "lost_commands": lambda x, load, command, time: {"share": min(0.01 * x, 0.5)},
     "clock_skew": lambda x, load, command, time: {"rate": 5e-4 * x},
     "viscous": lambda x, load, command, time: {"change": 0.02 * x * load * time},
     "coulomb": lambda x, load, command, time: {"torque": 0.01 * x * load},

@@ -63,6 +63,7 @@ class HiddenUnit:
         drawn = seed if drawn is None else drawn
         self.rng = np.random.default_rng([drawn, 2])
         self.turbulence = np.random.default_rng([drawn, 3])
+        self.losses = np.random.default_rng([drawn, 4])
 
     def _of(self, kind: str, site: int | str = 0) -> dict[str, Any]:
         return self.hidden.get((kind, site), {})
@@ -144,7 +145,6 @@ class HiddenUnit:
 
         return load
 
-
     def _tether(self, j: int, start: float) -> Load | None:
         stiffness = self._of("tether", j).get("stiffness", 0.0)
         return None if not stiffness else lambda q, v, u, t, gust: -stiffness * max(q - start, 0.0)
@@ -221,6 +221,9 @@ class _Run:
         sent = [min(max(u, low), high) for u, (low, high) in zip(wanted, limits, strict=True)]
         self.sent.append((t, sent))
         for k in range(self.count):
+            share = self.unit._of("lost_commands", k).get("share", 0.0)
+            if share and self.unit.losses.random() < share and self.t > 0.0:
+                continue
             delay = self.unit._of("actuation_delay", k).get("delay", 0.0)
             self.pending.append((t + delay, [float(k), sent[k]]))
         self.pending = deque(sorted(self.pending, key=lambda item: item[0]))

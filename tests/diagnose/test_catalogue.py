@@ -32,6 +32,7 @@ HIDDEN = {
     "gain(joint 1)": ("two_link_arm", "chirp", {"factor": 0.9}),
     "payload": ("quadrotor_height", "steps", {"mass": 0.003}),
     "actuation_delay": ("quadrotor_height", "closed-loop", {"delay": 0.02}),
+    "lost_commands": ("rod_pendulum", "chirp", {"share": 0.05}),
     "gain_curve": ("rod_pendulum", "chirp", {"curvature": -0.015}),
 }
 

@@ -27,7 +27,14 @@ from deepkoco.diagnose.causes.sensor import (
     SENSOR_DRIFT,
     SENSOR_SCALE,
 )
-from deepkoco.diagnose.causes.timing import ACTUATION_DELAY, CLOCK_SKEW, JITTER, LAG, SENSING_DELAY
+from deepkoco.diagnose.causes.timing import (
+    ACTUATION_DELAY,
+    CLOCK_SKEW,
+    JITTER,
+    LAG,
+    LOST_COMMANDS,
+    SENSING_DELAY,
+)
 from deepkoco.systems import System
 from deepkoco.systems.effects import EFFECTS, place
 
@@ -39,6 +46,7 @@ CAUSES: dict[str, Cause] = {
         LAG,
         CLOCK_SKEW,
         JITTER,
+        LOST_COMMANDS,
         VISCOUS,
         COULOMB,
         STRIBECK,

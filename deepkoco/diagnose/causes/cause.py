@@ -67,6 +67,7 @@ class Cause:
         choices: Number of discrete values that were tried, which the penalty must pay for.
         valley: Values, by full names, along a valley of the cost through given ones; None where there is none.
         scatter: For a cause that changes how measurements scatter: its test; None for the others.
+        traced: Whether it is searched for in the data itself (deepkoco.diagnose.lost) and not by fits of parameters.
         effect: Name of the placed effect that carries it (or "event").
         joint: Joint that it acts on; None for the whole system.
         index: Which command or channel, where it belongs to one.
@@ -85,6 +86,7 @@ class Cause:
     choices: int = 1
     valley: Callable[[Mapping[str, float]], list[dict[str, float]]] | None = None
     scatter: Callable[[Scatter, int], Verdict | None] | None = None
+    traced: bool = False
     effect: str = ""
     joint: int | None = None
     index: int = 0

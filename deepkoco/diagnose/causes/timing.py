@@ -62,6 +62,17 @@ CLOCK_SKEW = Cause(
     "command_rate",
     lambda motion: -motion.command_rate * (motion.time - motion.time.mean()),
 )
+LOST_COMMANDS = Cause(
+    "lost_commands",
+    "timing",
+    (),
+    "Some commands never arrive; the actuator holds the one before.",
+    "Number the commands and let the actuator log the numbers that it received.",
+    "command_rate",
+    lambda motion: -motion.command_rate,
+    counted=1,
+    traced=True,
+)
 JITTER = Cause(
     "jitter",
     "timing",

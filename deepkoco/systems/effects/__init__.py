@@ -16,7 +16,7 @@ from deepkoco.systems.effects.disturbance import COGGING, PERIODIC
 from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.systems.effects.learned import LEARNED
-from deepkoco.systems.effects.noise import JITTER, NOISE_LEVEL, QUANTISATION
+from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
 from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY
 from deepkoco.systems.system import System
@@ -30,6 +30,7 @@ EFFECTS: dict[str, Effect] = {
         LAG,
         CLOCK_SKEW,
         JITTER,
+        LOST_COMMANDS,
         VISCOUS,
         COULOMB,
         STRIBECK,

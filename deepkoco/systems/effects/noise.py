@@ -10,6 +10,10 @@ def _jitter(system: System, _: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("sd", 0.0, "s", 0.0, 0.1, 0.005, "standard deviation of the time stamps"),)
 
 
+def _lost(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    return (Parameter("share", 0.0, "1", 0.0, 1.0, 0.05, "share of the commands that never arrive"),)
+
+
 def _level(system: System, channel: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("factor", 1.0, "1", 0.01, 100.0, 0.3, "noise per noise of the data sheet"),)
 
@@ -23,6 +27,9 @@ def _quantum(system: System, channel: int = 0) -> tuple[Parameter, ...]:
 
 
 JITTER = Effect("jitter", "timing", "noise", _jitter, "time stamps of measurements scatter", site="system")
+LOST_COMMANDS = Effect(
+    "lost_commands", "timing", "noise", _lost, "commands are lost, and the one before is held", site="command"
+)
 NOISE_LEVEL = Effect(
     "noise_level", "sensor", "noise", _level, "a channel is noisier than its data sheet", site="channel"
 )
