@@ -35,9 +35,9 @@ from deepkoco.diagnose.selection import (
     Ranking,
     prior_with,
     rank,
-    settled,
     without_events_first,
 )
+from deepkoco.diagnose.settling import front_settled
 from deepkoco.diagnose.shortage import missing_for_diagnosis
 from deepkoco.diagnose.signatures import signatures
 from deepkoco.diagnose.spectrum import spectrum_of
@@ -277,14 +277,15 @@ class _Study:
         """A ranking with its winner fitted to the end."""
         problem, start = self.acting, self.start
         ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
-        best = replace(ranking.best, fit=settled(problem, start, self.accepted, ranking.best))
+        ranking = front_settled(problem, start, self.accepted, ranking)
+        best = ranking.best
         if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit, ranking.reference):
             # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
             hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
             again = rank(problem, start, ranking.reference, self.accepted, hints, self.causes)
             if not again.best.cause.free:
                 return self._led(again, hints)
-        return replace(ranking, candidates=(best, *ranking.candidates[1:]))
+        return ranking
 
     def _hints(self, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
         chi2 = fit.chi2 / self.data.train.samples

@@ -28,7 +28,6 @@ FURTHER = 30.0
 SCOUTING = 4  # iterations after which only the best start of each cause goes on
 HOPE = 0.3  # share of the best start's gain that a candidate must have by then to go on
 ITERATIONS = 14
-VALLEYS = 8  # searches along a valley, at most
 PATIENCE = 40  # further iterations for a winner that has not converged
 WORTH = 8.0  # fall of the cost, to first order, from which a cause is worth a fit of its own
 SLIPS = 4  # constants between units that are fitted in full
@@ -198,30 +197,6 @@ def rank(
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     return ranking
-
-
-def settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], winner: Candidate) -> Fit:
-    """Fit of a winner to the end: what is left of a valley that it crept along would pass for a further cause."""
-    fit = winner.fit
-    prior = prior_with(problem, start, [*accepted, winner.cause], fit.values)
-    if not set(fit.free) <= set(prior.names):
-        return fit
-    trial = Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.zero)
-    if winner.cause.valley is None:
-        return problem.fit([trial], PATIENCE)[0]
-    for _ in range(VALLEYS):
-        # Steps of a fit are short across a narrow valley; starts along it are not.
-        along = [
-            trial,
-            *(replace(trial, values={**trial.values, **v}) for v in winner.cause.valley(trial.values)),
-        ]
-        found = min(problem.fit(along, SCOUTING, CLOSE), key=lambda f: f.cost)
-        won = fit.cost - found.cost
-        if won > 0.0:
-            fit, trial = found, replace(trial, values=found.values, state=found.state, zero=found.zero)
-        if won < CLOSE:
-            break
-    return fit
 
 
 def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> dict[str, Fit]:
