@@ -40,7 +40,8 @@ LONGEST = 1500  # characters of an error
 DIAGNOSING = ("diagnose", "identify", "systems")  # packages of which a verdict depends
 NAMING = ("cause", "ambiguous")
 # A command in the wrong unit that is named as such is diagnosed, not misdiagnosed.
-HONEST = {"command in other unit": {"unit_slip"}, "wrong sidecar": {"unit_slip"}}
+RESCALED = "command in other unit"
+HONEST = {RESCALED: {"unit_slip"}, "wrong sidecar": {"unit_slip"}}
 # The clean logs: system and what is hidden in it.
 BASES: tuple[tuple[str, dict], ...] = (
     ("rod_pendulum", {}),
@@ -262,6 +263,8 @@ def _bad_verdict(case: FuzzCase, found: Verdict, clean: Verdict) -> str:
     known = {name for fault in case.faults for name in HONEST.get(fault, ())}
     if clean.verdict in NAMING:
         known |= {member for name, members in clean.named for member in (name, *members)}
+    if case.faults.count(RESCALED) > 1:
+        known |= {"gain"}  # two slips at once make a factor that is no constant between units
     named = {name for name, members in found.named if not set(members) & known and name not in known}
     return f"names {', '.join(sorted(named))}, which the clean log does not show" if named else ""
 

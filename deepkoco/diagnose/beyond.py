@@ -22,34 +22,33 @@ SHAPES = (
 )  # they choose where a cause acts; at their bounds it is still the same one
 
 
-def at_bound(problem: FitProblem, cause: Cause, fit: Fit, null: Fit) -> tuple[str, ...]:
+def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
     """Parameters of a cause that a fit has driven to a bound: the data want more of it than it can give.
 
     Args:
         problem: Training windows.
         cause: The cause; an event has no bounds of its own and never counts.
-        fit: Fit with it.
-        null: Fit without it; a null value that is a bound does not count.
+        fit: Fit with it. A bound that is the null value does not count.
     """
     if cause.effect == "event":
         return ()
-    found = []
+    found, nulls = [], problem.null_values()
     for name in cause.free:
         j = problem.names.index(name)
         low, high, value = float(problem.low[j]), float(problem.high[j]), fit.values[name]
         near = EDGE * (high - low)
-        if name.rsplit(".", 1)[1] in SHAPES or value == null.values[name]:
+        if name.rsplit(".", 1)[1] in SHAPES or abs(value - nulls[j]) <= near:
             continue
         if value <= low + near or value >= high - near:
             found.append(name)
     return tuple(found)
 
 
-def doubts_of_estimates(problem: FitProblem, causes: Sequence[Cause], fit: Fit, null: Fit) -> tuple[str, ...]:
+def doubts_of_estimates(problem: FitProblem, causes: Sequence[Cause], fit: Fit) -> tuple[str, ...]:
     """One sentence for every estimate of named causes that lies at its bound."""
     result = []
     for cause in causes:
-        for name in at_bound(problem, cause, fit, null):
+        for name in at_bound(problem, cause, fit):
             result.append(
                 f"{cause.name} fits best of all, but its {name.rsplit('.', 1)[1]} stops at the bound of "
                 f"{fit.values[name]:.4g}: the true cause is another, or the log and the system disagree in a unit."
@@ -63,7 +62,7 @@ def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
     for k, channel in enumerate(system.commands):
         limit = max(abs(channel.low), abs(channel.high))
         top = max((float(np.abs(c.column(k)).max(initial=0.0)) for c in windows.commands), default=0.0)
-        if not math.isfinite(limit) or top == 0.0 or FAINT * limit <= top <= WILD * limit:
+        if not 0.0 < limit < math.inf or top == 0.0 or FAINT * limit <= top <= WILD * limit:
             continue
         result.append(
             f'Command "{channel.name}" reaches {top:.3g} {channel.unit}, {top / limit:.2g} of the {limit:.4g} '

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
@@ -24,8 +22,9 @@ from deepkoco.diagnose.findings import estimates, evidence_for, finding, localis
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import Hints
-from deepkoco.diagnose.lost import Losses, best_losses
-from deepkoco.diagnose.pushed import refit_elsewhere, train_on_pushed
+from deepkoco.diagnose.losses import Losses, best_losses
+from deepkoco.diagnose.lost import why_not_searched
+from deepkoco.diagnose.pushed import refit_elsewhere, touched, train_on_pushed
 from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.scattered import scatter_findings
@@ -42,6 +41,7 @@ from deepkoco.diagnose.shortage import missing_for_diagnosis
 from deepkoco.diagnose.signatures import signatures
 from deepkoco.diagnose.spectrum import spectrum_of
 from deepkoco.diagnose.unknown import carries_over, describe, explained_share
+from deepkoco.diagnose.versions import versions
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.identifiability import unidentified
@@ -54,6 +54,7 @@ MOST_CAUSES = 3
 # error on windows that no fit saw: what only imitates them does not get there, and real logs keep some model error.
 EXPLAINED = 0.6
 WORTH_NAMING = 0.5
+PLAIN = 0.1  # fall of chi2 per sample from which windows that no fit saw must show what is named, too
 
 
 def diagnose(
@@ -149,7 +150,7 @@ class _Study:
         white = after.lag_one <= alike
         self.doubts = (
             *doubts_of_commands(data.train, self.system),
-            *doubts_of_estimates(problem, self.accepted, final, reference),
+            *doubts_of_estimates(problem, self.accepted, final),
         )
         verdict = self._verdict(reference, final, limit, white, gain)
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
@@ -201,6 +202,7 @@ class _Study:
                 "white": final.chi2 / data.train.samples <= limit and after.lag_one <= alike,
                 "spectrum": spectrum_of(remaining),
                 "doubts": list(self.doubts),
+                "lost_commands_not_searched": why_not_searched(data.train),
                 "signatures": [vars(e) for e in signatures(self.system, data.train, final)],
                 **({} if learned is None else {"residual_model": learned.to_json()}),
             },
@@ -279,7 +281,7 @@ class _Study:
         ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
         ranking = front_settled(problem, start, self.accepted, ranking)
         best = ranking.best
-        if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit, ranking.reference):
+        if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit):
             # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
             hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
             again = rank(problem, start, ranking.reference, self.accepted, hints, self.causes)
@@ -298,16 +300,23 @@ class _Study:
         if self.doubts:
             return "unknown"
         share = explained_share(before, after, train, self.start.floor)
-        if after.chi2 / train.samples > limit:
+        left = after.chi2 / train.samples > limit
+        if self.lost is not None or all(c.effect == "event" for c in self.accepted):
+            gain = None  # what acts once is worth nothing on other windows, and other windows lose other commands
+        if left and self.lost is not None:
+            return "unknown"  # offsets at hundreds of places bend to anything; losses leave nothing
+        if left:
             # Something is left; then what is named has to account for most of what was seen.
-            if gain is not None and all(c.effect == "event" for c in self.accepted):
-                gain = None  # what acts once is worth nothing on other windows
             worth = 1.0 if gain is None else gain.reduction
             if share < EXPLAINED or worth <= (0.0 if white else WORTH_NAMING):
                 return "unknown"
-            if gain is not None and not carries_over(
-                before, after, gain.fits["refit"], gain.fits["extended"]
-            ):
+        plain = before.chi2 - after.chi2 > PLAIN * train.samples
+        if gain is not None and (left or plain):
+            # Several causes together can imitate what none of them is, on the windows that are fitted.
+            several = sum(c.effect != "event" for c in self.accepted) > 1
+            fits = gain.fits["refit"], gain.fits["extended"]
+            carried = carries_over(before, after, *fits, ~touched(train, after.values))
+            if not carried or (several and gain.reduction <= 0.0):
                 return "unknown"
         if not self.accepted:
             return "cause"
@@ -380,14 +389,3 @@ def _insufficient(
         time.perf_counter() - began,
         DETECTION,
     )
-
-
-def versions() -> dict[str, str]:
-    """Versions that a result depends on."""
-    result = {"python": platform.python_version()}
-    for package in ("deepkoco", "torch", "numpy", "scipy"):
-        try:
-            result[package] = version(package)
-        except PackageNotFoundError:
-            result[package] = "unknown"
-    return result

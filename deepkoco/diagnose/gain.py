@@ -125,6 +125,10 @@ def note_on_gain(named: Sequence[str], learned: bool) -> str:
         learned: Whether a learned load stands there in their place.
     """
     note = "No fit has seen these windows."
+    if any(name.startswith("lost_commands") for name in named):
+        note += " Which commands were lost in them is not known, so that they are simulated with all that were sent."
+        if len(named) == 1:
+            return f"{note} Nothing is gained here by knowing that some are lost."
     if named and all(name.startswith("event") for name in named):
         return f"{note} A push acts in none of them, so that it is left out and nothing is gained here."
     if named:

@@ -1,11 +1,12 @@
 """Commands that were sent and logged but never acted: the actuator held the one before for a tick.
 
-Which ticks were lost is searched for in every window by itself. The response of the measurements to a small offset of
-every single command is simulated once; a pattern of lost ticks then is a sum of such offsets of known sizes, and is
-grown and shrunk tick by tick while the errors pay for saying where they are.
+Which ticks were lost is searched for in every window by itself. What the loss of each single tick does to the
+measurements is simulated once; a pattern of losses is a sum of such responses with known sizes, and is grown and shrunk
+tick by tick while the errors pay for saying where they are. Neighbouring ticks do nearly the same to a slow machine:
+how many were lost is found better than which.
 
 Source: matching pursuit with amplitudes that are known (Mallat and Zhang 1993), stopped by the two-part code of
-    minimum description length (Rissanen 1978): N ticks of which a share p was lost take N H(p) to write down.
+    minimum description length (Rissanen 1978).
 """
 
 from __future__ import annotations
@@ -19,10 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
-from deepkoco.diagnose.residuals import SLOTS, acting_system, dispersion, push_of
-from deepkoco.diagnose.selection import Ranking, penalty
+from deepkoco.diagnose.residuals import acting_system, push_of
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
@@ -30,20 +28,34 @@ from deepkoco.identify.simulate import predict
 from deepkoco.identify.windows import CommandSeries, Windows
 
 BEFORE = 0.15  # share of a window before it whose commands still act in it, through lags and delays
-REGULAR = 0.9  # share of the ticks that follow at the usual pace, without which a lost one has no length
-PACE = 1.5  # usual paces from which on a tick is late
-SMALL = 1e-3  # offset that is simulated, in largest commands
-SHARE = 0.1  # share of lost commands that a first search expects
-RARE, COMMON = 0.005, 0.5  # shares that a second one may expect
-SHOWS = 4.0  # fall of chi2 by a lost tick from which on it would show
-WIDTHS = (
-    1,
-    2,
-    3,
-)  # neighbours that are turned over together: a loss that was put a tick off does not move alone
-TURNS = 5  # of search and fit, at most
-MOST = 400  # changes of a window's pattern, at most
-LONGEST = 400  # ticks in a window, at most
+REGULAR = 0.9  # share of the ticks that come at the usual pace, without which a lost one has no length
+PACE = 1.5  # factor from the usual pace within which a tick is regular
+SMALL = 1e-3  # offset that is simulated where a command does not change, in largest commands
+LANES = 2000  # windows simulated at once
+MOST_TICKS = 400  # in a window: beyond that the search takes too long
+MOST_LOST = 0.5  # share of the commands from which on it is no loss but a delay
+SHARE = 0.1  # share of lost commands that the first turn expects
+RARE, COMMON = 0.01, 0.3  # shares that a later one may expect
+FIRST = (
+    0.2  # share of the best tick's worth that others must have in the first turn; its powers in the next ones
+)
+TURNS = 8  # of search and fit, at most
+CLEAR = 4.0  # prices of a tick that its loss must be worth to count for the share
+FEWEST_CLEAR = 10  # ticks that the share is taken from, where there are as many
+NEAR = 3  # ticks around a lost one that are turned over together with a neighbour
+MOST_CHANGES = 400  # of a window's pattern
+
+
+class Shown(NamedTuple):
+    """Ticks of one log.
+
+    Attributes:
+        lost: (n,) whether each tick was lost.
+        worth: (n,) fall of chi2 that its loss would be worth, had it been lost.
+    """
+
+    lost: np.ndarray
+    worth: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -52,19 +64,25 @@ class LostCommands:
 
     Attributes:
         index: Which command.
-        patterns: Per log, (n,) whether each tick was lost.
+        logs: The ticks of every log.
         problem: The windows, with the commands that acted in the place of those that were sent.
         fit: Fit of the same model to them.
-        lost: Ticks that were lost.
-        ticks: Ticks of which it would have shown.
+        lost: Ticks that were lost, of those whose loss would show clearly.
+        ticks: Ticks whose loss would show clearly.
+        searched: Ticks that were or could have been taken for lost.
+        found: Those that were.
+        price: Fall of the cost that a lost tick had to be worth.
     """
 
     index: int
-    patterns: tuple[np.ndarray, ...]
+    logs: tuple[Shown, ...]
     problem: FitProblem
     fit: Fit
     lost: int
     ticks: int
+    searched: int
+    found: int
+    price: float
 
     @property
     def share(self) -> float:
@@ -74,15 +92,36 @@ class LostCommands:
     @property
     def charge(self) -> float:
         """What the BIC charges: twice the logarithm of the number of patterns, and the share as a parameter."""
-        p, samples = self.share, self.problem.windows.samples
-        entropy = 0.0 if p in (0.0, 1.0) else -p * math.log(p) - (1.0 - p) * math.log(1.0 - p)
-        return 2.0 * self.ticks * entropy + math.log(max(samples, 2))
+        n, k = self.searched, self.found
+        patterns = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+        return 2.0 * patterns + math.log(max(self.problem.windows.samples, 2))
+
+    @property
+    def total(self) -> float:
+        """Cost of the fit and of writing the pattern down."""
+        return self.fit.cost + self.charge
+
+
+def why_not_searched(windows: Windows) -> str | None:
+    """Why lost commands cannot be searched for in these windows; None where they can."""
+    for log in np.unique(windows.log):
+        t = windows.commands[log].t
+        gap = np.diff(t)
+        usual = float(np.median(gap)) if len(gap) else 0.0
+        regular = (gap < PACE * usual) & (gap > usual / PACE)
+        if len(t) < 20 or np.mean(regular) < REGULAR:
+            return "commands do not come at a regular pace, and a lost one has no length"
+    most = max(len(own) for own in _spans(windows))
+    if most > MOST_TICKS:
+        return f"a window holds {most} commands, more than the {MOST_TICKS} for which the search is made"
+    return None
 
 
 def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> LostCommands | None:
     """Search the ticks of one command for lost ones, and refit the model to the commands that acted.
 
-    The search is to first order around a fit, which the losses have bent; so search and fit take turns.
+    The search is to first order around a fit, which the losses have bent; so search and fit take turns, the plainest
+    losses first.
 
     Args:
         problem: Windows, with the commands that were sent.
@@ -91,115 +130,83 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
         index: Which command.
 
     Returns:
-        What was found; None where nothing was, or where the stamps of the commands are not regular.
+        What was found; None where nothing was, where it would be more than half of the commands, or where there is no
+        search (:func:`why_not_searched`).
     """
     windows = problem.windows
-    ticks = _ticks(windows)
     sent = [c.column(index) for c in windows.commands]
-    if ticks is None or all(np.ptp(u) == 0.0 for u in sent):
+    if all(np.ptp(u) == 0.0 for u in sent) or why_not_searched(windows) is not None:
         return None
+    spans = _spans(windows)
     patterns = [np.zeros(len(u), dtype=bool) for u in sent]
-    share, seen, acted = SHARE, 0, problem
-    for _ in range(TURNS):
-        before = [p.copy() for p in patterns]
-        patterns, lost, seen = _search(acted, fit, index, ticks, sent, before, share)
-        if lost == 0:
+    share, acted, now = SHARE, problem, fit
+    best: LostCommands | None = None
+    for turn in range(TURNS):
+        before = patterns
+        logs, price, last = _search(acted, now, index, spans, sent, before, share, FIRST ** (turn + 1))
+        patterns = [shown.lost for shown in logs]
+        if not any(p.any() for p in patterns):
             return None
-        if all((a == b).all() for a, b in zip(patterns, before, strict=True)):
-            break
-        share = float(np.clip(lost / max(seen, 1), RARE, COMMON))
         acted = FitProblem(problem.system, _acting(windows, index, patterns))
-        fit = acted.fit([Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.zero)])[0]
-    lost = sum(int(p.sum()) for p in patterns)
-    return LostCommands(index, tuple(patterns), acted, fit, lost, max(seen, lost))
+        now = acted.fit([Trial(fit.name, fit.free, prior, now.values, now.state, now.zero)])[0]
+        found = _counted(index, logs, acted, now, price)
+        best = found if best is None or found.total < best.total else best
+        share = float(np.clip(found.share, RARE, COMMON))
+        if last and all((a == b).all() for a, b in zip(patterns, before, strict=True)):
+            break
+    if best is None or best.share > MOST_LOST or _imitated(best, index, spans, sent):
+        return None
+    return best
 
 
-class Losses(NamedTuple):
-    """Lost commands that were accepted: what a report shows, the data with what acted, and the fit to them."""
+def _imitated(
+    found: LostCommands, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
+) -> bool:
+    """Whether offsets of the opposite sign, which no loss makes, would explain more.
 
-    finding: Finding
-    problem: FitProblem
-    fit: Fit
-
-
-def best_losses(
-    problem: FitProblem,
-    fit: Fit,
-    prior: Prior,
-    causes: Sequence[Cause],
-    ranking: Ranking,
-    floor: float,
-    wanted: float,
-) -> Losses | None:
-    """Lost commands, where they explain more than the best candidate of a ranking.
-
-    Args:
-        problem, fit, prior: Model to be improved.
-        causes: Lost commands at every command of the system.
-        ranking: Candidates on top of the same fit.
-        floor: chi2 per sample of a healthy unit.
-        wanted: Fall of the BIC that they must reach.
+    Whatever is irregular is explained in part by offsets at hundreds of places; only losses prefer one sign.
     """
-    best: tuple[float, Cause, LostCommands] | None = None
-    for cause in causes:
-        found = lost_commands(problem, fit, prior, cause.index)
-        if found is not None and (best is None or found.fit.cost < best[0]):
-            best = (found.fit.cost, cause, found)
-    if best is None:
-        return None
-    cost, cause, found = best
-    rival = ranking.best if ranking.candidates else None
-    lowest = found.fit if rival is None or cost < rival.fit.cost else rival.fit
-    spread = dispersion(lowest, problem.windows)
-    deflation = max(spread.deflation, floor)
-    ratio = fit.cost - cost
-    score = ratio / deflation - found.charge
-    least = wanted
-    if rival is not None:
-        places = SLOTS * len(problem.windows)
-        charge = penalty(rival.cause, problem.windows.samples / spread.correlation, places)
-        least = max(wanted, rival.likelihood_ratio / deflation - charge)
-    if score <= least:
-        return None
-    needed = (found.charge + wanted) * deflation
-    return Losses(_finding(found, cause, ratio, score, needed), found.problem, found.fit)
+    windows, real, opposite = found.problem.windows, 0.0, 0.0
+    products = _products(found.problem, found.fit, index, spans, sent)
+    for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
+        given = sent[log][own[0] - 1 : own[-1] + 1]
+        lost = found.logs[log].lost[own]
+        offset = _offset(given, lost)
+        without = match + gram @ offset  # what the residuals hold if nothing was lost
+        none = np.zeros_like(lost)
+        other = _offset(given, pattern(gram, -without, given, none, found.price))
+        real += 2.0 * offset @ without - offset @ gram @ offset
+        opposite += -2.0 * other @ without - other @ gram @ other
+    return bool(opposite > real)
 
 
-def _finding(found: LostCommands, cause: Cause, ratio: float, score: float, needed: float) -> Finding:
-    n, p, z = max(found.ticks, 1), found.share, 1.96
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    reach = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    share = Estimate(p, max(middle - reach, 0.0), min(middle + reach, 1.0), "1")
-    text = (
-        f"{found.lost} of {found.ticks} commands whose loss would show were held over by the one before; simulating "
-        f"them so lowers the squared error by {ratio:,.0f} noise variances; chance and saying which ones they are "
-        f"explain up to {needed:,.0f}."
-    )
-    evidence = Evidence("likelihood_ratio", ratio, needed, text)
-    own = {f"{cause.effect}.share": share}
-    return Finding(cause.name, cause.family, (cause.name,), score, 1.0, own, (evidence,))
+def _offset(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """(K,) what acts less what was sent, when these of K ticks are lost; (K + 1,) commands with the one before."""
+    return _held(sent, 1 + np.flatnonzero(lost))[1:] - sent[1:]
 
 
-def _ticks(windows: Windows) -> np.ndarray | None:
-    """(W, K) index of every tick that may act in each window; None where ticks are too irregular or too many."""
-    paces = []
-    for command in windows.commands:
-        if len(command.t) < 20:
-            return None
-        gap = np.diff(command.t)
-        if np.mean(gap < PACE * np.median(gap)) < REGULAR:
-            return None
-        paces.append(float(np.median(gap)))
-    count = math.ceil((1.0 + BEFORE) * windows.length / min(paces)) + 1
-    if count > LONGEST:
-        return None
-    first = np.empty(len(windows), dtype=int)
+def _counted(index: int, logs: Sequence[Shown], problem: FitProblem, fit: Fit, price: float) -> LostCommands:
+    lost = np.concatenate([shown.lost for shown in logs])
+    worth = np.concatenate([shown.worth for shown in logs])
+    searched = lost | (worth > price)
+    # A tick that is worth hardly more than its price is missed half the time.
+    clear = worth > CLEAR * price
+    clear = clear if clear.sum() >= FEWEST_CLEAR else searched
+    counts = int((lost & clear).sum()), int(clear.sum()), int(searched.sum()), int(lost.sum())
+    return LostCommands(index, tuple(logs), problem, fit, *counts, price)
+
+
+def _spans(windows: Windows) -> list[np.ndarray]:
+    """Per window, the ticks that may act in it."""
+    spans = []
     for w, log in enumerate(windows.log):
         t = windows.commands[log].t
-        begin = np.searchsorted(t, windows.t0[w] - BEFORE * windows.length, side="right") - 1
-        first[w] = np.clip(begin, 1, max(len(t) - count, 1))
-    shortest = min(len(c.t) for c in windows.commands)
-    return first[:, None] + np.arange(min(count, shortest - 1))
+        first = int(np.searchsorted(t, windows.t0[w] - BEFORE * windows.length, side="right")) - 1
+        last = int(np.searchsorted(t, windows.t0[w] + windows.length))
+        spans.append(
+            np.arange(max(first, 1), max(last, 2))
+        )  # the first command of a log has nothing before it
+    return spans
 
 
 def _acting(windows: Windows, index: int, patterns: Sequence[np.ndarray]) -> Windows:
@@ -213,124 +220,175 @@ def _acting(windows: Windows, index: int, patterns: Sequence[np.ndarray]) -> Win
     return replace(windows, commands=tuple(commands))
 
 
-def _search(
-    problem: FitProblem,
-    fit: Fit,
-    index: int,
-    ticks: np.ndarray,
-    sent: Sequence[np.ndarray],
-    before: Sequence[np.ndarray],
-    share: float,
-) -> tuple[list[np.ndarray], int, int]:
-    """Patterns of lost ticks from those before, how many were lost and of how many it would have shown."""
-    windows = problem.windows
-    size = SMALL * max(float(np.abs(u).max(initial=0.0)) for u in sent)
-    response, residual = _responses(problem, fit, index, ticks, size)
-    gram = (response.mT @ response).numpy()
-    match = (response.mT @ residual[..., None]).numpy()[..., 0]
-    price = max(2.0 * math.log((1.0 - share) / share), 0.0)
-    # Where windows overlap a tick is lost if one of them says so.
-    patterns = [np.zeros_like(p) for p in before]
-    visible = [np.zeros_like(p) for p in before]
-    for w, log in enumerate(windows.log):
-        own = ticks[w]
-        lost, shows = _pattern(
-            gram[w], match[w], sent[log][own[0] - 1 : own[-1] + 1], before[log][own], price
-        )
-        patterns[log][own] |= lost
-        visible[log][own] |= shows
-    lost = sum(int((p & v).sum()) for p, v in zip(patterns, visible, strict=True))
-    return patterns, lost, sum(int(v.sum()) for v in visible)
-
-
-def _responses(
-    problem: FitProblem, fit: Fit, index: int, ticks: np.ndarray, size: float
-) -> tuple[Tensor, Tensor]:
-    """Whitened change (W, NM, K) by a unit offset of each tick, and the residuals (W, NM), both without what the
-    initial states can do."""
-    windows = problem.windows
-    count, own, states = len(windows), ticks.shape[1], fit.state.shape[1]
-    named = {
-        n: torch.tensor(fit.values[n], dtype=torch.float64) for n in problem.names if n not in Push.NAMES
-    }
-    system = acting_system(problem, fit)
-    theta = np.array([fit.values[n] for n in problem.names])
-    # One copy of every log for each place in the ring of ticks: neighbouring windows do not see each other's offset.
-    commands = []
-    for command in windows.commands:
-        place = np.arange(len(command.t)) % own
-        for k in range(own):
-            value = np.array(command.value, dtype=float)
-            column = value if value.ndim == 1 else value[:, index]
-            column[place == k] += size
-            commands.append(CommandSeries(command.t, value))
-    many = windows.take(np.repeat(np.arange(count), own))
-    ring = (ticks % own).ravel()
-    many = replace(
-        many,
-        commands=tuple(commands),
-        log=many.log * own + ring,
-        known=tuple(k for k in windows.known for _ in range(own)),
-    )
-    push = push_of(problem, theta)  # (J, 1, W, n)
-    wide = None if push is None else push.repeat_interleave(own, 2)
-    moved = predict(system, many, named, fit.state.repeat_interleave(own, 0)[None], wide)[0]
-    tiny = 1e-6
-    initial = fit.state[None].repeat(1 + states, 1, 1)
-    for s in range(states):
-        initial[1 + s, :, s] += tiny
-    at = predict(system, windows, named, initial, push)
-    weight = problem.weight
-    change = moved.reshape(count, own, *moved.shape[1:]) - at[0][:, None]
-    response = (change * weight[:, None]).reshape(count, own, -1).mT / size
-    basis, _ = torch.linalg.qr(((at[1:] - at[0]) * weight).reshape(states, count, -1).permute(1, 2, 0))
-    residual = fit.residual.reshape(count, -1)
-    residual = residual - (basis @ (basis.mT @ residual[..., None]))[..., 0]
-    return response - basis @ (basis.mT @ response), residual
-
-
-def _pattern(
-    gram: np.ndarray, match: np.ndarray, sent: np.ndarray, before: np.ndarray, price: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which of a window's ticks were lost (K,), and of which it would show (K,).
-
-    Args:
-        gram, match: Products of the responses with each other and with the residuals under the pattern before.
-        sent: (K + 1,) commands, that before the first tick included.
-        before: (K,) the pattern before.
-        price: What a lost tick costs.
-    """
-    lost = before.copy()
-    shows = np.diff(sent) ** 2 * np.diag(gram) > SHOWS
-    acted = _held(sent, 1 + np.flatnonzero(before))[1:]
-
-    def cost() -> float:
-        offset = _held(sent, 1 + np.flatnonzero(lost))[1:] - acted
-        return float(offset @ gram @ offset - 2.0 * offset @ match) + price * int(lost.sum())
-
-    best = cost()
-    for _ in range(MOST):
-        turned, least = None, best - 1e-9
-        open_to = np.flatnonzero(shows | lost)
-        for wide in WIDTHS:
-            for k in open_to:
-                own = slice(k, k + wide)
-                lost[own] ^= True
-                tried = cost()
-                lost[own] ^= True
-                if tried < least:
-                    turned, least = own, tried
-            if turned is not None:
-                break
-        if turned is None:
-            break
-        lost[turned] ^= True
-        best = least
-    return lost, shows
-
-
 def _held(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """Commands that acted when these ticks were lost: each holds what acted before it."""
     source = np.arange(len(sent))
     source[lost] = 0
     return sent[np.maximum.accumulate(source)]
+
+
+def _search(
+    problem: FitProblem,
+    fit: Fit,
+    index: int,
+    spans: Sequence[np.ndarray],
+    sent: Sequence[np.ndarray],
+    before: Sequence[np.ndarray],
+    share: float,
+    part: float,
+) -> tuple[list[Shown], float, bool]:
+    """One search of all windows.
+
+    Args:
+        problem, fit: Model under the pattern before.
+        index: Which command.
+        spans: Ticks of each window.
+        sent: Commands of each log.
+        before: Pattern before, of each log.
+        share: Share of lost ticks that is expected.
+        part: No tick is taken that wins less than this part of what the best one does.
+
+    Returns:
+        The ticks of every log, the price of a tick, and whether all that are worth it could be taken.
+    """
+    windows = problem.windows
+    price = max(2.0 * math.log((1.0 - share) / share), 0.0)
+    products = list(_products(problem, fit, index, spans, sent))
+    most = 0.0
+    for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
+        change = sent[log][own - 1] - sent[log][own]
+        most = max(most, float((2.0 * change * match - change**2 * np.diag(gram)).max(initial=0.0)))
+    bar = max(price, part * most)
+    # Where windows overlap a tick is lost if one of them says so.
+    logs = [Shown(np.zeros_like(p), np.zeros(len(p))) for p in before]
+    for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
+        given = sent[log][own[0] - 1 : own[-1] + 1]
+        lost = pattern(gram, match, given, before[log][own], bar)
+        logs[log].lost[own] |= lost
+        worth = np.diff(given) ** 2 * np.diag(gram)
+        logs[log].worth[own] = np.maximum(logs[log].worth[own], worth)
+    return logs, price, bar == price
+
+
+def _products(
+    problem: FitProblem, fit: Fit, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
+):
+    """For each window, the products (K, K) of its ticks' responses per unit of offset, and (K,) with the residuals;
+    both without what the initial states can do."""
+    windows, states = problem.windows, fit.state.shape[1]
+    system = acting_system(problem, fit)
+    theta = np.array([fit.values[n] for n in problem.names])
+    named = {
+        n: torch.tensor(fit.values[n], dtype=torch.float64) for n in problem.names if n not in Push.NAMES
+    }
+    push = push_of(problem, theta)  # (J, 1, W, n)
+    tiny = 1e-6
+    initial = fit.state[None].repeat(1 + states, 1, 1)
+    for s in range(states):
+        initial[1 + s, :, s] += tiny
+    at = predict(system, windows, named, initial, push)
+    slopes = ((at[1:] - at[0]) * problem.weight).reshape(states, len(windows), -1).permute(1, 2, 0)
+    basis, _ = torch.linalg.qr(slopes)
+    ring = max(len(own) for own in spans)
+    commands, sizes = _ring(windows, index, ring, sent)
+    block = max(LANES // ring, 1)
+    for begin in range(0, len(windows), block):
+        picked = list(range(begin, min(begin + block, len(windows))))
+        rows = np.repeat(picked, [len(spans[w]) for w in picked])
+        ticks = np.concatenate([spans[w] for w in picked])
+        many = windows.take(rows)
+        many = replace(
+            many,
+            commands=commands,
+            log=many.log * ring + ticks % ring,
+            known=tuple(k for k in windows.known for _ in range(ring)),
+        )
+        row = torch.from_numpy(rows)
+        wide = None if push is None else push[:, :, row]
+        moved = predict(system, many, named, fit.state[row][None], wide)[0]
+        size = torch.from_numpy(np.concatenate([sizes[windows.log[w]][spans[w]] for w in picked]))
+        change = ((moved - at[0][row]) * problem.weight[row]).flatten(1) / size[:, None]
+        for w, response in zip(picked, change.split([len(spans[w]) for w in picked]), strict=True):
+            yield _cleared(response.mT, fit.residual[w].flatten(), basis[w])
+
+
+def _cleared(response: Tensor, residual: Tensor, basis: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    response = response - basis @ (basis.mT @ response)
+    return (response.mT @ response).numpy(), (response.mT @ residual).numpy()
+
+
+def _ring(
+    windows: Windows, index: int, ring: int, sent: Sequence[np.ndarray]
+) -> tuple[tuple[CommandSeries, ...], list[np.ndarray]]:
+    """For each log and each place in a ring of ticks, the commands with an offset in every tick of that place, so that
+    no window sees two of them; and the offsets of every log.
+
+    The offset is what a loss of the tick makes: what acts on commands need not be smooth.
+    """
+    commands, sizes = [], []
+    for number, command in enumerate(windows.commands):
+        acted = np.array(command.column(index), dtype=float)
+        offset = np.append(0.0, acted[:-1] - sent[number][1:])
+        least = SMALL * max(float(np.abs(sent[number]).max(initial=0.0)), 1e-12)
+        # A tick whose loss changes nothing by itself still does beside other losses.
+        offset = np.where(np.abs(offset) < least, least, offset)
+        place = np.arange(len(acted)) % ring
+        for k in range(ring):
+            value = np.array(command.value, dtype=float)
+            column = value if value.ndim == 1 else value[:, index]
+            column[place == k] += offset[place == k]
+            commands.append(CommandSeries(command.t, value))
+        sizes.append(offset)
+    return tuple(commands), sizes
+
+
+def pattern(
+    gram: np.ndarray, match: np.ndarray, sent: np.ndarray, before: np.ndarray, price: float
+) -> np.ndarray:
+    """Which of a window's ticks were lost, (K,).
+
+    Args:
+        gram, match: (K, K) products of the ticks' responses with each other, (K,) with the residuals under the pattern
+            before; per unit of offset.
+        sent: (K + 1,) commands, that before the first tick included.
+        before: (K,) the pattern before.
+        price: What a lost tick costs.
+    """
+    lost = before.copy()
+    worth = np.diff(sent) ** 2 * np.diag(gram) > price
+    acted = sent[1:] + _offset(sent, before)
+    slope = -match  # half the slope of the cost at the offsets so far
+
+    def turned(own: np.ndarray) -> tuple[float, np.ndarray]:
+        """Change of the cost when these ticks are turned over, and of the offsets."""
+        other = lost.copy()
+        other[own] ^= True
+        step = _held(sent, 1 + np.flatnonzero(other))[1:] - acted
+        at = np.flatnonzero(step)
+        cost = step[at] @ gram[np.ix_(at, at)] @ step[at] + 2.0 * step[at] @ slope[at]
+        return float(cost) + price * (int(other.sum()) - int(lost.sum())), step
+
+    for _ in range(MOST_CHANGES):
+        best: tuple[float, np.ndarray, np.ndarray] | None = None
+        for group in _turns(worth, lost):
+            for own in group:
+                change, step = turned(own)
+                if change < -1e-9 and (best is None or change < best[0]):
+                    best = (change, own, step)
+            if best is not None:
+                break
+        if best is None:
+            break
+        _, own, step = best
+        lost[own] ^= True
+        acted = acted + step
+        slope = slope + gram @ step
+    return lost
+
+
+def _turns(worth: np.ndarray, lost: np.ndarray):
+    """Ticks to turn over: each alone, then, as a loss that was put a tick off does not move alone, with neighbours."""
+    yield [np.array([k]) for k in np.flatnonzero(worth | lost)]
+    near = np.unique(np.flatnonzero(lost)[:, None] + np.arange(-NEAR, NEAR + 1))
+    near = near[(near >= 0) & (near < len(lost))]
+    yield [np.arange(k, min(k + wide, len(lost))) for wide in (2, 3) for k in near]

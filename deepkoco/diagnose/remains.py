@@ -21,7 +21,6 @@ def remains(diagnosis: Diagnosis) -> list[str]:
     unit = "N m" if diagnosis.details is None else diagnosis.details.missing[worst["joint"] - 1].unit
     result = [
         *([beside] if beside else []),
-        *left.get("doubts", []),
         f"It is largest at {worst['time_s']:.2f} s: {worst['torque_nm']:.3g} {unit} are missing there on joint "
         f"{worst['joint']}, at position {worst['theta_rad']:.3g} and speed {worst['omega_rad_s']:.3g}.",
         f"A few moments make up most of it (kurtosis {kurtosis:.1f}; 0 is normal): look for pushes, contacts or lost "

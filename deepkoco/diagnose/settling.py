@@ -8,14 +8,14 @@ from dataclasses import replace
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.classes import NEAR
-from deepkoco.diagnose.selection import CLOSE, PATIENCE, SCOUTING, Candidate, Ranking, prior_with
+from deepkoco.diagnose.selection import CLOSE, PATIENCE, SCOUTING, Candidate, Ranking, declared, prior_with
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 
 VALLEYS = 8  # searches along a valley, at most
 
 
 def front_settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], ranking: Ranking) -> Ranking:
-    """A ranking whose winner, and all that come near it and have not converged, are fitted to the end.
+    """A ranking whose winner, and all that come near it and may go further, are fitted to the end.
 
     What is near the winner only because it has not converged would be called the same as it, and what is behind for
     that reason would not; one of them may even be ahead.
@@ -25,12 +25,23 @@ def front_settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], 
     for k, other in enumerate(others):
         # What stands before the winner by its score was put behind it for a reason.
         behind = ranking.best.delta_bic - other.delta_bic
-        if other.fit.converged or not 0.0 <= behind < NEAR or not other.cause.free:
+        if not 0.0 <= behind < NEAR or not other.cause.free:
+            continue
+        if other.fit.converged and not _pulled_back(problem, start, other):
             continue
         others[k] = _better(other, settled(problem, start, accepted, other), ranking)
         if others[k].delta_bic > winner.delta_bic:
             winner, others[k] = others[k], winner
     return replace(ranking, candidates=(winner, *others))
+
+
+def _pulled_back(problem: FitProblem, start: Start, candidate: Candidate) -> bool:
+    """Whether the spread that was declared for small effects still holds a large one back, as it no longer holds back
+    the winner."""
+    return any(
+        abs(candidate.fit.values[p.name] - start.values[p.name]) > p.prior_sd
+        for p in declared(problem, candidate.cause.free)
+    )
 
 
 def _better(candidate: Candidate, fit: Fit, ranking: Ranking) -> Candidate:

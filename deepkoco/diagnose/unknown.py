@@ -40,7 +40,9 @@ def explained_share(before: Fit, after: Fit, windows: Windows, floor: float) -> 
     return max(shares, default=0.0)
 
 
-def carries_over(before: Fit, after: Fit, held_before: Fit, held_after: Fit) -> bool:
+def carries_over(
+    before: Fit, after: Fit, held_before: Fit, held_after: Fit, lasting: np.ndarray | None = None
+) -> bool:
     """Whether windows that no fit saw gain from the named causes as those that were fitted do.
 
     What only imitates a cause bends to the windows that are fitted. The falls of chi2 by window are compared as two
@@ -51,8 +53,10 @@ def carries_over(before: Fit, after: Fit, held_before: Fit, held_after: Fit) -> 
         after: The same with the named causes.
         held_before: The refit's parameters on windows kept back.
         held_after: Those of the named causes there.
+        lasting: (W,) fitted windows in which only what lasts acts; None for all.
     """
     fitted, kept = _fall(before, after), _fall(held_before, held_after)
+    fitted = fitted if lasting is None else fitted[lasting]
     if len(fitted) < 2 or len(kept) == 0:
         return True
     spread = float(fitted.std(ddof=1)) * float(np.sqrt(1.0 / len(fitted) + 1.0 / len(kept)))

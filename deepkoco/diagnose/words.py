@@ -30,14 +30,20 @@ def lead(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "insufficient":
         return " ".join(diagnosis.advice)
     if diagnosis.verdict == "nothing":
+        doubts = "".join(f" {text}" for text in diagnosis.unexplained.get("doubts") or ())
         return (
             "After refitting the parameters that the simulation already has, what remains is sensor noise; "
-            "no cause of the catalogue is worth its extra parameters."
+            f"no cause of the catalogue is worth its extra parameters.{doubts}"
         )
     if diagnosis.verdict == "unknown":
+        doubts = diagnosis.unexplained.get("doubts") or ()
+        best = [spoken(c.name) for c in diagnosis.candidates[:1]]
+        if doubts:
+            why = " ".join(doubts)
+        else:
+            why = f"The best candidate ({best[0]}) explains too little of that to be named." if best else ""
         return (
-            f"The refitted simulation leaves {diagnosis.chi2_before:.2f} noise variances per sample. "
-            f"The best candidate ({spoken(diagnosis.candidates[0].name)}) explains too little of that to be named. "
+            f"The refitted simulation leaves {diagnosis.chi2_before:.2f} noise variances per sample. {why} "
             "The pictures show where it is missing torque."
         )
     text = " ".join(CAUSES[kind_of(c.name)].summary for c in diagnosis.causes)

@@ -190,11 +190,11 @@ def unknown_stretches(channels: Mapping[str, Series]) -> tuple[Span, ...]:
         if series.unknown is not None:
             spans += [(float(a), float(b)) for a, b in series.unknown]
         if series.kind == "command":
-            spans += lost_commands(series)
+            spans += gaps_in_command(series)
     return tuple(sorted(spans))
 
 
-def lost_commands(series: Series) -> list[Span]:
+def gaps_in_command(series: Series) -> list[Span]:
     """Gaps in a command that is sampled regularly and changes over them; one logged at changes only has none."""
     if len(series) < 20:
         return []

@@ -66,7 +66,7 @@ class FitProblem:
     def predict(self, theta: np.ndarray, initial: Tensor, zero: Tensor) -> Tensor:
         """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), zeros (L, count)."""
         own = len(self.system.parameters)
-        nulls = self._null_values()
+        nulls = self.null_values()
         values = theta[:, :own].copy()
         for j in self._limits:
             # A saturation at its null value cuts no command, but beside a gain or a bias it would cut efforts.
@@ -94,7 +94,7 @@ class FitProblem:
         self.zeros.add(result, zero, self.windows.log)
         return result
 
-    def _null_values(self) -> np.ndarray:
+    def null_values(self) -> np.ndarray:
         """Values at which the effects change nothing; NaN for the parameters of the base."""
         if not hasattr(self, "_nulls"):
             bare = ExtendedSystem(self.system.base, tuple(e.name for e in self.system.effects))

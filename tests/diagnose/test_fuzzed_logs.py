@@ -43,6 +43,19 @@ def test_a_damaged_log_names_no_cause_that_the_clean_one_does_not_show(fault, se
     assert result.wrong == "", result
 
 
+@pytest.mark.parametrize(
+    ("base", "form", "faults", "seed", "named"),
+    [
+        (1, "csv", ("command in other unit",), 1, "unit_slip"),
+        (0, "mcap", ("command in other unit", "command in other unit"), 0, "gain"),
+    ],
+)
+def test_a_command_in_another_unit_is_named_as_such(base, form, faults, seed, named, verdicts):
+    result = run_case(FuzzCase(base, form, faults, seed), verdicts)
+    assert result.wrong == "", result
+    assert result.names[0] == named
+
+
 @pytest.mark.parametrize("case", [FuzzCase(0, "parquet", ("frozen channel",), 25261)])
 def test_a_frozen_sensor_is_told_and_names_no_cause(case, verdicts):
     result = run_case(case, verdicts)

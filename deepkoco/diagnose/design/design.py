@@ -197,6 +197,11 @@ def known_causes(system: System, names: Sequence[str]) -> list[Cause]:
                 f"{cause.name} shows in how measurements scatter, whatever is commanded; no sequence brings it out. "
                 f"{cause.advice}"
             )
+        if cause.traced:
+            raise DesignError(
+                f"{cause.name} shows wherever commands change fast and by much; no sequence is better than any such. "
+                f"{cause.advice}"
+            )
         if not cause.free or cause.effect == "event":
             raise DesignError(f"{cause.name} is nothing that commands bring out. {cause.advice}")
     return causes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -52,9 +54,10 @@ def _apply_saturation(command: Tensor, p: Parameters) -> Tensor:
 def _gain_curve(system: System, command: int = 0) -> tuple[Parameter, ...]:
     limit, unit = system.commands[command].high, system.commands[command].unit
     text = "c, change of the gain with the squared command"
-    return (
-        Parameter("curvature", 0.0, f"1/({unit})^2", -0.9 / limit**2, 2.0 / limit**2, 0.1 / limit**2, text),
-    )
+    if not 0.0 < limit < math.inf:
+        return ()  # there is no size at which a command would be large
+    per = 1.0 / limit**2
+    return (Parameter("curvature", 0.0, f"1/({unit})^2", -0.9 * per, 2.0 * per, 0.1 * per, text),)
 
 
 def _apply_gain_curve(command: Tensor, p: Parameters) -> Tensor:

@@ -1,0 +1,70 @@
+"""Estimates at their bounds and commands out of all proportion are doubted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose.baseline import start_from
+from deepkoco.diagnose.beyond import at_bound, doubts_of_commands, doubts_of_estimates
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.data import cut_data
+from deepkoco.graph.recording import LogError, read_log
+from deepkoco.identify.fit import FitProblem
+from deepkoco.identify.windows import CommandSeries
+from deepkoco.systems import make_system
+from experiments.hidden.unit import hidden_log
+
+BASE = make_system("rod_pendulum")
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return cut_data([hidden_log("rod_pendulum", {}, "steps", 172, 10.0)], (), BASE, 1.6).train
+
+
+@pytest.mark.parametrize(
+    ("factor", "doubted"), [(1.0, 0), (1e-3, 0), (1e3, 0), (1e-6, 1), (1e6, 1), (0.0, 0)]
+)
+def test_commands_no_unit_explains_are_doubted(windows, factor, doubted):
+    scaled = tuple(CommandSeries(c.t, factor * c.value) for c in windows.commands)
+    found = doubts_of_commands(replace(windows, commands=scaled), BASE)
+    assert len(found) == doubted
+    assert all('"torque"' in text and "N m" in text for text in found)
+
+
+def test_an_estimate_at_its_bound_is_doubted_and_null_is_not(windows):
+    start = start_from(BASE, windows)
+    problem = FitProblem(start.system, windows)
+    null = problem.evaluate(start.values)
+    known = catalogue(BASE)
+
+    def moved(**values):
+        return replace(null, values={**null.values, **{k.replace("__", "."): v for k, v in values.items()}})
+
+    gain, zone = known["gain"], known["dead_zone"]
+    assert at_bound(problem, gain, moved(gain__factor=10.0)) == ("gain.factor",)
+    assert at_bound(problem, gain, moved(gain__factor=9.9)) == ()
+    assert at_bound(problem, zone, null) == ()  # its null value is a bound
+    text = doubts_of_estimates(problem, [gain, zone], moved(gain__factor=-3.0))
+    assert len(text) == 1
+    assert "gain" in text[0]
+    assert "-3" in text[0]
+
+
+def test_columns_given_for_each_other_are_named(tmp_path):
+    log = hidden_log("rod_pendulum", {}, "steps", 172, 10.0)
+    torque, theta, omega = (log.channels[n] for n in ("torque", "theta", "omega"))
+    held = torque.hold(theta.t)
+    rows = np.column_stack([theta.t, held, omega.value, theta.value])  # theta and omega swapped
+    path = tmp_path / "swapped.csv"
+    np.savetxt(path, rows, delimiter=",", header="t,torque,theta,omega", comments="")
+    path.with_suffix(".yaml").write_text(
+        "system: rod_pendulum\ntime: {column: t, unit: s}\nchannels:\n"
+        "  torque: {column: torque, unit: N m, kind: command}\n"
+        "  theta: {column: theta, unit: rad, kind: measurement}\n"
+        "  omega: {column: omega, unit: rad/s, kind: measurement}\n"
+    )
+    channels = [(c.name, c.unit, c.kind) for c in (*BASE.commands, *BASE.measurements)]
+    with pytest.raises(LogError, match="columns are swapped"):
+        read_log(path, system="rod_pendulum", channels=channels)
