@@ -13,6 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from experiments.comparison.references import References
 from experiments.comparison.runs import AXES, METHOD, PANEL, groups
@@ -78,6 +79,8 @@ def _draw_panel(axis: Axes, curves: pd.DataFrame, reference: References | None) 
         )
         axis.fill_between(own["x"], own["low"], own["high"], color=colour, alpha=0.2, linewidth=0)
     axis.set_xlim(left=0)
+    axis.xaxis.set_major_locator(MaxNLocator(4))
+    axis.xaxis.set_major_formatter(EngFormatter(sep=""))
     axis.set_ylim(bottom=0)
     if reference is not None:
         lines = {"random policy": (reference.random, ":"), "optimum": (reference.optimum, "--")}
