@@ -19,8 +19,8 @@ class Plant:
     """One unit between the arrival of commands and the departure of measurements.
 
     Time [s] starts at 0 and is whatever the caller says it is: wall-clock time in the unit's process,
-    virtual time in a simulated log. The path of a command: cut to the limits, actuation delay, gain,
-    torque bias, dead zone, saturation, lag. The path of a measurement: scale, bias, noise,
+    virtual time in a simulated log. The path of a command: lost or cut to the limits, actuation delay, gain
+    and its curvature, torque bias, dead zone, saturation, lag. The path of a measurement: scale, bias, noise,
     quantisation, sensing delay. Messages on one path never overtake each other. Once a command has come
     the next has to come within the heartbeat; otherwise the command is set to zero at once.
 
@@ -54,6 +54,7 @@ class Plant:
         self.stops = 0  # times that the heartbeat was missed
         self._noise = Random(f"noise {spec.seed} {stream}")
         self._jitter = Random(f"jitter {spec.seed} {stream}")
+        self._losses = Random(f"losses {spec.seed} {stream}")
         push = effects.get("event", {"torque": 0.0, "start": math.inf, "duration": 0.0})
         self._push = push["torque"]
         self._push_start, self._push_stop = push["start"], push["start"] + push["duration"]
@@ -69,7 +70,10 @@ class Plant:
         return self._leaving[0][0] if self._leaving else math.inf
 
     def send(self, command: float) -> None:
-        """Take a command that arrives now."""
+        """Take a command that arrives now, unless it is lost on its way: then it never was."""
+        share = self._spec.effects.get("lost_commands", NO_EFFECT).get("share", 0.0)
+        if share > 0.0 and self._losses.random() < share:
+            return
         low, high = self._spec.command_limits
         self._arriving.append((self._delayed("actuation_delay"), min(max(command, low), high)))
         self._deadline = self.time + self._spec.heartbeat
@@ -144,6 +148,8 @@ class Plant:
         effects = self._spec.effects
         if "gain" in effects:
             command *= effects["gain"]["factor"]
+        if "gain_curve" in effects:
+            command += effects["gain_curve"]["curvature"] * command**3
         if "torque_bias" in effects:
             command += effects["torque_bias"]["effort"]
         if "dead_zone" in effects:

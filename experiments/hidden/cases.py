@@ -18,7 +18,7 @@ from deepkoco.graph.recording import Recording
 from deepkoco.identify import window_length
 from deepkoco.identify.threads import one_thread
 from deepkoco.systems import make_system
-from experiments.hidden.doses import FLOOR, OUTSIDE, dosed, effect_names, outside, scaled
+from experiments.hidden.doses import FLOOR, dosed, effect_names, outside, outside_names, scaled
 from experiments.hidden.unit import Hidden, hidden_log
 
 CONDITIONS = ("clean", "floor", "bang-bang")
@@ -63,7 +63,7 @@ def make_case(index: int, seed: int, system: str, condition: str) -> Case:
         kind, chosen = "pair", tuple(str(n) for n in rng.choice(names, 2, replace=False))
         wanted = max(wanted, 0.5)
     else:
-        kind, chosen = "outside", (str(rng.choice(sorted(OUTSIDE))),)
+        kind, chosen = "outside", (str(rng.choice(outside_names(system))),)
         wanted = max(wanted, 0.7)
     return Case(index, seed + index, kind, chosen, wanted, excitation)
 

@@ -81,6 +81,14 @@ def effect_names(system: str) -> tuple[str, ...]:
     return tuple(n for n in found if not (system == "quadrotor_height" and n == "sensor_bias"))
 
 
+def outside_names(system: str) -> tuple[str, ...]:
+    """What no cause of the catalogue is, of which there are doses and which differs from what a cause is."""
+    # Over the little way that a height varies, friction that follows the position is viscous friction.
+    return tuple(
+        sorted(n for n in OUTSIDE if not (system == "quadrotor_height" and n == "position_friction"))
+    )
+
+
 def dosed(name: str, system: str, x: float) -> dict[str, dict[str, float]]:
     """What is hidden by a dose of one effect."""
     physics = make_system(system)

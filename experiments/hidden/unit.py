@@ -19,6 +19,7 @@ Hidden = Mapping[str, Mapping[str, Any]]
 Load = Callable[[float, float, float, float, float], float]
 STEP = 1e-3  # longest integration step [s]
 SHARPNESS = 0.01  # of dry friction [per s]
+SLACK = 0.15  # way from the start on which a tether does not pull [rad or m]
 SENSOR_RATE, COMMAND_RATE = 100.0, 50.0  # [Hz]
 PLACED = re.compile(r"(\w+)(?:\((?:joint (\d+)|(\w+))\))?$")
 
@@ -87,7 +88,7 @@ class HiddenUnit:
 
         Args:
             j: The joint.
-            start: Position at which a log starts, from which a tether is taut.
+            start: Position at which a log starts, around which a tether is slack.
         """
         parts = [self._friction(j), self._waves(j), self._rest(j), self._tether(j, start)]
         acting = [part for part in parts if part is not None]
@@ -147,7 +148,14 @@ class HiddenUnit:
 
     def _tether(self, j: int, start: float) -> Load | None:
         stiffness = self._of("tether", j).get("stiffness", 0.0)
-        return None if not stiffness else lambda q, v, u, t, gust: -stiffness * max(q - start, 0.0)
+        if not stiffness:
+            return None
+
+        def load(q: float, v: float, u: float, t: float, gust: float) -> float:
+            away = q - start
+            return -stiffness * math.copysign(max(abs(away) - SLACK, 0.0), away)
+
+        return load
 
 
 def hidden_log(

@@ -218,6 +218,8 @@ def test_commands_are_cut_to_the_limits():
         ("stribeck", {"coulomb": 0.0, "breakaway": 0.2, "speed": 1.0}, -1),
         ("quadratic", {"drag": 0.1}, -1),
         ("gain", {"factor": 1.2}, 1),
+        ("gain_curve", {"curvature": -0.1}, -1),
+        ("lost_commands", {"share": 1.0}, -1),
         ("torque_bias", {"effort": 0.1}, 1),
         ("dead_zone", {"width": 0.1}, -1),
         ("saturation", {"limit": 0.8}, -1),
@@ -229,6 +231,23 @@ def test_effect_moves_the_unit_the_right_way(effect, values, sign):
     start = (math.pi, 0.0)
     plain, changed = (swing(unit(state=start, **e), 1.0, 0.2) for e in ({}, {effect: values}))
     assert sign * (changed.joint.theta - plain.joint.theta) > 1e-4
+
+
+def test_a_lost_command_leaves_the_one_before_and_follows_from_the_seed():
+    def held(seed):
+        plant = Plant(make_unit("rod_pendulum", effects={"lost_commands": {"share": 0.3}}, seed=seed))
+        acted = []
+        for k in range(400):
+            plant.send(0.001 * (k + 1))
+            plant.advance(0.01 * (k + 1))
+            acted.append(round(1000 * plant.command))
+        return acted
+
+    acted = held(1)
+    assert all(a == k + 1 or a == (acted[k - 1] if k else 0) for k, a in enumerate(acted))
+    assert sum(a != k + 1 for k, a in enumerate(acted)) == pytest.approx(120, abs=40)
+    assert acted == held(1)
+    assert acted != held(2)
 
 
 def test_sensor_effects_change_the_reading_and_not_the_motion():
