@@ -174,7 +174,7 @@ def _imitated(
         offset = _offset(given, lost)
         without = match + gram @ offset  # what the residuals hold if nothing was lost
         none = np.zeros_like(lost)
-        other = _offset(given, pattern(gram, -without, given, none, found.price))
+        other = _offset(given, pattern(gram, -without, given, none, found.price, found.price))
         real += 2.0 * offset @ without - offset @ gram @ offset
         opposite += -2.0 * other @ without - other @ gram @ other
     return bool(opposite > real)
@@ -263,7 +263,7 @@ def _search(
     logs = [Shown(np.zeros_like(p), np.zeros(len(p))) for p in before]
     for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
         given = sent[log][own[0] - 1 : own[-1] + 1]
-        lost = pattern(gram, match, given, before[log][own], bar)
+        lost = pattern(gram, match, given, before[log][own], bar, price)
         logs[log].lost[own] |= lost
         worth = np.diff(given) ** 2 * np.diag(gram)
         logs[log].worth[own] = np.maximum(logs[log].worth[own], worth)
@@ -343,7 +343,7 @@ def _ring(
 
 
 def pattern(
-    gram: np.ndarray, match: np.ndarray, sent: np.ndarray, before: np.ndarray, price: float
+    gram: np.ndarray, match: np.ndarray, sent: np.ndarray, before: np.ndarray, price: float, shows: float
 ) -> np.ndarray:
     """Which of a window's ticks were lost, (K,).
 
@@ -353,9 +353,10 @@ def pattern(
         sent: (K + 1,) commands, that before the first tick included.
         before: (K,) the pattern before.
         price: What a lost tick costs.
+        shows: Fall of the cost that a tick's loss must be able to bring to be looked at.
     """
     lost = before.copy()
-    worth = np.diff(sent) ** 2 * np.diag(gram) > price
+    worth = np.diff(sent) ** 2 * np.diag(gram) > shows
     acted = sent[1:] + _offset(sent, before)
     slope = -match  # half the slope of the cost at the offsets so far
 

@@ -50,7 +50,7 @@ def test_where_responses_differ_every_tick_is_found(seed):
     gram, match = response.T @ response, response.T @ residual
     # From nothing, and from the truth; the price of a tick is small beside what it wins.
     for before, left in ((np.zeros(24, dtype=bool), match), (truth, response.T @ rng.standard_normal(400))):
-        lost = pattern(gram, left, sent, before, 4.0)
+        lost = pattern(gram, left, sent, before, 4.0, 4.0)
         assert (_held(sent, 1 + np.flatnonzero(lost))[1:] == acted).all()
 
 
