@@ -7,7 +7,7 @@ from random import Random
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from timing_reference import NEVER, Accumulate, Listed, ListedStalls, graphs, random_graph, reference_timing
 
@@ -180,6 +180,8 @@ def test_times_and_windows_of_a_thousand_graphs_equal_the_oracle(part):
     assert lost > 1000
 
 
+# The agent waits for n2's message and answers at the same instant, which n2's step cannot see.
+@example(graph=random_graph(Random(612), False), steps=3)
 @settings(max_examples=100, deadline=None)
 @given(graph=graphs(), steps=st.integers(1, 6))
 def test_messages_keep_order_are_causal_and_none_is_lost(graph, steps):
@@ -198,7 +200,9 @@ def test_messages_keep_order_are_causal_and_none_is_lost(graph, steps):
             assert len(set(window.tolist())) == connection.window
             there = np.flatnonzero(received < now if connection.skip else received <= now)
             if connection.jitter == "latest" and not connection.blocking and connection.fifo:
-                assert window[-1] == max(there, default=-1)
+                # What arrives at this very instant may be an answer to this very step, sent by a node that waited for it.
+                surely = np.flatnonzero(received < now)
+                assert max(surely, default=-1) <= window[-1] <= max(there, default=-1)
                 assert window.tolist() == list(range(window[-1] - connection.window + 1, window[-1] + 1))
 
 
