@@ -12,7 +12,7 @@ Source: matching pursuit with amplitudes that are known (Mallat and Zhang 1993),
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -36,9 +36,8 @@ MOST_TICKS = 400  # in a window: beyond that the search takes too long
 MOST_LOST = 0.5  # share of the commands from which on it is no loss but a delay
 SHARE = 0.1  # share of lost commands that the first turn expects
 RARE, COMMON = 0.01, 0.3  # shares that a later one may expect
-FIRST = (
-    0.2  # share of the best tick's worth that others must have in the first turn; its powers in the next ones
-)
+# Share of the best tick's worth that others must have in the first turn; its powers in the next ones.
+FIRST = 0.2
 TURNS = 8  # of search and fit, at most
 CLEAR = 4.0  # prices of a tick that its loss must be worth to count for the share
 FEWEST_CLEAR = 10  # ticks that the share is taken from, where there are as many
@@ -203,9 +202,8 @@ def _spans(windows: Windows) -> list[np.ndarray]:
         t = windows.commands[log].t
         first = int(np.searchsorted(t, windows.t0[w] - BEFORE * windows.length, side="right")) - 1
         last = int(np.searchsorted(t, windows.t0[w] + windows.length))
-        spans.append(
-            np.arange(max(first, 1), max(last, 2))
-        )  # the first command of a log has nothing before it
+        # The first command of a log has nothing before it that could be held.
+        spans.append(np.arange(max(first, 1), max(last, 2)))
     return spans
 
 
@@ -272,7 +270,7 @@ def _search(
 
 def _products(
     problem: FitProblem, fit: Fit, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
-):
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """For each window, the products (K, K) of its ticks' responses per unit of offset, and (K,) with the residuals;
     both without what the initial states can do."""
     windows, states = problem.windows, fit.state.shape[1]
@@ -387,7 +385,7 @@ def pattern(
     return lost
 
 
-def _turns(worth: np.ndarray, lost: np.ndarray):
+def _turns(worth: np.ndarray, lost: np.ndarray) -> Iterator[list[np.ndarray]]:
     """Ticks to turn over: each alone, then, as a loss that was put a tick off does not move alone, with neighbours."""
     yield [np.array([k]) for k in np.flatnonzero(worth | lost)]
     near = np.unique(np.flatnonzero(lost)[:, None] + np.arange(-NEAR, NEAR + 1))
