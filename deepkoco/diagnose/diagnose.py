@@ -19,7 +19,7 @@ from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
 from deepkoco.diagnose.elimination import eliminated
 from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
-from deepkoco.diagnose.gain import Gain, held_out_gain
+from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import Losses, best_losses
@@ -169,6 +169,8 @@ class _Study:
         if kept is not None:
             gain = kept.gain
         gain = self._gain(reference, final, seed) if gain is None else gain
+        if kept is None and final is reference and gain is not None:
+            gain = kept_as_given(gain, start.system, seed) or gain
         remaining = missing if final is reference else missing_torque(self.acting, final)
         left = describe(remaining, after)
         if verdict == "unknown":
@@ -191,7 +193,7 @@ class _Study:
             advice=self._advice(named, recordings, seed),
             data=describe_data(recordings, data),
             refit=estimates(problem, reference, reference.free, first.deflation),
-            model=self._model(final, kept),
+            model=self._model(final, kept, gain),
             seed=seed,
             versions=versions(),
             seconds=time.perf_counter() - began,
@@ -348,15 +350,16 @@ class _Study:
         }
         return held_out_gain(self.start.system, self.data.held, models, seed)
 
-    def _model(self, final: Fit, learned: ResidualModel | None) -> ExtendedSystem:
+    def _model(self, final: Fit, learned: ResidualModel | None, gain: Gain | None) -> ExtendedSystem:
         had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()
         named = () if final is self.reference else self.accepted
         found = tuple(c.effect for c in named if c.effect != "event")
         if learned is not None:
             final, found = learned.fit, (*found, *learned.effects)
         effects = tuple(dict.fromkeys((*had, *self.start.effects, *found)))
+        values = self.start.values if gain is not None and gain.as_given else final.values
         kept = {
-            p.name: final.values[p.name]
+            p.name: values[p.name]
             for p in self.start.system.parameters
             if "." not in p.name or p.name.split(".")[0] in effects
         }

@@ -162,7 +162,9 @@ class Diagnosis:
         """What the gain is measured on."""
         learned = (self.unexplained.get("residual_model") or {}).get("accepted", False)
         return note_on_gain(
-            () if self.verdict == "unknown" else self.names, self.verdict == "unknown" and learned
+            () if self.verdict == "unknown" else self.names,
+            self.verdict == "unknown" and learned,
+            self.gain is not None and self.gain.as_given,
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -47,6 +47,7 @@ class Gain:
         curves: model -> channel -> (BINS,) error by time.
         replayed: The held-out windows.
         fits: model -> fit on the held-out windows.
+        as_given: Whether the extended model keeps every parameter as it was given.
     """
 
     channels: tuple[ChannelGain, ...]
@@ -59,6 +60,7 @@ class Gain:
     curves: dict[str, dict[str, np.ndarray]]
     replayed: Windows
     fits: dict[str, Fit]
+    as_given: bool = False
 
 
 def held_out_gain(
@@ -78,6 +80,18 @@ def held_out_gain(
     trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
     found = dict(zip(distinct, problem.fit(trials, 12 if problem.zeros.count else 1), strict=True))
     fits = {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in models}
+    return _measured(system, windows, fits, seed)
+
+
+def kept_as_given(gain: Gain, system: ExtendedSystem, seed: int) -> Gain | None:
+    """The gain of leaving every parameter as given; None where the extended model fits these windows no worse."""
+    if gain.fits["extended"].chi2 <= gain.fits["baseline"].chi2:
+        return None
+    fits = {**gain.fits, "extended": gain.fits["baseline"]}
+    return replace(_measured(system, gain.replayed, fits, seed), as_given=True)
+
+
+def _measured(system: ExtendedSystem, windows: Windows, fits: Mapping[str, Fit], seed: int) -> Gain:
     sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
     error = {name: (fit.residual * sd[:, None]).numpy() for name, fit in fits.items()}
     valid = windows.valid.numpy()
@@ -113,18 +127,21 @@ def held_out_gain(
         0.5 * (edges[:-1] + edges[1:]),
         curves,
         windows,
-        fits,
+        dict(fits),
     )
 
 
-def note_on_gain(named: Sequence[str], learned: bool) -> str:
+def note_on_gain(named: Sequence[str], learned: bool, as_given: bool = False) -> str:
     """What the gain is measured on, and what else these windows (or logs) were used for.
 
     Args:
         named: Names of the causes in the extended simulation.
         learned: Whether a learned load stands there in their place.
+        as_given: Whether the extended simulation keeps every parameter as it was given.
     """
     note = "No fit has seen these windows."
+    if as_given:
+        return f"{note} The refit is worse on them, so that the simulation keeps its parameters as given."
     if any(name.startswith("lost_commands") for name in named):
         note += " Which commands were lost in them is not known, so that they are simulated with all that were sent."
         if len(named) == 1:

@@ -89,6 +89,8 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
         if diagnosis.verdict in ("cause", "ambiguous"):
             text = f"{100 * gain.reduction:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f}) less than refitted"
             table.add_row("gain", f"{text}. {diagnosis.gain_note}")
+        elif gain.as_given:
+            table.add_row("gain", f"None. {diagnosis.gain_note}")
     if diagnosis.verdict != "insufficient":
         text = (
             f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} at the end (1 is sensor noise)"

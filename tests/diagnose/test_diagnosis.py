@@ -164,6 +164,23 @@ def test_holdout_logs_are_never_fitted(log, diagnosis):
     assert result.windows > diagnosis.windows
 
 
+def test_a_refit_that_makes_held_out_errors_worse_is_not_kept():
+    mine, other, another = (unit_log("rod_pendulum", {}, "steps", seed, 12.0) for seed in (81, 82, 83))
+    given = diagnose([other], "rod_pendulum", only=["lag"]).model
+    worse = diagnose([mine], given, holdout=[other], only=["lag"])
+    assert worse.verdict == "nothing"
+    assert worse.gain.as_given
+    channel = worse.gain.channels[0]
+    assert channel.extended == channel.baseline < channel.refit
+    assert worse.gain.low <= worse.gain.reduction <= worse.gain.high
+    assert {p.name: p.value for p in worse.model.parameters} == {p.name: p.value for p in given.parameters}
+    assert worse.model.effects == given.effects
+    assert "as given" in worse.gain_note
+    better = diagnose([another], given, holdout=[another], only=["lag"])
+    assert not better.gain.as_given
+    assert better.gain.channels[0].extended < better.gain.channels[0].baseline
+
+
 def test_command_line_diagnoses(log, tmp_path, capsys):
     path = write_log(tmp_path / "log.csv", log)
     assert (
