@@ -15,7 +15,7 @@ from deepkoco.diagnose.selection import Ranking, penalty
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
 
-FEWEST = 3  # lost commands: one or two may as well be a push
+FEWEST = 3  # losses that show clearly: one or two may as well be a push, and model error bends to those that do not
 
 
 class Losses(NamedTuple):
@@ -51,7 +51,7 @@ def best_losses(
         wanted: Fall of the BIC that they must reach.
     """
     tried = [(cause, lost_commands(problem, fit, prior, cause.index)) for cause in causes]
-    found = [(lost.total, cause, lost) for cause, lost in tried if lost is not None and lost.found >= FEWEST]
+    found = [(lost.total, cause, lost) for cause, lost in tried if lost is not None and lost.lost >= FEWEST]
     if not found:
         return None
     _, cause, lost = min(found, key=lambda item: item[0])
