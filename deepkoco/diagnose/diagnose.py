@@ -10,33 +10,20 @@ import numpy as np
 
 from deepkoco.diagnose.advice import class_advice, level_advice
 from deepkoco.diagnose.baseline import BaselineError, Start, check_learned, refit_sharply, start_from
-from deepkoco.diagnose.beyond import at_bound, doubts_of_commands, doubts_of_estimates
+from deepkoco.diagnose.beyond import doubts_of_commands, doubts_of_estimates
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
-from deepkoco.diagnose.causes.timing import LOST_COMMANDS
-from deepkoco.diagnose.causes.units import LOUD
-from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
-from deepkoco.diagnose.elimination import eliminated
 from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
+from deepkoco.diagnose.forward import Selection, Step, smooth_instead
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.diagnose.hints import Hints
-from deepkoco.diagnose.losses import Losses, best_losses
 from deepkoco.diagnose.lost import why_not_searched
 from deepkoco.diagnose.pushed import refit_elsewhere, touched, train_on_pushed
 from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.scattered import scatter_findings
-from deepkoco.diagnose.selection import (
-    DETECTION,
-    FURTHER,
-    Ranking,
-    prior_with,
-    rank,
-    without_events_first,
-)
-from deepkoco.diagnose.settling import front_settled
+from deepkoco.diagnose.selection import DETECTION
 from deepkoco.diagnose.shortage import missing_for_diagnosis
 from deepkoco.diagnose.signatures import signatures
 from deepkoco.diagnose.spectrum import spectrum_of
@@ -49,11 +36,11 @@ from deepkoco.identify.threads import one_thread
 from deepkoco.identify.windows import window_length
 from deepkoco.systems import ExtendedSystem, System, any_system
 
-MOST_CAUSES = 3
 # While structure remains, causes are named if they explain this share of the excess chi2 and take this share off the
 # error on windows that no fit saw: what only imitates them does not get there, and real logs keep some model error.
 EXPLAINED = 0.6
 WORTH_NAMING = 0.5
+FITFUL = ("event", "periodic", "cogging")  # causes that bend to what they are not
 PLAIN = 0.1  # fall of chi2 per sample from which windows that no fit saw must show what is named, too
 
 
@@ -127,20 +114,20 @@ class _Study:
         if held is not None and data.own:
             train, held, self.reference = train_on_pushed(start, train, held, self.reference)
         self.data = replace(data, train=train, held=held)
-        self.problem = FitProblem(start.system, train)
-        self.acting = (
-            self.problem
-        )  # with the commands that acted, where some of those that were sent were lost
+        self.problem = self.acting = FitProblem(start.system, train)
         self.lost: Finding | None = None
-        self.accepted: list[Cause] = []
-        self.steps: list[tuple[Ranking, tuple[str, ...]]] = []
+        self.accepted: tuple[Cause, ...] = ()
+        self.steps: tuple[Step, ...] = ()
         self.doubts: tuple[str, ...] = ()
 
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
         problem, start, data = self.problem, self.start, self.data
         reference = self.reference
         missing = missing_torque(problem, reference)
-        first, final = self._select(reference, missing)
+        selection = Selection(start, data.train, data.held, self.causes, self.detection, seed)
+        first, found = selection.run(reference, missing)
+        final, self.accepted, self.steps = found.final, found.accepted, found.steps
+        self.acting, self.lost = found.acting, found.lost
         scattered = scatter_findings(self.start.system, data.train, final, self.detection)
         after = dispersion(final, data.train)
         missing = missing_torque(problem, reference, after.deflation)
@@ -153,6 +140,14 @@ class _Study:
             *doubts_of_estimates(problem, self.accepted, final),
         )
         verdict = self._verdict(reference, final, limit, white, gain)
+        learned = None
+        if verdict == "unknown" or (
+            verdict != "nothing" and any(kind_of(c.name) in FITFUL for c in self.accepted)
+        ):
+            learned = learn_residual(start, data.train, data.held, reference, missing, seed)
+            if verdict != "unknown" and learned is not None:
+                smooth = smooth_instead(found, reference, learned, start, data.train)
+                verdict, learned = ("unknown", learned) if smooth else (verdict, None)
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted and self.lost is None)):
             # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
@@ -161,9 +156,6 @@ class _Study:
             # What is dropped must not colour what is said of the rest.
             final, gain, after = reference, None, dispersion(reference, data.train)
             missing = missing_torque(problem, reference, after.deflation)
-        learned = None
-        if verdict == "unknown":
-            learned = learn_residual(start, data.train, data.held, reference, missing, seed)
         kept = learned if learned is not None and learned.accepted else None
         at_end = final if kept is None else kept.fit
         if kept is not None:
@@ -239,61 +231,6 @@ class _Study:
         if any(len(found.members) > 1 for found in named):
             classes = class_advice(self.system, self.start, train, self.steps, logs, seed)
         return (*classes, *level_advice(train, self.system))
-
-    def _select(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Fit]:
-        """Forward selection: the first ranking (over the whole catalogue) and the last fit."""
-        start = self.start
-        hints = self._hints(reference, missing)
-        ranking = rank(self.acting, start, reference, (), hints, self.causes)
-        first, final = ranking, reference
-        while len(self.accepted) < MOST_CAUSES:
-            wanted = FURTHER if self.accepted or self.lost else self.detection
-            if (found := self._losses(ranking, final, wanted)) is not None:
-                self.lost, self.acting, final = found.finding, found.problem, found.fit
-            elif ranking.candidates and ranking.best.delta_bic > wanted:
-                ranking = self._led(ranking, hints)
-                first = ranking if final is reference else first
-                members = equivalent(self.acting, start, ranking, tuple(self.accepted))
-                self.steps.append((ranking, members))
-                self.accepted.append(ranking.best.cause)
-                final = ranking.best.fit
-            else:
-                break
-            hints = self._hints(final, missing_torque(self.acting, final))
-            ranking = rank(self.acting, start, final, self.accepted, hints, self.causes)
-        if len(self.accepted) > 1:
-            # What was worth its parameters when it was found need not be any more.
-            kept, final = eliminated(self.acting, start, self.accepted, final, FURTHER)
-            self.steps = [s for s, c in zip(self.steps, self.accepted, strict=True) if c in kept]
-            self.accepted = kept
-        return first, final
-
-    def _losses(self, ranking: Ranking, fit: Fit, wanted: float) -> Losses | None:
-        """Lost commands, if they explain more than the best of a ranking."""
-        if self.lost is not None:
-            return None
-        known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
-        causes = [c for c in known if c.kind == LOST_COMMANDS.name]
-        prior = prior_with(self.acting, self.start, self.accepted, fit.values)
-        return best_losses(self.acting, fit, prior, causes, ranking, self.start.floor, wanted)
-
-    def _led(self, ranking: Ranking, hints: Hints) -> Ranking:
-        """A ranking with its winner fitted to the end."""
-        problem, start = self.acting, self.start
-        ranking = without_events_first(problem, start, ranking, self.accepted, hints, self.detection)
-        ranking = front_settled(problem, start, self.accepted, ranking)
-        best = ranking.best
-        if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit):
-            # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
-            hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
-            again = rank(problem, start, ranking.reference, self.accepted, hints, self.causes)
-            if not again.best.cause.free:
-                return self._led(again, hints)
-        return ranking
-
-    def _hints(self, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
-        chi2 = fit.chi2 / self.data.train.samples
-        return Hints(self.start.system, self.acting.windows, missing, chi2)
 
     def _verdict(self, before: Fit, after: Fit, limit: float, white: bool, gain: Gain | None) -> Verdict:
         train = self.data.train

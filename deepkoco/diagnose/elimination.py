@@ -9,10 +9,11 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.residuals import SLOTS, dispersion
 from deepkoco.diagnose.selection import CLOSE, ITERATIONS, penalty, prior_with
 from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.windows import Windows
 
 
 def eliminated(
-    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, wanted: float
+    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, wanted: float, least: int = 1
 ) -> tuple[list[Cause], Fit]:
     """The causes that are still worth their parameters beside all others, and the fit of these.
 
@@ -25,9 +26,10 @@ def eliminated(
         accepted: Causes in the order in which they were found.
         fit: Fit with all of them.
         wanted: Fall of the BIC that keeps a cause.
+        least: Number of causes that stay in any case.
     """
     kept = list(accepted)
-    while len(kept) > 1:
+    while len(kept) > least:
         fits = problem.fit([_without(problem, start, kept, cause, fit) for cause in kept], ITERATIONS, CLOSE)
         spread = dispersion(fit, problem.windows)
         deflation = max(spread.deflation, start.floor)
@@ -41,6 +43,40 @@ def eliminated(
             break
         del kept[least]
         fit = fits[least]
+    return kept, fit
+
+
+def carried(
+    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, held: Windows, least: int
+) -> tuple[list[Cause], Fit]:
+    """The causes without which windows that no fit saw would be simulated worse, and the fit of these.
+
+    What only imitates something else bends to the windows that are fitted. A push acts in none of the windows kept
+    back, and stays.
+
+    Args:
+        problem: Training windows.
+        start: The baseline.
+        accepted: Causes.
+        fit: Fit with all of them.
+        held: Windows kept back.
+        least: Number of lasting causes that stay in any case.
+    """
+    kept, unseen = list(accepted), FitProblem(start.system, held)
+
+    def error(found: Fit) -> float:
+        return unseen.evaluate({**found.values, "event.torque": 0.0}, "held back").chi2
+
+    while len(lasting := [c for c in kept if c.effect != "event"]) > least:
+        fits = problem.fit(
+            [_without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
+        )
+        errors = [error(less) for less in fits]
+        best = errors.index(min(errors))
+        if errors[best] > error(fit):
+            break
+        kept.remove(lasting[best])
+        fit = fits[best]
     return kept, fit
 
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Start, refit, refit_sharply, start_from
 from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.elimination import eliminated
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.residuals import dispersion, missing_torque
 from deepkoco.diagnose.selection import DETECTION, prior_with, rank
+from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
@@ -19,7 +21,7 @@ from deepkoco.identify.windows import cut_windows, moving
 from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.
-LARGEST_EXTENSION = 4
+LARGEST_EXTENSION = 6
 
 
 def learn_baseline(recordings: Sequence[Recording], system: System, length: float) -> Start:
@@ -47,8 +49,10 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
         ranking = rank(problem, start, fit, accepted, hints, causes)
         if ranking.best.delta_bic < DETECTION:
             break
-        fit = ranking.best.fit
-        accepted.append(ranking.best.cause)
+        best = front_settled(problem, start, accepted, ranking).best
+        # A mixture that was found first is superfluous once its parts are there; it must not come back.
+        causes = [c for c in causes if c.name != best.cause.name]
+        accepted, fit = eliminated(problem, start, [*accepted, best.cause], best.fit, DETECTION)
     prior = prior_with(problem, start, accepted, fit.values)
     centre = np.array([fit.values[n] for n in prior.names])
     spread = dispersion(fit, windows)

@@ -5,83 +5,98 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.classes import APART
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
 from deepkoco.diagnose.lost import LostCommands, lost_commands
-from deepkoco.diagnose.pushed import touched
-from deepkoco.diagnose.residuals import SLOTS, dispersion
-from deepkoco.diagnose.selection import Ranking, penalty
+from deepkoco.diagnose.residuals import dispersion, missing_torque
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
 
 FEWEST = 3  # losses that show clearly: one or two may as well be a push, and model error bends to those that do not
 
+CHANCE = 1e-3  # probability under independence, below which losses depend on the motion
+
 
 class Losses(NamedTuple):
-    """Lost commands that are named.
+    """Lost commands that are worth their description.
 
     Attributes:
         finding: What a report shows.
         problem: The windows with the commands that acted.
         fit: The model on them.
+        charge: What the BIC charges for them.
     """
 
     finding: Finding
     problem: FitProblem
     fit: Fit
+    charge: float
 
 
 def best_losses(
-    problem: FitProblem,
-    fit: Fit,
-    prior: Prior,
-    causes: Sequence[Cause],
-    ranking: Ranking,
-    floor: float,
-    wanted: float,
+    problem: FitProblem, fit: Fit, prior: Prior, causes: Sequence[Cause], floor: float, wanted: float
 ) -> Losses | None:
-    """Lost commands, where they explain clearly more than the best candidate of a ranking.
+    """Lost commands, where they pay.
 
     Args:
         problem, fit, prior: Model to be improved.
         causes: Lost commands at every command of the system.
-        ranking: Candidates on top of the same fit.
         floor: chi2 per sample of a healthy unit.
         wanted: Fall of the BIC that they must reach.
     """
     tried = [(cause, lost_commands(problem, fit, prior, cause.index)) for cause in causes]
-    found = [(lost.total, cause, lost) for cause, lost in tried if lost is not None and lost.lost >= FEWEST]
+    found = [
+        (lost.total, cause, lost)
+        for cause, lost in tried
+        if lost is not None and lost.lost >= FEWEST and _by_chance(lost)
+    ]
     if not found:
         return None
     _, cause, lost = min(found, key=lambda item: item[0])
-    rival = ranking.best if ranking.candidates else None
-    lowest = lost.fit if rival is None or lost.fit.cost < rival.fit.cost else rival.fit
-    spread = dispersion(lowest, problem.windows)
-    deflation = max(spread.deflation, floor)
+    deflation = max(dispersion(lost.fit, problem.windows).deflation, floor)
     ratio = fit.cost - lost.fit.cost
     score = ratio / deflation - lost.charge
-    least = wanted
-    if rival is not None:
-        charge = penalty(
-            rival.cause, problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
-        )
-        # A delay of one tick loses every command for a tick: what takes one number to say goes first.
-        least = max(wanted, rival.likelihood_ratio / deflation - charge + APART)
-        if rival.cause.effect == "event":
-            # A push can mend any one window; losses that show in the others go first.
-            others = ~touched(problem.windows, rival.fit.values)
-            fell = ((fit.residual**2).sum((1, 2)) - (lost.fit.residual**2).sum((1, 2))).numpy()
-            least = wanted if fell[others].sum() / deflation - lost.charge > wanted else least
-    if score <= least:
+    if score <= wanted:
         return None
     needed = (lost.charge + wanted) * deflation
-    return Losses(_finding(lost, cause, ratio, score, needed), lost.problem, lost.fit)
+    return Losses(_finding(lost, cause, ratio, score, needed), lost.problem, lost.fit, lost.charge)
+
+
+def _by_chance(lost: LostCommands) -> bool:
+    """Whether which commands were lost has nothing to do with the motion, as the loss of a message has not.
+
+    What else is missing from a model wants offsets of a certain sign or size where the joint is, and as it moves.
+    """
+    # scipy.stats takes a third of a second to load, and few units lose commands.
+    from scipy.stats import mannwhitneyu
+
+    problem = lost.problem
+    motion = missing_torque(problem, lost.fit)[problem.system.command_joints[lost.index]]
+    gone, seen = [], []
+    for number, (log, command) in enumerate(zip(lost.logs, problem.windows.commands, strict=True)):
+        shown = log.lost | (log.worth > lost.price)
+        own = motion.log == number
+        order = np.argsort(motion.time[own], axis=None)
+        t = command.t[shown]
+        angle, speed = (
+            np.interp(t, motion.time[own].ravel()[order], x[own].ravel()[order])
+            for x in (motion.theta, motion.omega)
+        )
+        sent = lost.sent[number]
+        way = np.sign(np.diff(sent, prepend=sent[0])[shown])
+        middle = np.median(motion.theta[own])
+        gone.append(log.lost[shown])
+        seen.append(np.stack([log.worth[shown], way * (angle - middle), way * speed, np.abs(speed)]))
+    which, all_seen = np.concatenate(gone), np.concatenate(seen, axis=1)
+    if which.all():
+        return True
+    return all(mannwhitneyu(x[which], x[~which]).pvalue > CHANCE for x in all_seen)
 
 
 def _finding(lost: LostCommands, cause: Cause, ratio: float, score: float, needed: float) -> Finding:
     """As a report shows it: fall of the cost, fall of the BIC, and the fall of the cost that would have sufficed."""
-    # scipy.stats takes a third of a second to load, and few units lose commands.
     from scipy.stats import binomtest
 
     interval = binomtest(lost.lost, max(lost.ticks, 1)).proportion_ci(method="wilson")

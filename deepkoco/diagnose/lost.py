@@ -71,6 +71,7 @@ class LostCommands:
         searched: Ticks that were or could have been taken for lost.
         found: Those that were.
         price: Fall of the cost that a lost tick had to be worth.
+        sent: Commands of every log, all that were sent.
     """
 
     index: int
@@ -82,6 +83,7 @@ class LostCommands:
     searched: int
     found: int
     price: float
+    sent: tuple[np.ndarray, ...] = ()
 
     @property
     def share(self) -> float:
@@ -148,7 +150,7 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
             return None
         acted = FitProblem(problem.system, _acting(windows, index, patterns))
         now = acted.fit([Trial(fit.name, fit.free, prior, now.values, now.state, now.zero)])[0]
-        found = _counted(index, logs, acted, now, price)
+        found = _counted(index, logs, acted, now, price, sent)
         best = found if best is None or found.total < best.total else best
         share = float(np.clip(found.share, RARE, COMMON))
         if last and all((a == b).all() for a, b in zip(patterns, before, strict=True)):
@@ -184,7 +186,14 @@ def _offset(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
     return _held(sent, 1 + np.flatnonzero(lost))[1:] - sent[1:]
 
 
-def _counted(index: int, logs: Sequence[Shown], problem: FitProblem, fit: Fit, price: float) -> LostCommands:
+def _counted(
+    index: int,
+    logs: Sequence[Shown],
+    problem: FitProblem,
+    fit: Fit,
+    price: float,
+    sent: Sequence[np.ndarray],
+) -> LostCommands:
     lost = np.concatenate([shown.lost for shown in logs])
     worth = np.concatenate([shown.worth for shown in logs])
     searched = lost | (worth > price)
@@ -192,7 +201,7 @@ def _counted(index: int, logs: Sequence[Shown], problem: FitProblem, fit: Fit, p
     clear = worth > CLEAR * price
     clear = clear if clear.sum() >= FEWEST_CLEAR else searched
     counts = int((lost & clear).sum()), int(clear.sum()), int(searched.sum()), int(lost.sum())
-    return LostCommands(index, tuple(logs), problem, fit, *counts, price)
+    return LostCommands(index, tuple(logs), problem, fit, *counts, price, tuple(sent))
 
 
 def _spans(windows: Windows) -> list[np.ndarray]:

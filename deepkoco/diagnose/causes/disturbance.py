@@ -7,12 +7,15 @@ import numpy as np
 from deepkoco.diagnose.causes.cause import Cause, Hint
 
 CYCLES = tuple(range(2, 31))  # per turn
+AGAIN = 2.0  # cycles that a log must show
 LOWEST = 0.8  # frequency from which an outside load is searched [rad/s]
 LINES = 5  # of the spectrum that are tried
 
 
 def _cycles(hint: Hint) -> list[dict[str, float]]:
-    return [{"cycles": float(n)} for n in CYCLES]
+    """Those that the log shows to come back: one that is seen once may be a spring, a cable or a stop."""
+    turned = np.inf if hint.missing is None else float(np.ptp(hint.missing.theta))
+    return [{"cycles": float(n)} for n in CYCLES if AGAIN * 2.0 * np.pi / n <= turned]
 
 
 def _frequencies(hint: Hint) -> list[dict[str, float]]:

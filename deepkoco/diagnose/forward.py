@@ -1,0 +1,227 @@
+"""Selection of causes: forward, with backward elimination; lost commands last, where causes leave much unexplained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.beyond import at_bound
+from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes.timing import LOST_COMMANDS
+from deepkoco.diagnose.causes.units import LOUD
+from deepkoco.diagnose.classes import equivalent
+from deepkoco.diagnose.diagnosis import Finding
+from deepkoco.diagnose.elimination import carried, eliminated
+from deepkoco.diagnose.hints import Hints
+from deepkoco.diagnose.losses import best_losses
+from deepkoco.diagnose.residual_model import ResidualModel
+from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
+from deepkoco.diagnose.selection import FURTHER, Ranking, penalty, prior_with, rank, without_events_first
+from deepkoco.diagnose.settling import front_settled
+from deepkoco.identify.fit import Fit, FitProblem
+from deepkoco.identify.windows import Windows
+
+MOST_CAUSES = 3
+Step = tuple[Ranking, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Selected:
+    """What a selection found.
+
+    Attributes:
+        final: Fit with everything found.
+        accepted: Causes of the catalogue.
+        steps: For each, the ranking that it won and the names that the data do not tell from it.
+        acting: Training windows, with the commands that acted where some of those that were sent were lost.
+        lost: Lost commands; None where none are named.
+        charge: What the BIC charges for all of it.
+    """
+
+    final: Fit
+    accepted: tuple[Cause, ...]
+    steps: tuple[Step, ...]
+    acting: FitProblem
+    lost: Finding | None = None
+    charge: float = 0.0
+
+
+class Selection:
+    """Selection of causes on top of a refitted baseline.
+
+    Args:
+        start: The baseline.
+        train: Windows to explain.
+        held: Windows that no fit sees; what does not carry over to them is dropped.
+        causes: Causes to try; None tries the whole catalogue.
+        detection: Fall of the BIC from which a first cause is named.
+        seed: Of the bootstrap.
+    """
+
+    def __init__(
+        self,
+        start: Start,
+        train: Windows,
+        held: Windows | None,
+        causes: Sequence[Cause] | None,
+        detection: float,
+        seed: int,
+    ) -> None:
+        self.start, self.train, self.held = start, train, held
+        self.causes, self.detection, self.seed = causes, detection, seed
+        self.problem = FitProblem(start.system, train)
+
+    def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
+        """The first ranking (over the whole catalogue), and what is selected."""
+        hints = self._hints(self.problem, reference, missing)
+        first = rank(self.problem, self.start, reference, (), hints, self.causes)
+        nothing = Selected(reference, (), (), self.problem)
+        plain = self._forward(nothing, first, hints)
+        first = plain.steps[0][0] if plain.steps else first
+        plain = self._pruned(plain)
+        found = self._with_losses(nothing, plain)
+        return first, plain if found is None else found
+
+    def _forward(
+        self, so_far: Selected, ranking: Ranking | None = None, hints: Hints | None = None
+    ) -> Selected:
+        """Further causes, as long as they pay."""
+        start, problem = self.start, so_far.acting
+        final, accepted, steps, charge = so_far.final, [*so_far.accepted], [*so_far.steps], so_far.charge
+        while len(accepted) < MOST_CAUSES:
+            if ranking is None or hints is None:
+                hints = self._hints(problem, final, missing_torque(problem, final))
+                ranking = rank(problem, start, final, accepted, hints, self.causes)
+            wanted = FURTHER if accepted or so_far.lost else self.detection
+            if not ranking.candidates or ranking.best.delta_bic <= wanted:
+                break
+            ranking = self._led(problem, ranking, accepted, hints)
+            steps.append((ranking, equivalent(problem, start, ranking, tuple(accepted))))
+            accepted.append(ranking.best.cause)
+            final, ranking = ranking.best.fit, None
+        return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge)
+
+    def _pruned(self, found: Selected) -> Selected:
+        """Without causes that others make superfluous, or that do nothing for windows which no fit saw."""
+        # A single cause is left for the verdict to judge; not beside losses, which hide what it does for windows whose
+        # own losses are not known.
+        least = 1 if found.lost is None else 0
+        if len(found.accepted) <= least:
+            return found
+        # What was worth its parameters when it was found need not be any more.
+        kept, final = eliminated(found.acting, self.start, found.accepted, found.final, FURTHER, least)
+        if self.held is not None and len(self.held) > 0:
+            kept, final = carried(found.acting, self.start, kept, final, self.held, least)
+        steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
+        return replace(found, final=final, accepted=tuple(kept), steps=steps)
+
+    def _with_losses(self, nothing: Selected, plain: Selected) -> Selected | None:
+        """Lost commands and further causes, where they explain clearly more than causes alone.
+
+        Losses are many places of known size, which bend to what any missing mechanism does; so they come last.
+        """
+        known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
+        causes = [c for c in known if c.kind == LOST_COMMANDS.name]
+        best = self._lossy(plain, causes)
+        left = plain.final.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
+        if not causes or (best is None and not left and plain.accepted):
+            return None
+        if plain.accepted:
+            before = [nothing]
+            if len(plain.accepted) > 1:
+                step = plain.steps[0]
+                before.append(
+                    replace(plain, final=step[0].best.fit, accepted=plain.accepted[:1], steps=(step,))
+                )
+            others = [self._lossy(prefix, causes) for prefix in before]
+            rivals = [found for found in (best, *others) if found is not None]
+        else:
+            rivals = [] if best is None else [best]
+        if not rivals:
+            return None
+        # A cause beside losses has to pay as any further one.
+        found = max(rivals, key=lambda f: self._score(f, nothing.final, rivals) - FURTHER * len(f.accepted))
+        wanted = FURTHER if plain.accepted else self.detection
+        everyone = [plain, *rivals]
+        reference = nothing.final
+        if self._score(found, reference, everyone) <= self._score(plain, reference, everyone) + wanted:
+            return None
+        return found
+
+    def _lossy(self, prefix: Selected, causes: Sequence[Cause]) -> Selected | None:
+        """Lost commands on top of what is selected, and what else pays then."""
+        start, fit = self.start, prefix.final
+        prior = prior_with(self.problem, start, prefix.accepted, fit.values)
+        wanted = FURTHER if prefix.accepted else self.detection
+        found = best_losses(self.problem, fit, prior, causes, start.floor, wanted)
+        if found is None:
+            return None
+        lossy = replace(
+            prefix, final=found.fit, acting=found.problem, lost=found.finding, charge=found.charge
+        )
+        return self._pruned(self._forward(lossy))
+
+    def _score(self, found: Selected, reference: Fit, everyone: Sequence[Selected]) -> float:
+        """Fall of the BIC from the refit, under what the best of all leaves."""
+        lowest = min((f.final for f in everyone), key=lambda fit: fit.cost)
+        return fall_of_bic(found, reference, lowest, self.start, self.train)
+
+    def _led(self, problem: FitProblem, ranking: Ranking, accepted: Sequence[Cause], hints: Hints) -> Ranking:
+        """A ranking with its winner fitted to the end."""
+        start = self.start
+        ranking = without_events_first(problem, start, ranking, accepted, hints, self.detection)
+        ranking = front_settled(problem, start, accepted, ranking)
+        best = ranking.best
+        if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit):
+            # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
+            hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
+            again = rank(problem, start, ranking.reference, accepted, hints, self.causes)
+            if not again.best.cause.free:
+                return self._led(problem, again, accepted, hints)
+        return ranking
+
+    def _hints(self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
+        return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples)
+
+
+def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Start, train: Windows) -> float:
+    """Fall of the BIC from a refit by everything that was selected.
+
+    Args:
+        found: The selection.
+        reference: The refit.
+        lowest: Fit whose residuals are taken for noise.
+        start: The baseline.
+        train: The windows.
+    """
+    spread = dispersion(lowest, train)
+    samples, places = train.samples / spread.correlation, SLOTS * len(train)
+    charge = found.charge + sum(penalty(cause, samples, places) for cause in found.accepted)
+    return (reference.cost - found.final.cost) / max(spread.deflation, start.floor) - charge
+
+
+def smooth_instead(
+    found: Selected, reference: Fit, learned: ResidualModel, start: Start, train: Windows
+) -> bool:
+    """Whether a load that follows angle, speed and effort smoothly says as much as what was selected.
+
+    Detents, tones and pushes together bend to such a load; no such load looks like one of them.
+
+    Args:
+        found: The selection.
+        reference: The refit.
+        learned: The load that was learned on top of the refit.
+        start: The baseline.
+        train: The windows.
+    """
+    if not learned.accepted:
+        return False
+    lowest = min(found.final, learned.fit, key=lambda fit: fit.cost)
+    spread = dispersion(lowest, train)
+    charge = len(learned.terms) * math.log(train.samples / spread.correlation)
+    won = (reference.cost - learned.fit.cost) / max(spread.deflation, start.floor) - charge
+    return won > fall_of_bic(found, reference, lowest, start, train) - FURTHER
