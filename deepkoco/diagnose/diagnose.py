@@ -15,7 +15,7 @@ from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
 from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
 from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
-from deepkoco.diagnose.forward import Selection, Step, smooth_instead
+from deepkoco.diagnose.forward import Selection, Step, learned_instead
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.lost import why_not_searched
@@ -23,7 +23,7 @@ from deepkoco.diagnose.pushed import refit_elsewhere, touched, train_on_pushed
 from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.scattered import scatter_findings
-from deepkoco.diagnose.selection import DETECTION
+from deepkoco.diagnose.selection import DETECTION, FURTHER
 from deepkoco.diagnose.shortage import missing_for_diagnosis
 from deepkoco.diagnose.signatures import signatures
 from deepkoco.diagnose.spectrum import spectrum_of
@@ -141,13 +141,13 @@ class _Study:
         )
         verdict = self._verdict(reference, final, limit, white, gain)
         learned = None
-        if verdict == "unknown" or (
-            verdict != "nothing" and any(kind_of(c.name) in FITFUL for c in self.accepted)
-        ):
+        rival = verdict in ("cause", "ambiguous") and self._rivalled(final, limit)
+        if verdict == "unknown" or rival:
             learned = learn_residual(start, data.train, data.held, reference, missing, seed)
-            if verdict != "unknown" and learned is not None:
-                smooth = smooth_instead(found, reference, learned, start, data.train)
-                verdict, learned = ("unknown", learned) if smooth else (verdict, None)
+        if rival and learned is not None:
+            least = -FURTHER if self._fitful and self.lost is None else FURTHER
+            smooth = learned_instead(found, reference, learned, start, data.train, least)
+            verdict, learned = ("unknown", learned) if smooth else (verdict, None)
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted and self.lost is None)):
             # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
@@ -242,8 +242,9 @@ class _Study:
         left = after.chi2 / train.samples > limit
         if self.lost is not None or all(c.effect == "event" for c in self.accepted):
             gain = None  # what acts once is worth nothing on other windows, and other windows lose other commands
-        if left and self.lost is not None:
-            return "unknown"  # offsets at hundreds of places bend to anything; losses leave nothing
+        if self.lost is not None and (left or (self.accepted and self._fitful)):
+            # Offsets at hundreds of places bend to anything, with pushes and tones above all; real losses leave nothing.
+            return "unknown"
         if left:
             # Something is left; then what is named has to account for most of what was seen.
             worth = 1.0 if gain is None else gain.reduction
@@ -261,6 +262,19 @@ class _Study:
             return "cause"
         families = {CAUSES[kind_of(name)].family for name in self.steps[0][1]}
         return "ambiguous" if len(families) > 1 else "cause"
+
+    @property
+    def _fitful(self) -> bool:
+        return all(kind_of(c.name) in FITFUL for c in self.accepted)
+
+    def _rivalled(self, after: Fit, limit: float) -> bool:
+        """Whether a learned load could say as much as what is named.
+
+        Where structure remains beside causes, as it does in real logs, it would always say more.
+        """
+        samples = self.data.train.samples
+        more = after.chi2 - self.start.floor * samples > FURTHER
+        return (self._fitful and self.lost is None) or (more and after.chi2 <= limit * samples)
 
     def _named(self, missing: Sequence[MissingTorque], final: Fit) -> tuple[Finding, ...]:
         places = SLOTS * len(self.data.train)

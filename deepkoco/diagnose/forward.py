@@ -204,12 +204,13 @@ def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Start, trai
     return (reference.cost - found.final.cost) / max(spread.deflation, start.floor) - charge
 
 
-def smooth_instead(
-    found: Selected, reference: Fit, learned: ResidualModel, start: Start, train: Windows
+def learned_instead(
+    found: Selected, reference: Fit, learned: ResidualModel, start: Start, train: Windows, least: float
 ) -> bool:
-    """Whether a load that follows angle, speed and effort smoothly says as much as what was selected.
+    """Whether a load that follows angle, speed and effort smoothly says more than what was selected.
 
-    Detents, tones and pushes together bend to such a load; no such load looks like one of them.
+    A cause that is there leaves it nothing to say, and no smooth load looks like detents, tones and pushes; but these
+    together bend to a smooth load.
 
     Args:
         found: The selection.
@@ -217,6 +218,7 @@ def smooth_instead(
         learned: The load that was learned on top of the refit.
         start: The baseline.
         train: The windows.
+        least: Fall of the BIC by which it has to be ahead.
     """
     if not learned.accepted:
         return False
@@ -224,4 +226,4 @@ def smooth_instead(
     spread = dispersion(lowest, train)
     charge = len(learned.terms) * math.log(train.samples / spread.correlation)
     won = (reference.cost - learned.fit.cost) / max(spread.deflation, start.floor) - charge
-    return won > fall_of_bic(found, reference, lowest, start, train) - FURTHER
+    return won > fall_of_bic(found, reference, lowest, start, train) + least

@@ -86,7 +86,7 @@ class Recorded(NamedTuple):
 
 def record_case(case: Case, system: str, condition: str, seconds: float) -> Recorded:
     """Hide the effects of a case at their strengths, and record the logs."""
-    floor = _floor(system) if condition == "floor" else {}
+    floor = small_effects(system) if condition == "floor" else {}
     hidden: dict[str, Mapping[str, float]] = dict(floor)
     strengths = []
     for name in case.names:
@@ -145,7 +145,8 @@ def judge(case: Case, recorded: Recorded, system: str, condition: str) -> dict[s
     }
 
 
-def _floor(system: str) -> dict[str, Mapping[str, float]]:
+def small_effects(system: str) -> dict[str, Mapping[str, float]]:
+    """What every unit of the condition "floor" has, also when nothing is wrong."""
     physics = make_system(system)
     floor: dict[str, Mapping[str, float]] = {}
     for kind, dose in FLOOR:

@@ -1,0 +1,106 @@
+"""What bends to anything (lost commands, detents, tones, pushes) is not named for what it only imitates."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.causes import CAUSES, catalogue
+from deepkoco.diagnose.causes.cause import Hint
+from deepkoco.diagnose.elimination import carried
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.selection import prior_with
+from deepkoco.identify.fit import FitProblem, Trial
+from deepkoco.identify.windows import cut_windows, moving, window_length
+from deepkoco.systems import make_system
+from experiments.hidden.cases import small_effects
+from experiments.hidden.unit import hidden_log
+
+TETHER = {"tether": {"stiffness": 0.235}}
+
+
+def test_a_tether_is_no_loss_of_commands():
+    """Offsets of known size at hundreds of ticks bend to it, but which ones they take depends on the motion."""
+    log = hidden_log("rod_pendulum", TETHER, "closed-loop", 2037)
+    result = diagnose([log], "rod_pendulum", only=["lost_commands"])
+    assert result.chi2_before > 1.3
+    assert result.verdict == "unknown"
+
+
+def test_a_tether_is_neither_detents_nor_pushes():
+    """A load that follows the angle smoothly says as much."""
+    log = hidden_log("rod_pendulum", TETHER, "closed-loop", 2037)
+    result = diagnose([log], "rod_pendulum", only=["cogging", "event"])
+    assert result.candidates[0].delta_bic > 24.0
+    assert result.verdict == "unknown"
+    assert result.unexplained["residual_model"]["accepted"]
+
+
+def test_two_causes_are_not_taken_for_lost_commands():
+    hidden = {"actuation_delay": {"delay": 0.003}, "quadratic": {"drag": 0.0015}}
+    log = hidden_log("rod_pendulum", hidden, "chirp", 2025)
+    result = diagnose([log], "rod_pendulum", only=["actuation_delay", "quadratic", "lost_commands"])
+    assert sorted(result.names) == ["actuation_delay", "quadratic"]
+
+
+def test_losses_are_named_beside_friction():
+    hidden = {"coulomb": {"torque": 0.03}, "lost_commands": {"share": 0.05}}
+    log = hidden_log("rod_pendulum", hidden, "chirp", 207)
+    result = diagnose([log], "rod_pendulum", only=["coulomb", "lost_commands", "quadratic"])
+    assert sorted(result.names) == ["coulomb", "lost_commands"]
+    share = result.causes[-1].parameters["lost_commands.share"]
+    assert 0.02 < share.value < 0.08
+
+
+@pytest.mark.parametrize(("turned", "fewest"), [(2.0, 7), (0.5, 26), (0.3, None), (20.0, 2)])
+def test_detents_have_to_be_seen_twice(turned, fewest):
+    missing = SimpleNamespace(theta=np.array([[0.0, 0.4 * turned], [0.1, turned]]))
+    nothing = np.zeros(0)
+    hint = Hint(make_system("rod_pendulum"), 0, nothing, nothing, (), 30.0, 1.0, missing)
+    tried = [place["cycles"] for place in CAUSES["cogging"].starts(hint)]
+    assert tried == ([] if fewest is None else [float(n) for n in range(fewest, 31)])
+
+
+def test_a_cause_that_is_of_no_use_to_windows_kept_back_goes():
+    system = make_system("rod_pendulum")
+    log = hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 223, 24.0)
+    windows = cut_windows([log], system, window_length(system))
+    windows = windows.take(moving(windows))
+    first = np.arange(len(windows)) < len(windows) // 2
+    train, held = windows.take(first), windows.take(~first)
+    start = start_from(system, train)
+    train, reference = refit_sharply(start, train)
+    problem, known = FitProblem(start.system, train), catalogue(system)
+    accepted = [known["coulomb"], known["sensor_drift"]]
+    prior = prior_with(problem, start, accepted, start.values)
+    fit = problem.fit([Trial("both", prior.names, prior, reference.values, reference.state, reference.zero)])
+    # A drift that is not there: it grows where nothing was fitted.
+    drifting = {**fit[0].values, "sensor_drift.rate": 0.002}
+    wrong = problem.fit(
+        [Trial("wrong", ("coulomb.torque",), prior, drifting, fit[0].state, fit[0].zero)],
+    )[0]
+    kept, less = carried(problem, start, accepted, wrong, held, 1)
+    assert [c.name for c in kept] == ["coulomb"]
+    assert less.values["sensor_drift.rate"] == 0.0
+    # The one that is there stays, even where none has to.
+    assert [c.name for c in carried(problem, start, kept, less, held, 0)[0]] == ["coulomb"]
+
+
+def test_small_effects_of_a_healthy_unit_are_learned_without_a_mixture():
+    system = make_system("rod_pendulum")
+    floor = small_effects("rod_pendulum")
+    start = learn_baseline([hidden_log("rod_pendulum", floor, "chirp", 1020)], system, window_length(system))
+    assert start.floor < 1.06
+    # Each by its own name or by one that the log does not tell from it; nothing else.
+    alike = [
+        {"lag", "low_pass", "actuation_delay", "sensing_delay"},
+        {"load_friction"},
+        {"torque_bias", "asymmetry"},
+        {"gain_drift"},
+    ]
+    assert len(start.effects) == 4
+    assert all(len(group & set(start.effects)) == 1 for group in alike)
+    rate = start.values["gain_drift.rate"]
+    assert rate == pytest.approx(floor["gain_drift"]["rate"], rel=0.2)
