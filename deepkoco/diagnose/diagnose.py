@@ -243,7 +243,7 @@ class _Study:
         if self.lost is not None or all(c.effect == "event" for c in self.accepted):
             gain = None  # what acts once is worth nothing on other windows, and other windows lose other commands
         if self.lost is not None and (left or (self.accepted and self._fitful)):
-            # Offsets at hundreds of places bend to anything, with pushes and tones above all; real losses leave nothing.
+            # Offsets at hundreds of places bend to anything, above all beside pushes and tones; losses leave nothing.
             return "unknown"
         if left:
             # Something is left; then what is named has to account for most of what was seen.
