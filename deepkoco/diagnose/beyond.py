@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.diagnosis import Finding
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import System
@@ -69,3 +70,14 @@ def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
             f"{channel.unit} that the system takes: check its unit and scale before anything else."
         )
     return tuple(result)
+
+
+def doubts_of_names(causes: Sequence[Cause], lost: Finding | None) -> tuple[str, ...]:
+    """A sentence for causes that explain less than a learned load which stands for no mechanism.
+
+    Args:
+        causes: Causes that would be named.
+        lost: Lost commands among them.
+    """
+    names = " and ".join([c.name for c in causes] + ([lost.name] if lost else []))
+    return (f"A load that follows angle, speed and effort smoothly says as much as {names}, or more.",)

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepkoco.diagnose.advice import class_advice, level_advice
 from deepkoco.diagnose.baseline import BaselineError, Start, check_learned, refit_sharply, start_from
-from deepkoco.diagnose.beyond import doubts_of_commands, doubts_of_estimates
+from deepkoco.diagnose.beyond import doubts_of_commands, doubts_of_estimates, doubts_of_names
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
 from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
@@ -148,6 +148,7 @@ class _Study:
             least = -FURTHER if self._fitful and self.lost is None else FURTHER
             smooth = learned_instead(found, reference, learned, start, data.train, least)
             verdict, learned = ("unknown", learned) if smooth else (verdict, None)
+            self.doubts += doubts_of_names(self.accepted, self.lost) if smooth else ()
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted and self.lost is None)):
             # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.

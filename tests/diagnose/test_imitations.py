@@ -36,6 +36,7 @@ def test_a_tether_is_neither_detents_nor_pushes():
     assert result.candidates[0].delta_bic > 24.0
     assert result.verdict == "unknown"
     assert result.unexplained["residual_model"]["accepted"]
+    assert "smoothly says as much as cogging" in result.unexplained["doubts"][0]
 
 
 def test_two_causes_are_not_taken_for_lost_commands():
