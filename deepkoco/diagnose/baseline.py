@@ -24,6 +24,7 @@ class Start:
         prior: Over the parameters that every fit frees.
         floor: chi2 per sample that this unit shows when nothing is wrong.
         effects: Effects that a healthy log of the unit asked for, part of the baseline from then on.
+        losing: Numbers of the commands of which a healthy log lost some, too.
     """
 
     system: ExtendedSystem
@@ -31,6 +32,7 @@ class Start:
     prior: Prior
     floor: float = 1.0
     effects: tuple[str, ...] = ()
+    losing: tuple[int, ...] = ()
 
 
 class BaselineError(ValueError):

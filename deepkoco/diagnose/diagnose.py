@@ -197,7 +197,7 @@ class _Study:
                 "white": final.chi2 / data.train.samples <= limit and after.lag_one <= alike,
                 "spectrum": spectrum_of(remaining),
                 "doubts": list(self.doubts),
-                "lost_commands_not_searched": why_not_searched(data.train),
+                "lost_commands_not_searched": why_not_searched(data.train, start.losing),
                 "signatures": [vars(e) for e in signatures(self.system, data.train, final)],
                 **({} if learned is None else {"residual_model": learned.to_json()}),
             },

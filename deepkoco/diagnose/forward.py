@@ -125,7 +125,7 @@ class Selection:
         Losses are many places of known size, which bend to what any missing mechanism does; so they come last.
         """
         known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
-        causes = [c for c in known if c.kind == LOST_COMMANDS.name]
+        causes = [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
         best = self._lossy(plain, causes)
         left = plain.final.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
         if not causes or (best is None and not left and plain.accepted):

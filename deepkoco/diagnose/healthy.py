@@ -9,8 +9,10 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Start, refit, refit_sharply, start_from
 from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.elimination import eliminated
 from deepkoco.diagnose.hints import Hints
+from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.residuals import dispersion, missing_torque
 from deepkoco.diagnose.selection import DETECTION, prior_with, rank
 from deepkoco.diagnose.settling import front_settled
@@ -55,6 +57,8 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
         accepted, fit = eliminated(problem, start, [*accepted, best.cause], best.fit, DETECTION)
     prior = prior_with(problem, start, accepted, fit.values)
     centre = np.array([fit.values[n] for n in prior.names])
+    lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
+    losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
     spread = dispersion(fit, windows)
     covariance = fit.covariance * spread.deflation + _run_to_run(
         recordings, system, length, replace(start, prior=prior), fit
@@ -65,6 +69,7 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
         prior=Prior(prior.names, centre, covariance),
         floor=max(1.0, spread.chi2_per_sample),
         effects=tuple(dict.fromkeys(c.effect for c in accepted)),
+        losing=losing,
     )
 
 

@@ -103,8 +103,16 @@ class LostCommands:
         return self.fit.cost + self.charge
 
 
-def why_not_searched(windows: Windows) -> str | None:
-    """Why lost commands cannot be searched for in these windows; None where they can."""
+def why_not_searched(windows: Windows, losing: Sequence[int] = ()) -> str | None:
+    """Why lost commands are not searched for in these windows; None where they are.
+
+    Args:
+        windows: Windows to explain.
+        losing: Commands of which healthy logs of the unit lose some, too.
+    """
+    if losing:
+        which = ", ".join(str(k + 1) for k in losing)
+        return f"the healthy logs lose commands, too (command {which}): that is no cause of what they do not show"
     for log in np.unique(windows.log):
         t = windows.commands[log].t
         gap = np.diff(t)

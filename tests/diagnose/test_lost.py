@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.lost import LostCommands, _held, lost_commands, pattern
@@ -56,6 +57,14 @@ def test_where_responses_differ_every_tick_is_found(seed):
 
 def test_nothing_is_lost_where_every_command_arrived():
     assert search(unit(0.0)) is None
+
+
+def test_what_healthy_logs_lose_as_well_is_no_cause():
+    lossy = {"lost_commands": {"share": 0.08}}
+    healthy = hidden_log("rod_pendulum", lossy, "chirp", SEED, SECONDS, take=1)
+    result = diagnose([unit(0.08)], "rod_pendulum", healthy=[healthy], only=["lost_commands"])
+    assert result.verdict == "nothing"
+    assert "healthy logs lose commands, too" in result.unexplained["lost_commands_not_searched"]
 
 
 def test_without_a_regular_pace_a_lost_tick_has_no_length():
