@@ -78,6 +78,8 @@ def _by_chance(lost: LostCommands) -> bool:
     for number, (log, command) in enumerate(zip(lost.logs, problem.windows.commands, strict=True)):
         shown = log.lost | (log.worth > lost.price)
         own = motion.log == number
+        if not own.any():
+            continue  # it never moved
         order = np.argsort(motion.time[own], axis=None)
         t = command.t[shown]
         angle, speed = (

@@ -15,6 +15,7 @@ from deepkoco.diagnose.lost import LostCommands, _held, lost_commands, pattern
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import FitProblem
 from deepkoco.systems import make_system
+from experiments.hidden.excitations import Drive
 from experiments.hidden.unit import hidden_log
 
 SECONDS, SEED = 12.0, 171
@@ -65,6 +66,13 @@ def test_what_healthy_logs_lose_as_well_is_no_cause():
     result = diagnose([unit(0.08)], "rod_pendulum", healthy=[healthy], only=["lost_commands"])
     assert result.verdict == "nothing"
     assert "healthy logs lose commands, too" in result.unexplained["lost_commands_not_searched"]
+
+
+def test_a_log_that_never_moved_is_no_obstacle():
+    hanging = Drive([np.pi], [0.0], lambda t, reading: [0.0])
+    still = hidden_log("rod_pendulum", {}, hanging, SEED, SECONDS)
+    result = diagnose([still, unit(0.08)], "rod_pendulum", only=["lost_commands"])
+    assert result.names == ("lost_commands",)
 
 
 def test_without_a_regular_pace_a_lost_tick_has_no_length():
