@@ -73,11 +73,11 @@ def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
 
 
 def doubts_of_names(causes: Sequence[Cause], lost: Finding | None) -> tuple[str, ...]:
-    """A sentence for causes that explain less than a learned load which stands for no mechanism.
+    """A sentence for causes that explain hardly more than a learned load which stands for no mechanism, or less.
 
     Args:
         causes: Causes that would be named.
         lost: Lost commands among them.
     """
     names = " and ".join([c.name for c in causes] + ([lost.name] if lost else []))
-    return (f"A load that follows angle, speed and effort smoothly says as much as {names}, or more.",)
+    return (f"A load that follows angle, speed and effort smoothly says nearly as much as {names}, or more.",)

@@ -124,7 +124,7 @@ class _Study:
         problem, start, data = self.problem, self.start, self.data
         reference = self.reference
         missing = missing_torque(problem, reference)
-        selection = Selection(start, data.train, data.held, self.causes, self.detection, seed)
+        selection = Selection(start, data.train, data.held, self.causes, self.detection)
         first, found = selection.run(reference, missing)
         final, self.accepted, self.steps = found.final, found.accepted, found.steps
         self.acting, self.lost = found.acting, found.lost
@@ -271,7 +271,7 @@ class _Study:
     def _rivalled(self, after: Fit, limit: float) -> bool:
         """Whether a learned load could say as much as what is named.
 
-        Where structure remains beside causes, as it does in real logs, it would always say more.
+        Where structure remains beside lasting causes, as it does in real logs, it would always say more.
         """
         samples = self.data.train.samples
         more = after.chi2 - self.start.floor * samples > FURTHER

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.residuals import SLOTS, dispersion
@@ -38,18 +40,18 @@ def eliminated(
             (less.cost - fit.cost) / deflation - penalty(cause, samples, places)
             for cause, less in zip(kept, fits, strict=True)
         ]
-        least = worth.index(min(worth))
-        if worth[least] > wanted:
+        weakest = worth.index(min(worth))
+        if worth[weakest] > wanted:
             break
-        del kept[least]
-        fit = fits[least]
+        del kept[weakest]
+        fit = fits[weakest]
     return kept, fit
 
 
 def carried(
     problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, held: Windows, least: int
 ) -> tuple[list[Cause], Fit]:
-    """The causes without which windows that no fit saw would be simulated worse, and the fit of these.
+    """The causes that do no harm to windows which no fit saw, and the fit of these.
 
     What only imitates something else bends to the windows that are fitted. A push acts in none of the windows kept
     back, and stays.
@@ -64,19 +66,22 @@ def carried(
     """
     kept, unseen = list(accepted), FitProblem(start.system, held)
 
-    def error(found: Fit) -> float:
-        return unseen.evaluate({**found.values, "event.torque": 0.0}, "held back").chi2
+    def errors(found: Fit) -> np.ndarray:
+        replayed = unseen.evaluate({**found.values, "event.torque": 0.0}, "held back")
+        return (replayed.residual**2).sum((1, 2)).numpy()
 
     while len(lasting := [c for c in kept if c.effect != "event"]) > least:
         fits = problem.fit(
             [_without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
         )
-        errors = [error(less) for less in fits]
-        best = errors.index(min(errors))
-        if errors[best] > error(fit):
+        now = errors(fit)
+        harm = [now - errors(less) for less in fits]
+        worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
+        # What does nothing for these windows, as it acts in others, is no better or worse but for chance.
+        if not harm[worst].sum() > np.sqrt(len(held)) * harm[worst].std():
             break
-        kept.remove(lasting[best])
-        fit = fits[best]
+        kept.remove(lasting[worst])
+        fit = fits[worst]
     return kept, fit
 
 

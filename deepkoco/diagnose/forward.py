@@ -59,7 +59,6 @@ class Selection:
         held: Windows that no fit sees; what does not carry over to them is dropped.
         causes: Causes to try; None tries the whole catalogue.
         detection: Fall of the BIC from which a first cause is named.
-        seed: Of the bootstrap.
     """
 
     def __init__(
@@ -69,10 +68,9 @@ class Selection:
         held: Windows | None,
         causes: Sequence[Cause] | None,
         detection: float,
-        seed: int,
     ) -> None:
         self.start, self.train, self.held = start, train, held
-        self.causes, self.detection, self.seed = causes, detection, seed
+        self.causes, self.detection = causes, detection
         self.problem = FitProblem(start.system, train)
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
@@ -80,10 +78,10 @@ class Selection:
         hints = self._hints(self.problem, reference, missing)
         first = rank(self.problem, self.start, reference, (), hints, self.causes)
         nothing = Selected(reference, (), (), self.problem)
-        plain = self._forward(nothing, first, hints)
-        first = plain.steps[0][0] if plain.steps else first
-        plain = self._pruned(plain)
-        found = self._with_losses(nothing, plain)
+        forward = self._forward(nothing, first, hints)
+        first = forward.steps[0][0] if forward.steps else first
+        plain = self._pruned(forward)
+        found = self._with_losses(nothing, forward, plain)
         return first, plain if found is None else found
 
     def _forward(
@@ -119,28 +117,31 @@ class Selection:
         steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
         return replace(found, final=final, accepted=tuple(kept), steps=steps)
 
-    def _with_losses(self, nothing: Selected, plain: Selected) -> Selected | None:
+    def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
         """Lost commands and further causes, where they explain clearly more than causes alone.
 
         Losses are many places of known size, which bend to what any missing mechanism does; so they come last.
+
+        Args:
+            nothing: The refit.
+            forward: Every cause in the order in which it was found.
+            plain: Those that are left.
         """
         known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
         causes = [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
+        if not causes:
+            return None
         best = self._lossy(plain, causes)
         left = plain.final.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
-        if not causes or (best is None and not left and plain.accepted):
+        if best is None and not left and plain.accepted:
             return None
-        if plain.accepted:
-            before = [nothing]
-            if len(plain.accepted) > 1:
-                step = plain.steps[0]
-                before.append(
-                    replace(plain, final=step[0].best.fit, accepted=plain.accepted[:1], steps=(step,))
-                )
-            others = [self._lossy(prefix, causes) for prefix in before]
-            rivals = [found for found in (best, *others) if found is not None]
-        else:
-            rivals = [] if best is None else [best]
+        prefixes = [nothing] if plain.accepted else []
+        if len(forward.accepted) > 1:
+            step = forward.steps[0]
+            prefixes.append(
+                replace(nothing, final=step[0].best.fit, accepted=forward.accepted[:1], steps=(step,))
+            )
+        rivals = [f for f in (best, *(self._lossy(p, causes) for p in prefixes)) if f is not None]
         if not rivals:
             return None
         # A cause beside losses has to pay as any further one.
@@ -207,7 +208,7 @@ def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Start, trai
 def learned_instead(
     found: Selected, reference: Fit, learned: ResidualModel, start: Start, train: Windows, least: float
 ) -> bool:
-    """Whether a load that follows angle, speed and effort smoothly says more than what was selected.
+    """Whether a load that follows angle, speed and effort smoothly says as much as what was selected, or clearly more.
 
     A cause that is there leaves it nothing to say, and no smooth load looks like detents, tones and pushes; but these
     together bend to a smooth load.
@@ -218,7 +219,7 @@ def learned_instead(
         learned: The load that was learned on top of the refit.
         start: The baseline.
         train: The windows.
-        least: Fall of the BIC by which it has to be ahead.
+        least: Fall of the BIC by which it has to be ahead; below 0 it may be behind by so much.
     """
     if not learned.accepted:
         return False

@@ -47,7 +47,7 @@ class Gain:
         curves: model -> channel -> (BINS,) error by time.
         replayed: The held-out windows.
         fits: model -> fit on the held-out windows.
-        as_given: Whether the extended model keeps every parameter as it was given.
+        as_given: Whether the extended model keeps every parameter as it was given, or learned from healthy logs.
     """
 
     channels: tuple[ChannelGain, ...]
@@ -141,7 +141,10 @@ def note_on_gain(named: Sequence[str], learned: bool, as_given: bool = False) ->
     """
     note = "No fit has seen these windows."
     if as_given:
-        return f"{note} The refit is worse on them, so that the simulation keeps its parameters as given."
+        return (
+            f"{note} But they decided that the simulation keeps its parameters as given (or as learned from healthy "
+            "logs): the refit is worse on them."
+        )
     if any(name.startswith("lost_commands") for name in named):
         note += " Which commands were lost in them is not known, so that they are simulated with all that were sent."
         if len(named) == 1:
@@ -150,8 +153,8 @@ def note_on_gain(named: Sequence[str], learned: bool, as_given: bool = False) ->
         return f"{note} A push acts in none of them, so that it is left out and nothing is gained here."
     if named:
         note += (
-            " Where structure remains beside the causes, they also decided whether these are named, so that "
-            "the gain is then a little optimistic."
+            " Where structure remains beside the causes, or there are several, they also decided which of these are "
+            "named, so that the gain is then a little optimistic."
         )
     if learned:
         note += " But they also decided whether the learned load is kept, so that the gain is a little optimistic."

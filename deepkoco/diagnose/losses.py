@@ -15,7 +15,6 @@ from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
 
 FEWEST = 3  # losses that show clearly: one or two may as well be a push, and model error bends to those that do not
-
 CHANCE = 1e-3  # probability under independence, below which losses depend on the motion
 
 
@@ -90,7 +89,7 @@ def _by_chance(lost: LostCommands) -> bool:
         way = np.sign(np.diff(sent, prepend=sent[0])[shown])
         middle = np.median(motion.theta[own])
         gone.append(log.lost[shown])
-        seen.append(np.stack([log.worth[shown], way * (angle - middle), way * speed, np.abs(speed)]))
+        seen.append(np.stack([way * (angle - middle), way * speed, np.abs(speed)]))
     which, all_seen = np.concatenate(gone), np.concatenate(seen, axis=1)
     if which.all():
         return True

@@ -104,15 +104,12 @@ class LostCommands:
 
 
 def why_not_searched(windows: Windows, losing: Sequence[int] = ()) -> str | None:
-    """Why lost commands are not searched for in these windows; None where they are.
+    """Why lost commands, or those of some command, are not searched for in these windows; None where all are.
 
     Args:
         windows: Windows to explain.
         losing: Commands of which healthy logs of the unit lose some, too.
     """
-    if losing:
-        which = ", ".join(str(k + 1) for k in losing)
-        return f"the healthy logs lose commands, too (command {which}): that is no cause of what they do not show"
     for log in np.unique(windows.log):
         t = windows.commands[log].t
         gap = np.diff(t)
@@ -123,6 +120,9 @@ def why_not_searched(windows: Windows, losing: Sequence[int] = ()) -> str | None
     most = max(len(own) for own in _spans(windows))
     if most > MOST_TICKS:
         return f"a window holds {most} commands, more than the {MOST_TICKS} for which the search is made"
+    if losing:
+        which = " and ".join(str(k + 1) for k in losing)
+        return f"not for command {which}: the healthy logs lose some of it, too"
     return None
 
 

@@ -125,7 +125,8 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
         c = gain.channels[0]
         last = next(reversed(held_out_models(diagnosis).values()))
         text = f"error of {c.name} on windows kept away from every fit: simulation as given, and {last}"
-        tiles.append({"value": f"{c.baseline:.3g} → {c.extended:.3g} {c.unit}", "text": text})
+        after = c.refit if gain.as_given else c.extended
+        tiles.append({"value": f"{c.baseline:.3g} → {after:.3g} {c.unit}", "text": text})
     return tiles
 
 

@@ -33,3 +33,8 @@ def test_only_the_cause_that_is_not_there_goes():
     assert abs(less.values["lag.time_constant"] - 0.01) < 0.001
     # Both that are there stay, whatever order they were found in.
     assert len(eliminated(problem, start, kept[::-1], less, FURTHER)[0]) == 2
+    # However much is wanted, so many stay, and the strongest of them; wherever in the list the others stood.
+    assert [c.name for c in eliminated(problem, start, accepted, fit, 1e9)[0]] == ["asymmetry"]
+    assert [c.name for c in eliminated(problem, start, accepted[::-1], fit, 1e9)[0]] == ["asymmetry"]
+    assert len(eliminated(problem, start, accepted, fit, 1e9, least=2)[0]) == 2
+    assert eliminated(problem, start, accepted, fit, 1e9, least=0)[0] == []

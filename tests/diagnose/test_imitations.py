@@ -27,6 +27,7 @@ def test_a_tether_is_no_loss_of_commands():
     result = diagnose([log], "rod_pendulum", only=["lost_commands"])
     assert result.chi2_before > 1.3
     assert result.verdict == "unknown"
+    assert result.candidates == ()
 
 
 def test_a_tether_is_neither_detents_nor_pushes():
@@ -36,7 +37,7 @@ def test_a_tether_is_neither_detents_nor_pushes():
     assert result.candidates[0].delta_bic > 24.0
     assert result.verdict == "unknown"
     assert result.unexplained["residual_model"]["accepted"]
-    assert "smoothly says as much as cogging" in result.unexplained["doubts"][0]
+    assert "smoothly says nearly as much as cogging" in result.unexplained["doubts"][0]
 
 
 def test_two_causes_are_not_taken_for_lost_commands():
@@ -57,7 +58,9 @@ def test_losses_are_named_beside_friction():
 
 @pytest.mark.parametrize(("turned", "fewest"), [(2.0, 7), (0.5, 26), (0.3, None), (20.0, 2)])
 def test_detents_have_to_be_seen_twice(turned, fewest):
-    missing = SimpleNamespace(theta=np.array([[0.0, 0.4 * turned], [0.1, turned]]))
+    # The second log counts its turns from elsewhere.
+    theta = np.array([[0.0, 0.4 * turned], [0.1, turned], [6.3, 6.4]])
+    missing = SimpleNamespace(theta=theta, log=np.array([0, 0, 1]))
     nothing = np.zeros(0)
     hint = Hint(make_system("rod_pendulum"), 0, nothing, nothing, (), 30.0, 1.0, missing)
     tried = [place["cycles"] for place in CAUSES["cogging"].starts(hint)]

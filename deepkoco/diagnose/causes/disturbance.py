@@ -14,7 +14,10 @@ LINES = 5  # of the spectrum that are tried
 
 def _cycles(hint: Hint) -> list[dict[str, float]]:
     """Those that the log shows to come back: one that is seen once may be a spring, a cable or a stop."""
-    turned = np.inf if hint.missing is None else float(np.ptp(hint.missing.theta))
+    missing = hint.missing
+    turned = np.inf
+    if missing is not None:
+        turned = max(float(np.ptp(missing.theta[missing.log == log])) for log in np.unique(missing.log))
     return [{"cycles": float(n)} for n in CYCLES if AGAIN * 2.0 * np.pi / n <= turned]
 
 
