@@ -42,11 +42,13 @@ class Question:
         train: Stretches to be explained.
         test: Stretches that are never fitted; empty: windows of the training logs are kept back.
         healthy: Stretches in which nothing is wrong.
+        window: Length of a window [s]; None takes the study's.
     """
 
     train: tuple[Piece, ...]
     test: tuple[Piece, ...] = ()
     healthy: tuple[Piece, ...] = ()
+    window: float | None = None
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,7 @@ def _go1(kilograms: int, *names: str, told: bool = True) -> tuple[Piece, ...]:
 
 
 _FITTED, _TESTED = ("sin_time_square", "lift_and_drop"), ("sin_sin", "up_and_down")
+_SHORT = 1.4  # [s]
 _GO1_BASELINE = (*_go1(0, *_FITTED), *_go1(1, *_FITTED))
 GO1_PENDULUM = Study(
     "servo_pendulum",
@@ -176,11 +179,14 @@ GO1_PENDULUM = Study(
     window=2.9,  # two to a log
     questions={
         "what the textbook lacks": Question(_GO1_BASELINE, (*_go1(0, *_TESTED), *_go1(1, *_TESTED))),
-        "control 0 kg": Question(_go1(0, *_TESTED), healthy=_GO1_BASELINE),
-        "control 1 kg": Question(_go1(1, *_TESTED), healthy=_GO1_BASELINE),
-        "told 0 kg, given 1 kg": Question(_go1(1, *_TESTED, told=False), healthy=_GO1_BASELINE),
+        # Two logs of two windows are too few; these questions cut them into four each.
+        "control 0 kg": Question(_go1(0, *_TESTED), healthy=_GO1_BASELINE, window=_SHORT),
+        "control 1 kg": Question(_go1(1, *_TESTED), healthy=_GO1_BASELINE, window=_SHORT),
+        "told 0 kg, given 1 kg": Question(
+            _go1(1, *_TESTED, told=False), healthy=_GO1_BASELINE, window=_SHORT
+        ),
         "told 0 kg, given 1 kg, baseline of 0 kg": Question(
-            _go1(1, *_TESTED, told=False), healthy=_go1(0, *_FITTED)
+            _go1(1, *_TESTED, told=False), healthy=_go1(0, *_FITTED), window=_SHORT
         ),
     },
 )

@@ -33,7 +33,8 @@ def answer(folder: Path, study: Study, question: Question) -> Diagnosis:
     train, test, healthy = (
         study.recordings(folder, pieces) for pieces in (question.train, question.test, question.healthy)
     )
-    return diagnose(train, study.system, healthy=healthy, holdout=test, window=study.window)
+    window = question.window or study.window
+    return diagnose(train, study.system, healthy=healthy, holdout=test, window=window)
 
 
 def summary(diagnosis: Diagnosis, seconds: float) -> dict:
@@ -87,8 +88,8 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     try:
         study, questions = study_of(folder)
         if args.train:
-            given = ([parse_piece(text) for text in texts] for texts in (args.train, args.test))
-            questions = {"given": Question(*(tuple(pieces) for pieces in given))}
+            train, test = (tuple(parse_piece(t) for t in texts) for texts in (args.train, args.test))
+            questions = {"given": Question(train, test)}
         if args.question is not None:
             if args.question not in questions:
                 raise ValueError(f'--question "{args.question}" is none of: {", ".join(questions)}')

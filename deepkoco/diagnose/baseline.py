@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from deepkoco.identify.fit import Fit, FitProblem, Trial
@@ -115,3 +116,16 @@ def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
     problem = FitProblem(start.system, windows)
     trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.zero)
     return windows, problem.fit([trial])[0]
+
+
+def with_floor_as_noise(start: Start, windows: Windows, fit: Fit) -> tuple[Start, Windows, Fit]:
+    """The baseline, the windows and their refit when the model-error floor is taken for noise.
+
+    The prior of a baseline that was learned knows the floor; a likelihood that does not would overrule it.
+    """
+    wider = math.sqrt(start.floor)
+    windows = replace(windows, noise=tuple(n._replace(sd=wider * n.sd) for n in windows.noise))
+    start = replace(start, floor=1.0)
+    first = refit(start, windows)
+    trial = Trial("refit", first.free, start.prior, first.values, first.state, first.zero)
+    return start, windows, FitProblem(start.system, windows).fit([trial])[0]

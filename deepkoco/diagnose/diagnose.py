@@ -9,7 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.advice import class_advice, level_advice
-from deepkoco.diagnose.baseline import BaselineError, Start, check_learned, refit_sharply, start_from
+from deepkoco.diagnose.baseline import (
+    BaselineError,
+    Start,
+    check_learned,
+    refit_sharply,
+    start_from,
+    with_floor_as_noise,
+)
 from deepkoco.diagnose.beyond import doubts_of_commands, doubts_of_estimates, doubts_of_names
 from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
 from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
@@ -110,6 +117,10 @@ class _Study:
         self.causes = None if only is None else [known[name] for name in only]
         self.system, self.start, self.detection = system, start, detection
         train, self.reference = refit_sharply(start, data.train)
+        if start.floor > 1.0:
+            # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.
+            start, train, self.reference = with_floor_as_noise(start, train, self.reference)
+            self.start = start
         held = None if data.held is None else replace(data.held, noise=train.noise)
         if held is not None and data.own:
             train, held, self.reference = train_on_pushed(start, train, held, self.reference)

@@ -1,5 +1,8 @@
 """A baseline that several diagnoses share: what it stands for is checked, and it gives what its logs give."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from deepkoco.diagnose import BaselineError, diagnose
@@ -54,3 +57,22 @@ def test_a_shared_baseline_gives_what_its_logs_give(log, healthy):
     own = diagnose([log], "rod_pendulum", [healthy], only=["coulomb"])
     assert shared.names == own.names == ("coulomb",)
     assert (shared.chi2_before, shared.chi2_after) == (own.chi2_before, own.chi2_after)
+
+
+def test_a_floor_counts_as_noise(healthy, log):
+    """A likelihood that knows nothing of the floor would drag the refit out of the prior that was learned."""
+    learned = learn_baseline([healthy], SYSTEM, LENGTH)
+    rough = replace(learned, floor=100.0)
+    plain, wide = (
+        diagnose([log], "rod_pendulum", baseline=start, only=["coulomb"]) for start in (learned, rough)
+    )
+    # Ten times the noise: a hundredth of the evidence, and the refit stays nearer to what was learned.
+    assert wide.chi2_before == pytest.approx(plain.chi2_before / 100.0, rel=0.3)
+    assert wide.candidates[0].delta_bic < 0.05 * plain.candidates[0].delta_bic
+
+    def moved(result):
+        names = learned.prior.names
+        away = np.array([result.refit[n].value - learned.values[n] for n in names])
+        return float(away @ np.linalg.solve(learned.prior.covariance, away))
+
+    assert moved(wide) < 0.2 * moved(plain)
