@@ -104,5 +104,11 @@ def test_replaying_an_episode_with_losses_and_stalls_gives_the_same_windows(grap
         },
     )
     again = replay_timing(graph, measured)
-    for e in range(len(graph.connections)):
-        np.testing.assert_array_equal(again.windows_of(e), timing.windows_of(e))
+    names = [node.name for node in graph.nodes]
+    for e, connection in enumerate(graph.connections):
+        mine, drawn = again.windows_of(e), timing.windows_of(e)
+        starts = timing.steps_of(names.index(connection.receiver))[0]
+        received = timing.messages_of(e)[1]
+        for k in np.flatnonzero((mine != drawn).any(axis=1)):
+            # Times do not tell which came first of a message and a step at one instant.
+            assert received[max(mine[k].max(), drawn[k].max())] == starts[k]
