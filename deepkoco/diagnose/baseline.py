@@ -118,10 +118,17 @@ def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
     return windows, problem.fit([trial])[0]
 
 
-def with_floor_as_noise(start: Start, windows: Windows, fit: Fit) -> tuple[Start, Windows, Fit]:
-    """The baseline, the windows and their refit when the model-error floor is taken for noise.
+def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows, Fit]:
+    """Take the model-error floor for noise, and refit.
 
     The prior of a baseline that was learned knows the floor; a likelihood that does not would overrule it.
+
+    Args:
+        start: A baseline learned from healthy logs.
+        windows: Windows with the noise of the sensors alone.
+
+    Returns:
+        The baseline with a floor of 1, the windows with the larger noise, and their refit.
     """
     wider = math.sqrt(start.floor)
     windows = replace(windows, noise=tuple(n._replace(sd=wider * n.sd) for n in windows.noise))

@@ -119,7 +119,7 @@ class _Study:
         train, self.reference = refit_sharply(start, data.train)
         if start.floor > 1.0:
             # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.
-            start, train, self.reference = with_floor_as_noise(start, train, self.reference)
+            start, train, self.reference = with_floor_as_noise(start, train)
             self.start = start
         held = None if data.held is None else replace(data.held, noise=train.noise)
         if held is not None and data.own:

@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.diagnose.loss_pattern import held, offset_of, pattern
 from deepkoco.diagnose.residuals import acting_system, push_of
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
@@ -41,8 +42,6 @@ FIRST = 0.2
 TURNS = 8  # of search and fit, at most
 CLEAR = 4.0  # prices of a tick that its loss must be worth to count for the share
 FEWEST_CLEAR = 10  # ticks that the share is taken from, where there are as many
-NEAR = 3  # ticks around a lost one that are turned over together with a neighbour
-MOST_CHANGES = 400  # of a window's pattern
 
 
 class Shown(NamedTuple):
@@ -180,18 +179,13 @@ def _imitated(
     for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
         given = sent[log][own[0] - 1 : own[-1] + 1]
         lost = found.logs[log].lost[own]
-        offset = _offset(given, lost)
+        offset = offset_of(given, lost)
         without = match + gram @ offset  # what the residuals hold if nothing was lost
         none = np.zeros_like(lost)
-        other = _offset(given, pattern(gram, -without, given, none, found.price, found.price))
+        other = offset_of(given, pattern(gram, -without, given, none, found.price, found.price))
         real += 2.0 * offset @ without - offset @ gram @ offset
         opposite += -2.0 * other @ without - other @ gram @ other
     return bool(opposite > real)
-
-
-def _offset(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
-    """(K,) what acts less what was sent, when these of K ticks are lost; (K + 1,) commands with the one before."""
-    return _held(sent, 1 + np.flatnonzero(lost))[1:] - sent[1:]
 
 
 def _counted(
@@ -230,16 +224,9 @@ def _acting(windows: Windows, index: int, patterns: Sequence[np.ndarray]) -> Win
     for command, lost in zip(windows.commands, patterns, strict=True):
         value = np.array(command.value, dtype=float)
         column = value if value.ndim == 1 else value[:, index]
-        column[:] = _held(column.copy(), np.flatnonzero(lost))
+        column[:] = held(column.copy(), np.flatnonzero(lost))
         commands.append(CommandSeries(command.t, value))
     return replace(windows, commands=tuple(commands))
-
-
-def _held(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
-    """Commands that acted when these ticks were lost: each holds what acted before it."""
-    source = np.arange(len(sent))
-    source[lost] = 0
-    return sent[np.maximum.accumulate(source)]
 
 
 def _search(
@@ -355,56 +342,3 @@ def _ring(
             commands.append(CommandSeries(command.t, value))
         sizes.append(offset)
     return tuple(commands), sizes
-
-
-def pattern(
-    gram: np.ndarray, match: np.ndarray, sent: np.ndarray, before: np.ndarray, price: float, shows: float
-) -> np.ndarray:
-    """Which of a window's ticks were lost, (K,).
-
-    Args:
-        gram, match: (K, K) products of the ticks' responses with each other, (K,) with the residuals under the pattern
-            before; per unit of offset.
-        sent: (K + 1,) commands, that before the first tick included.
-        before: (K,) the pattern before.
-        price: What a lost tick costs.
-        shows: Fall of the cost that a tick's loss must be able to bring to be looked at.
-    """
-    lost = before.copy()
-    worth = np.diff(sent) ** 2 * np.diag(gram) > shows
-    acted = sent[1:] + _offset(sent, before)
-    slope = -match  # half the slope of the cost at the offsets so far
-
-    def turned(own: np.ndarray) -> tuple[float, np.ndarray]:
-        """Change of the cost when these ticks are turned over, and of the offsets."""
-        other = lost.copy()
-        other[own] ^= True
-        step = _held(sent, 1 + np.flatnonzero(other))[1:] - acted
-        at = np.flatnonzero(step)
-        cost = step[at] @ gram[np.ix_(at, at)] @ step[at] + 2.0 * step[at] @ slope[at]
-        return float(cost) + price * (int(other.sum()) - int(lost.sum())), step
-
-    for _ in range(MOST_CHANGES):
-        best: tuple[float, np.ndarray, np.ndarray] | None = None
-        for group in _turns(worth, lost):
-            for own in group:
-                change, step = turned(own)
-                if change < -1e-9 and (best is None or change < best[0]):
-                    best = (change, own, step)
-            if best is not None:
-                break
-        if best is None:
-            break
-        _, own, step = best
-        lost[own] ^= True
-        acted = acted + step
-        slope = slope + gram @ step
-    return lost
-
-
-def _turns(worth: np.ndarray, lost: np.ndarray) -> Iterator[list[np.ndarray]]:
-    """Ticks to turn over: each alone, then, as a loss that was put a tick off does not move alone, with neighbours."""
-    yield [np.array([k]) for k in np.flatnonzero(worth | lost)]
-    near = np.unique(np.flatnonzero(lost)[:, None] + np.arange(-NEAR, NEAR + 1))
-    near = near[(near >= 0) & (near < len(lost))]
-    yield [np.arange(k, min(k + wide, len(lost))) for wide in (2, 3) for k in near]

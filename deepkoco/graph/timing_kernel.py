@@ -230,9 +230,11 @@ def _next_start(n, row, rules, columns, draws, recorded, times, count, taken, pi
             if i >= count[s]:
                 if not replay:
                     return start, False
-                # A measured start did not wait for what arrived after it.
+                # A measured start did not wait for what arrived, or if lost was sent, after it.
                 work = draws.values[row, draws.first[s] + i]
-                work += draws.values[row, draws.first[len(rules.rank) + e] + i]
+                way = draws.values[row, draws.first[len(rules.rank) + e] + i]
+                if way < LOST:
+                    work += way
                 if recorded[row, columns.step_base[s] + i] + work <= recorded[row, column]:
                     return start, False
                 break
