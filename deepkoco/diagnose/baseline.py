@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from deepkoco.diagnose.causes import Cause
+from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
@@ -13,6 +15,25 @@ from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.effects.learned import is_weight
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """Healthy logs of the unit, and what explains them.
+
+    Attributes:
+        recordings: The logs.
+        windows: Their windows, with the noise that they show.
+        before: The baseline before it learned from them.
+        causes: Causes of the catalogue that they asked for.
+        fit: Fit with these.
+    """
+
+    recordings: tuple[Recording, ...]
+    windows: Windows
+    before: Start
+    causes: tuple[Cause, ...]
+    fit: Fit
 
 
 @dataclass(frozen=True)
@@ -26,6 +47,7 @@ class Start:
         floor: chi2 per sample that this unit shows when nothing is wrong.
         effects: Effects that a healthy log of the unit asked for, part of the baseline from then on.
         losing: Numbers of the commands of which a healthy log lost some, too.
+        healthy: The healthy logs that it was learned from, if any.
     """
 
     system: ExtendedSystem
@@ -34,6 +56,7 @@ class Start:
     floor: float = 1.0
     effects: tuple[str, ...] = ()
     losing: tuple[int, ...] = ()
+    healthy: Healthy | None = None
 
 
 class BaselineError(ValueError):

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import CAUSES, Cause
 from deepkoco.diagnose.diagnosis import Finding
+from deepkoco.diagnose.friction_curve import friction_curve, pushes
+from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.windows import Windows
-from deepkoco.systems import System
+from deepkoco.systems import ExtendedSystem, System
 
 EDGE = 1e-6  # share of its range within which an estimate lies at its bound
 FAINT = 1e-4  # largest command per limit of the system, below which the log's unit is doubted
@@ -53,6 +55,34 @@ def doubts_of_estimates(problem: FitProblem, causes: Sequence[Cause], fit: Fit) 
             result.append(
                 f"{cause.name} fits best of all, but its {name.rsplit('.', 1)[1]} stops at the bound of "
                 f"{fit.values[name]:.4g}: the true cause is another, or the log and the system disagree in a unit."
+            )
+    return tuple(result)
+
+
+def doubts_of_friction(
+    system: ExtendedSystem,
+    causes: Sequence[Cause],
+    fit: Fit,
+    missing: Sequence[MissingTorque],
+    inflation: float,
+) -> tuple[str, ...]:
+    """One sentence for every joint whose friction, with the named causes, would drive it.
+
+    Args:
+        system: The system with every effect.
+        causes: Named causes.
+        fit: Fit with them.
+        missing: Per joint, with its speeds.
+        inflation: Variance of what the model leaves, in noise variances.
+    """
+    result = []
+    for joint in sorted({c.joint or 0 for c in causes if CAUSES[c.kind].family == "friction"}):
+        fastest = float(np.quantile(np.abs(missing[joint].omega), 0.98))
+        if fastest > 0.0 and pushes(friction_curve(system, fit, joint, fastest, inflation)):
+            names = " and ".join(c.name for c in causes if CAUSES[c.kind].family == "friction")
+            result.append(
+                f"With {names}, the friction of joint {joint + 1} would push it on instead of holding it back; "
+                "no friction does: something else acts like this."
             )
     return tuple(result)
 

@@ -17,24 +17,37 @@ from deepkoco.diagnose.baseline import (
     start_from,
     with_floor_as_noise,
 )
-from deepkoco.diagnose.beyond import doubts_of_commands, doubts_of_estimates, doubts_of_names
-from deepkoco.diagnose.causes import CAUSES, Cause, catalogue, kind_of
+from deepkoco.diagnose.beyond import (
+    doubts_of_commands,
+    doubts_of_estimates,
+    doubts_of_friction,
+    doubts_of_names,
+)
+from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
-from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding, Verdict
+from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding
 from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
-from deepkoco.diagnose.forward import Selection, Step, learned_instead
+from deepkoco.diagnose.forward import Selected, Selection, Step, learned_instead
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
-from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.healthy import extended, learn_baseline
 from deepkoco.diagnose.lost import why_not_searched
-from deepkoco.diagnose.pushed import refit_elsewhere, touched, train_on_pushed
+from deepkoco.diagnose.pushed import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
-from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
+from deepkoco.diagnose.residuals import (
+    SLOTS,
+    MissingTorque,
+    coloured_from,
+    dispersion,
+    missing_torque,
+    white_limit,
+)
 from deepkoco.diagnose.scattered import scatter_findings
-from deepkoco.diagnose.selection import DETECTION, FURTHER
+from deepkoco.diagnose.selection import DETECTION, FURTHER, Ranking
 from deepkoco.diagnose.shortage import missing_for_diagnosis
 from deepkoco.diagnose.signatures import signatures
 from deepkoco.diagnose.spectrum import spectrum_of
-from deepkoco.diagnose.unknown import carries_over, describe, explained_share
+from deepkoco.diagnose.unknown import describe
+from deepkoco.diagnose.verdict import fitful, rivalled, verdict_of
 from deepkoco.diagnose.versions import versions
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
@@ -43,12 +56,7 @@ from deepkoco.identify.threads import one_thread
 from deepkoco.identify.windows import window_length
 from deepkoco.systems import ExtendedSystem, System, any_system
 
-# While structure remains, causes are named if they explain this share of the excess chi2 and take this share off the
-# error on windows that no fit saw: what only imitates them does not get there, and real logs keep some model error.
-EXPLAINED = 0.6
-WORTH_NAMING = 0.5
-FITFUL = ("event", "periodic", "cogging")  # causes that bend to what they are not
-PLAIN = 0.1  # fall of chi2 per sample from which windows that no fit saw must show what is named, too
+MOST_ALLOWED = 3  # times that a baseline learns further causes which its healthy logs allow
 
 
 def diagnose(
@@ -115,28 +123,45 @@ class _Study:
     ) -> None:
         known = catalogue(start.system.base)
         self.causes = None if only is None else [known[name] for name in only]
-        self.system, self.start, self.detection = system, start, detection
-        train, self.reference = refit_sharply(start, data.train)
-        if start.floor > 1.0:
-            # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.
-            start, train, self.reference = with_floor_as_noise(start, train)
-            self.start = start
-        held = None if data.held is None else replace(data.held, noise=train.noise)
-        if held is not None and data.own:
-            train, held, self.reference = train_on_pushed(start, train, held, self.reference)
-        self.data = replace(data, train=train, held=held)
-        self.problem = self.acting = FitProblem(start.system, train)
+        self.system, self.detection = system, detection
+        self.data, self.given = data, data
+        self._take(start)
         self.lost: Finding | None = None
         self.accepted: tuple[Cause, ...] = ()
         self.steps: tuple[Step, ...] = ()
         self.doubts: tuple[str, ...] = ()
 
+    def _take(self, start: Start) -> None:
+        """Refit a baseline to the training windows."""
+        data = self.given
+        train, self.reference = refit_sharply(start, data.train)
+        if start.floor > 1.0:
+            # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.
+            start, train, self.reference = with_floor_as_noise(start, train)
+        held = None if data.held is None else replace(data.held, noise=train.noise)
+        if held is not None and data.own:
+            train, held, self.reference = train_on_pushed(start, train, held, self.reference)
+        self.start, self.data = start, replace(data, train=train, held=held)
+        self.problem = self.acting = FitProblem(start.system, train)
+
+    def _selected(self, length: float) -> tuple[Ranking, Selected]:
+        """The first ranking and what is selected, on a baseline that has what its healthy logs allow."""
+        for _ in range(MOST_ALLOWED):
+            missing = missing_torque(self.problem, self.reference)
+            selection = Selection(self.start, self.data.train, self.data.held, self.causes, self.detection)
+            first, found = selection.run(self.reference, missing)
+            causes = selection.allowed(found)
+            if not causes:
+                return first, found
+            self._take(extended(self.start, causes, length))
+        missing = missing_torque(self.problem, self.reference)
+        selection = Selection(self.start, self.data.train, self.data.held, self.causes, self.detection)
+        return selection.run(self.reference, missing)
+
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
+        first, found = self._selected(length)
         problem, start, data = self.problem, self.start, self.data
         reference = self.reference
-        missing = missing_torque(problem, reference)
-        selection = Selection(start, data.train, data.held, self.causes, self.detection)
-        first, found = selection.run(reference, missing)
         final, self.accepted, self.steps = found.final, found.accepted, found.steps
         self.acting, self.lost = found.acting, found.lost
         scattered = scatter_findings(self.start.system, data.train, final, self.detection)
@@ -144,19 +169,20 @@ class _Study:
         missing = missing_torque(problem, reference, after.deflation)
         limit = white_limit(data.train) * start.floor
         gain = self._gain(reference, final, seed)
-        alike = 5.0 / np.sqrt(data.train.samples)
+        alike = coloured_from(data.train)
         white = after.lag_one <= alike
         self.doubts = (
             *doubts_of_commands(data.train, self.system),
             *doubts_of_estimates(problem, self.accepted, final),
+            *doubts_of_friction(start.system, self.accepted, final, missing, after.deflation),
         )
-        verdict = self._verdict(reference, final, limit, white, gain)
+        verdict = verdict_of(found, start, data.train, reference, gain, white, self.doubts)
         learned = None
-        rival = verdict in ("cause", "ambiguous") and self._rivalled(final, limit)
+        rival = verdict in ("cause", "ambiguous") and rivalled(found, start, data.train)
         if verdict == "unknown" or rival:
             learned = learn_residual(start, data.train, data.held, reference, missing, seed)
         if rival and learned is not None:
-            least = -FURTHER if self._fitful and self.lost is None else FURTHER
+            least = -FURTHER if fitful(found) else FURTHER
             smooth = learned_instead(found, reference, learned, start, data.train, least)
             verdict, learned = ("unknown", learned) if smooth else (verdict, None)
             self.doubts += doubts_of_names(self.accepted, self.lost) if smooth else ()
@@ -243,50 +269,6 @@ class _Study:
         if any(len(found.members) > 1 for found in named):
             classes = class_advice(self.system, self.start, train, self.steps, logs, seed)
         return (*classes, *level_advice(train, self.system))
-
-    def _verdict(self, before: Fit, after: Fit, limit: float, white: bool, gain: Gain | None) -> Verdict:
-        train = self.data.train
-        if not self.accepted and self.lost is None:
-            return "unknown" if before.chi2 / train.samples > limit else "nothing"
-        if self.doubts:
-            return "unknown"
-        share = explained_share(before, after, train, self.start.floor)
-        left = after.chi2 / train.samples > limit
-        if self.lost is not None or all(c.effect == "event" for c in self.accepted):
-            gain = None  # what acts once is worth nothing on other windows, and other windows lose other commands
-        if self.lost is not None and (left or (self.accepted and self._fitful)):
-            # Offsets at hundreds of places bend to anything, above all beside pushes and tones; losses leave nothing.
-            return "unknown"
-        if left:
-            # Something is left; then what is named has to account for most of what was seen.
-            worth = 1.0 if gain is None else gain.reduction
-            if share < EXPLAINED or worth <= (0.0 if white else WORTH_NAMING):
-                return "unknown"
-        plain = before.chi2 - after.chi2 > PLAIN * train.samples
-        if gain is not None and (left or plain):
-            # Several causes together can imitate what none of them is, on the windows that are fitted.
-            several = sum(c.effect != "event" for c in self.accepted) > 1
-            fits = gain.fits["refit"], gain.fits["extended"]
-            carried = carries_over(before, after, *fits, ~touched(train, after.values))
-            if not carried or (several and gain.reduction <= 0.0):
-                return "unknown"
-        if not self.accepted:
-            return "cause"
-        families = {CAUSES[kind_of(name)].family for name in self.steps[0][1]}
-        return "ambiguous" if len(families) > 1 else "cause"
-
-    @property
-    def _fitful(self) -> bool:
-        return all(kind_of(c.name) in FITFUL for c in self.accepted)
-
-    def _rivalled(self, after: Fit, limit: float) -> bool:
-        """Whether a learned load could say as much as what is named.
-
-        Where structure remains beside lasting causes, as it does in real logs, it would always say more.
-        """
-        samples = self.data.train.samples
-        more = after.chi2 - self.start.floor * samples > FURTHER
-        return (self._fitful and self.lost is None) or (more and after.chi2 <= limit * samples)
 
     def _named(self, missing: Sequence[MissingTorque], final: Fit) -> tuple[Finding, ...]:
         places = SLOTS * len(self.data.train)

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.diagnose.baseline import Start
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, kind_of
 from deepkoco.diagnose.residuals import SLOTS, dispersion
 from deepkoco.diagnose.selection import CLOSE, ITERATIONS, penalty, prior_with
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.windows import Windows
+
+BENDING = ("cogging", "periodic")  # lasting causes that bend to what they are not
 
 
 def eliminated(
@@ -32,7 +34,7 @@ def eliminated(
     """
     kept = list(accepted)
     while len(kept) > least:
-        fits = problem.fit([_without(problem, start, kept, cause, fit) for cause in kept], ITERATIONS, CLOSE)
+        fits = problem.fit([without(problem, start, kept, cause, fit) for cause in kept], ITERATIONS, CLOSE)
         spread = dispersion(fit, problem.windows)
         deflation = max(spread.deflation, start.floor)
         samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
@@ -72,10 +74,14 @@ def carried(
 
     while len(lasting := [c for c in kept if c.effect != "event"]) > least:
         fits = problem.fit(
-            [_without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
+            [without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
         )
         now = errors(fit)
-        harm = [now - errors(less) for less in fits]
+        # What only saves the baseline a way out of its prior does nothing for any window, and windows cannot judge it.
+        harm = [
+            now - errors(less) if less.chi2 - fit.chi2 > 0.5 * (less.cost - fit.cost) else np.zeros(len(held))
+            for less in fits
+        ]
         worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
         # What does nothing for these windows, as it acts in others, is no better or worse but for chance.
         if not harm[worst].sum() > np.sqrt(len(held)) * harm[worst].std():
@@ -85,7 +91,39 @@ def carried(
     return kept, fit
 
 
-def _without(problem: FitProblem, start: Start, kept: Sequence[Cause], cause: Cause, fit: Fit) -> Trial:
+def without_detents_and_tones(
+    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit
+) -> tuple[list[Cause], Fit]:
+    """The other causes alone, where there are any: for residuals that are coloured even so.
+
+    Detents and tones bend to any structure; what leaves some is no reason to believe in them.
+
+    Args:
+        problem: Training windows.
+        start: The baseline.
+        accepted: Causes.
+        fit: Fit with all of them.
+    """
+    kept = list(accepted)
+    loose = [c for c in kept if kind_of(c.name) in BENDING]
+    if not loose or all(c.effect == "event" for c in kept if c not in loose):
+        return kept, fit
+    for cause in loose:
+        fit = problem.fit([without(problem, start, kept, cause, fit)], ITERATIONS, CLOSE)[0]
+        kept.remove(cause)
+    return kept, fit
+
+
+def without(problem: FitProblem, start: Start, kept: Sequence[Cause], cause: Cause, fit: Fit) -> Trial:
+    """Fit of all causes but one, from where the fit of all of them is.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        kept: All causes.
+        cause: The one.
+        fit: Fit with all of them.
+    """
     others = [c for c in kept if c is not cause]
     values = dict(fit.values)
     if cause.effect == "event":

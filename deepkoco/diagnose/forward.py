@@ -15,13 +15,29 @@ from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LOUD
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Finding
-from deepkoco.diagnose.elimination import carried, eliminated
+from deepkoco.diagnose.elimination import carried, eliminated, without, without_detents_and_tones
+from deepkoco.diagnose.healthy import Claim, allowed
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.residual_model import ResidualModel
-from deepkoco.diagnose.residuals import SLOTS, MissingTorque, dispersion, missing_torque, white_limit
-from deepkoco.diagnose.selection import FURTHER, Ranking, penalty, prior_with, rank, without_events_first
-from deepkoco.diagnose.settling import front_settled
+from deepkoco.diagnose.residuals import (
+    SLOTS,
+    MissingTorque,
+    coloured_from,
+    dispersion,
+    missing_torque,
+    white_limit,
+)
+from deepkoco.diagnose.selection import (
+    FURTHER,
+    PATIENCE,
+    Ranking,
+    penalty,
+    prior_with,
+    rank,
+    without_events_first,
+)
+from deepkoco.diagnose.settling import front_settled, with_fit
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.windows import Windows
 
@@ -84,6 +100,19 @@ class Selection:
         found = self._with_losses(nothing, forward, plain)
         return first, plain if found is None else found
 
+    def allowed(self, found: Selected) -> list[Cause]:
+        """Causes that the unit may have had all the time: for each that was found, what the healthy logs allow of it
+        and of those that the data do not tell from it."""
+        accepted: list[Cause] = []
+        claims = []
+        for ranking, members in found.steps:
+            own = [c for c in ranking.candidates if c.cause.name in members and c.cause.effect != "event"]
+            fitted = [c for c in own if c.cause.free and c.fit is not ranking.reference]
+            claims += [Claim(c.cause, tuple(accepted), c.fit) for c in fitted]
+            accepted.append(ranking.best.cause)
+        verdicts = allowed(self.start, self.problem, claims)
+        return [claim.cause for claim, yes in zip(claims, verdicts, strict=True) if yes]
+
     def _forward(
         self, so_far: Selected, ranking: Ranking | None = None, hints: Hints | None = None
     ) -> Selected:
@@ -114,8 +143,32 @@ class Selection:
         kept, final = eliminated(found.acting, self.start, found.accepted, found.final, FURTHER, least)
         if self.held is not None and len(self.held) > 0:
             kept, final = carried(found.acting, self.start, kept, final, self.held, least)
+        if dispersion(final, self.train).lag_one > coloured_from(self.train):
+            kept, final = without_detents_and_tones(found.acting, self.start, kept, final)
         steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
-        return replace(found, final=final, accepted=tuple(kept), steps=steps)
+        return self._reconsidered(replace(found, final=final, accepted=tuple(kept), steps=steps))
+
+    def _reconsidered(self, found: Selected) -> Selected:
+        """Each of several causes once more, beside all others.
+
+        What was the best of all while the others were missing need not be the best beside them, and which causes the
+        data do not tell apart depends on what the others leave.
+        """
+        if len(found.accepted) < 2:
+            return found
+        start, problem = self.start, found.acting
+        accepted, steps, final = list(found.accepted), list(found.steps), found.final
+        for k, cause in enumerate(accepted):
+            if cause.effect == "event":
+                continue
+            others = [*accepted[:k], *accepted[k + 1 :]]
+            less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]
+            hints = self._hints(problem, less, missing_torque(problem, less))
+            ranking = rank(problem, start, less, others, hints, self.causes)
+            ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
+            steps[k] = (ranking, equivalent(problem, start, ranking, tuple(others)))
+            accepted[k], final = ranking.best.cause, ranking.best.fit
+        return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
 
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
         """Lost commands and further causes, where they explain clearly more than causes alone.

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start, refit, refit_sharply, start_from
-from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.baseline import BaselineError, Healthy, Start, refit, refit_sharply, start_from
+from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
-from deepkoco.diagnose.elimination import eliminated
+from deepkoco.diagnose.classes import equivalent
+from deepkoco.diagnose.elimination import BENDING, eliminated
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.residuals import dispersion, missing_torque
-from deepkoco.diagnose.selection import DETECTION, prior_with, rank
+from deepkoco.diagnose.selection import CLOSE, DETECTION, PATIENCE, prior_with, rank
 from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
-from deepkoco.identify.fit import Fit, FitProblem
+from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import cut_windows, moving
 from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.
 LARGEST_EXTENSION = 6
+# chi2 by which what other logs say of a cause must differ from what the healthy ones do; by chance once in 40.
+APART = 5.0
 
 
 def learn_baseline(recordings: Sequence[Recording], system: System, length: float) -> Start:
@@ -32,7 +36,8 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
     Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would be taken for
     causes later on. Forward selection on the healthy logs adds them to the baseline; the uncertainty of
     that fit becomes the prior of the diagnosis, and its chi2 per sample the floor. With two or more logs
-    the spread of their separate refits widens the prior: real parameters vary from run to run.
+    the spread of their separate refits widens the prior: real parameters vary from run to run. Causes that
+    the logs do not tell from a small effect are in the baseline with it.
 
     Args:
         recordings: Healthy logs.
@@ -45,31 +50,123 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
     windows, fit = refit_sharply(start, windows)
     problem = FitProblem(start.system, windows)
     accepted: list[Cause] = []
+    alike: dict[str, tuple[str, ...]] = {}
     causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
     for _ in range(LARGEST_EXTENSION):
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         ranking = rank(problem, start, fit, accepted, hints, causes)
         if ranking.best.delta_bic < DETECTION:
             break
-        best = front_settled(problem, start, accepted, ranking).best
+        ranking = front_settled(problem, start, accepted, ranking)
+        best = ranking.best
+        alike[best.cause.name] = equivalent(problem, start, ranking, tuple(accepted))
         # A mixture that was found first is superfluous once its parts are there; it must not come back.
         causes = [c for c in causes if c.name != best.cause.name]
         accepted, fit = eliminated(problem, start, [*accepted, best.cause], best.fit, DETECTION)
     prior = prior_with(problem, start, accepted, fit.values)
-    centre = np.array([fit.values[n] for n in prior.names])
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
     losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
-    spread = dispersion(fit, windows)
-    covariance = fit.covariance * spread.deflation + _run_to_run(
-        recordings, system, length, replace(start, prior=prior), fit
-    )
+    healthy = Healthy(tuple(recordings), windows, start, tuple(accepted), fit)
+    learned = replace(_learned(healthy, length), losing=losing)
+    # Where the logs do not tell which of several causes it is, a later one may: each is there, as far as they allow.
+    known = catalogue(start.system.base)
+    members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
+    others = [known[n] for n in members if kind_of(n) not in ("event", *BENDING)]
+    return extended(learned, others, length) if len(others) > len(accepted) else learned
+
+
+def extended(start: Start, causes: Sequence[Cause], length: float) -> Start:
+    """A learned baseline with further causes in it, at what its healthy logs say of them, however uncertain.
+
+    Args:
+        start: The baseline, learned from healthy logs.
+        causes: Further causes.
+        length: Length of the windows [s].
+
+    Raises:
+        BaselineError: The baseline was not learned from logs.
+    """
+    healthy = start.healthy
+    if healthy is None:
+        raise BaselineError(
+            "the baseline was not learned from healthy logs, which could say what else they allow"
+        )
+    problem = FitProblem(start.system, healthy.windows)
+    known = {c.name for c in healthy.causes}
+    together = (*healthy.causes, *(c for c in causes if c.name not in known))
+    fit = problem.fit([_freed(problem, healthy, together, healthy.fit.values)], PATIENCE)[0]
+    return replace(_learned(replace(healthy, causes=together, fit=fit), length), losing=start.losing)
+
+
+class Claim(NamedTuple):
+    """A cause that other logs show, the causes beside it, and the fit of all."""
+
+    cause: Cause
+    beside: tuple[Cause, ...]
+    fit: Fit
+
+
+def allowed(start: Start, problem: FitProblem, claims: Sequence[Claim]) -> list[bool]:
+    """Whether the healthy logs allow each cause at the values that other logs ask for.
+
+    What a unit shows on a good day as well is nothing that went wrong with it; and a cause to which the healthy logs
+    are blind may have been there before.
+
+    Args:
+        start: A baseline learned from healthy logs; without any nothing is allowed.
+        problem: The windows of the other logs.
+        claims: What they show.
+    """
+    healthy = start.healthy
+    if healthy is None or not claims:
+        return [False] * len(claims)
+    own = FitProblem(start.system, healthy.windows)
+    known = {c.name for c in healthy.causes}
+    trials = []
+    for cause, _, fit in claims:
+        values = {**healthy.fit.values, **{n: fit.values[n] for n in cause.free}}
+        trials.append(_freed(own, healthy, healthy.causes, values))
+        trials.append(_freed(own, healthy, (*healthy.causes, cause), values))
+    answers = own.fit(trials, PATIENCE, CLOSE)
+    bound, free = answers[::2], answers[1::2]
+    trials = []
+    for (cause, beside, fit), other in zip(claims, free, strict=True):
+        values = {**fit.values, **{n: other.values[n] for n in cause.free}}
+        prior = prior_with(problem, start, beside, values)
+        trials.append(Trial(cause.name, prior.names, prior, values, fit.state, fit.zero))
+    theirs = problem.fit(trials, PATIENCE, CLOSE)
+    here = dispersion(healthy.fit, healthy.windows).deflation
+    result = []
+    for k, (cause, _, fit) in enumerate(claims):
+        unlike = max(bound[k].cost - free[k].cost, 0.0) / here
+        more = max(theirs[k].cost - fit.cost, 0.0) / dispersion(fit, problem.windows).deflation
+        # Two estimates of one thing, each with the spread that its logs leave it, differ by this chi2.
+        apart = unlike * more / max(unlike + more, 1e-9)
+        result.append(cause.name not in known and apart <= APART)
+    return result
+
+
+def _freed(
+    problem: FitProblem, healthy: Healthy, causes: Sequence[Cause], values: Mapping[str, float]
+) -> Trial:
+    prior = prior_with(problem, healthy.before, causes, values)
+    return Trial("healthy", prior.names, prior, values, healthy.fit.state, healthy.fit.zero)
+
+
+def _learned(healthy: Healthy, length: float) -> Start:
+    """What a diagnosis may take for granted after these logs."""
+    start, fit = healthy.before, healthy.fit
+    prior = prior_with(FitProblem(start.system, healthy.windows), start, healthy.causes, fit.values)
+    centre = np.array([fit.values[n] for n in prior.names])
+    spread = dispersion(fit, healthy.windows)
+    wider = _run_to_run(healthy.recordings, start.system, length, replace(start, prior=prior), fit)
     return replace(
         start,
         values=dict(fit.values),
-        prior=Prior(prior.names, centre, covariance),
+        prior=Prior(prior.names, centre, fit.covariance * spread.deflation + wider),
         floor=max(1.0, spread.chi2_per_sample),
-        effects=tuple(dict.fromkeys(c.effect for c in accepted)),
-        losing=losing,
+        effects=tuple(dict.fromkeys(c.effect for c in healthy.causes)),
+        healthy=healthy,
     )
 
 

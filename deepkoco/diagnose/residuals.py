@@ -30,6 +30,11 @@ SLOTS = 20  # pieces of a window over each of which a missing torque is held con
 REACH = 1.5  # slots over which missing torques are alike: keeps the deconvolution from ringing
 
 
+def coloured_from(windows: Windows) -> float:
+    """Correlation of neighbouring residuals from which they are not white: five standard deviations."""
+    return 5.0 / math.sqrt(windows.samples)
+
+
 def white_limit(windows: Windows) -> float:
     """chi2 per sample above which residuals hold more than noise.
 

@@ -8,7 +8,17 @@ from dataclasses import replace
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.classes import NEAR
-from deepkoco.diagnose.selection import CLOSE, PATIENCE, SCOUTING, Candidate, Ranking, declared, prior_with
+from deepkoco.diagnose.residuals import SLOTS
+from deepkoco.diagnose.selection import (
+    CLOSE,
+    PATIENCE,
+    SCOUTING,
+    Candidate,
+    Ranking,
+    declared,
+    penalty,
+    prior_with,
+)
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 
 VALLEYS = 8  # searches along a valley, at most
@@ -33,6 +43,25 @@ def front_settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], 
         if others[k].delta_bic > winner.delta_bic:
             winner, others[k] = others[k], winner
     return replace(ranking, candidates=(winner, *others))
+
+
+def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> Ranking:
+    """A ranking in which a cause has this fit, where it has none or a worse one.
+
+    Args:
+        problem: The windows.
+        ranking: The ranking.
+        cause: The cause.
+        fit: Its fit, on top of the ranking's reference.
+    """
+    own = next((c for c in ranking.candidates if c.cause.name == cause.name), None)
+    if own is not None and own.fit is not ranking.reference and own.fit.cost <= fit.cost:
+        return ranking
+    ratio = ranking.reference.cost - fit.cost
+    charge = penalty(cause, ranking.samples, SLOTS * len(problem.windows))
+    mine = Candidate(cause, fit, ratio, ratio / ranking.deflation - charge)
+    others = [c for c in ranking.candidates if c is not own]
+    return replace(ranking, candidates=tuple(sorted([*others, mine], key=lambda c: -c.delta_bic)))
 
 
 def _pulled_back(problem: FitProblem, start: Start, candidate: Candidate) -> bool:

@@ -1,0 +1,97 @@
+"""What healthy logs allow is no cause, and what they exclude is one."""
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose import BaselineError, diagnose
+from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.healthy import Claim, allowed, extended, learn_baseline
+from deepkoco.diagnose.selection import prior_with
+from deepkoco.identify.fit import FitProblem, Trial
+from deepkoco.identify.windows import cut_windows, moving, window_length
+from deepkoco.systems import make_system
+from experiments.hidden.unit import hidden_log
+
+SYSTEM = make_system("rod_pendulum")
+LENGTH = window_length(SYSTEM)
+SEED = 31  # of the unit; its excitations differ
+BIAS = {"torque_bias": {"effort": 0.001}}
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """A baseline learned from a unit with a small offset that no search has looked for."""
+    log = hidden_log("rod_pendulum", BIAS, "chirp", SEED, 12.0)
+    windows = cut_windows([log], SYSTEM, LENGTH)
+    start = start_from(SYSTEM, windows)
+    return learn_baseline([log], SYSTEM, LENGTH), start
+
+
+def claim(start, hidden, name):
+    """One cause fitted to a log of a unit with something hidden."""
+    windows = cut_windows([hidden_log("rod_pendulum", hidden, "steps", SEED, 20.0)], SYSTEM, LENGTH)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    problem, cause = FitProblem(start.system, windows), catalogue(SYSTEM)[name]
+    prior = prior_with(problem, start, [cause], reference.values)
+    trial = Trial(name, prior.names, prior, reference.values, reference.state, reference.zero)
+    return problem, Claim(cause, (), problem.fit([trial])[0])
+
+
+def test_what_healthy_logs_show_as_well_is_allowed(bent):
+    start, _ = bent
+    assert start.effects == ()  # too small to be learned from this log alone
+    problem, same = claim(start, BIAS, "torque_bias")
+    assert allowed(start, problem, [same]) == [True]
+    problem, more = claim(start, {"torque_bias": {"effort": 0.05}}, "torque_bias")
+    assert allowed(start, problem, [more]) == [False]
+    problem, other = claim(start, {"coulomb": {"torque": 0.05}}, "coulomb")
+    assert allowed(start, problem, [other]) == [False]
+    assert allowed(start, problem, []) == []
+
+
+def test_without_healthy_logs_nothing_is_allowed(bent):
+    start, plain = bent
+    problem, same = claim(start, BIAS, "torque_bias")
+    assert allowed(plain, problem, [same]) == [False]
+    with pytest.raises(BaselineError, match="not learned from healthy logs"):
+        extended(plain, [same.cause], LENGTH)
+
+
+def test_a_baseline_takes_what_its_logs_say_of_a_further_cause(bent):
+    start, _ = bent
+    wider = extended(start, [catalogue(SYSTEM)["torque_bias"]], LENGTH)
+    assert wider.effects == ("torque_bias",)
+    index = wider.prior.names.index("torque_bias.effort")
+    sd = np.sqrt(wider.prior.covariance[index, index])
+    assert abs(wider.values["torque_bias.effort"] - 0.001) < 3.0 * sd
+    assert 0.0 < sd < 0.005
+    # It is in there once, however often it is added.
+    again = extended(wider, [catalogue(SYSTEM)["torque_bias"]], LENGTH)
+    assert again.prior.names == wider.prior.names
+
+
+def test_an_offset_that_was_always_there_is_not_named(bent):
+    start, _ = bent
+    log = hidden_log("rod_pendulum", BIAS, "steps", SEED, 60.0)
+    only = ["torque_bias", "coulomb"]
+    assert diagnose([log], "rod_pendulum", only=only).names == ("torque_bias",)
+    assert diagnose([log], "rod_pendulum", baseline=start, only=only).verdict == "nothing"
+
+
+def test_causes_that_healthy_logs_do_not_tell_apart_are_all_in_the_baseline():
+    log = hidden_log("rod_pendulum", {"actuation_delay": {"delay": 0.004}}, "chirp", 34, 15.0)
+    start = learn_baseline([log], SYSTEM, LENGTH)
+    alike = {
+        "actuation_delay": "delay",
+        "sensing_delay": "delay",
+        "lag": "time_constant",
+        "low_pass": "time_constant",
+    }
+    found = [f"{name}.{alike[name]}" for name in start.effects if name in alike]
+    assert len(found) >= 2
+    assert sum(start.values[n] for n in found) == pytest.approx(0.004, rel=0.3)
+    index = [start.prior.names.index(n) for n in found]
+    covariance = start.prior.covariance[np.ix_(index, index)]
+    # Their sum is known better than each.
+    assert covariance.sum() < 0.5 * np.diag(covariance).min()
