@@ -1,12 +1,13 @@
 """Estimates at their bounds and commands out of all proportion are doubted."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from deepkoco.diagnose.baseline import start_from
-from deepkoco.diagnose.beyond import at_bound, doubts_of_commands, doubts_of_estimates
+from deepkoco.diagnose.beyond import at_bound, doubts_of_commands, doubts_of_estimates, doubts_of_friction
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.graph.recording import LogError, read_log
@@ -68,3 +69,30 @@ def test_columns_given_for_each_other_are_named(tmp_path):
     channels = [(c.name, c.unit, c.kind) for c in (*BASE.commands, *BASE.measurements)]
     with pytest.raises(LogError, match="columns are swapped"):
         read_log(path, system="rod_pendulum", channels=channels)
+
+
+@pytest.mark.parametrize(
+    ("values", "driven"),
+    [
+        ({}, False),
+        ({"coulomb.torque": 0.05}, False),
+        ({"coulomb.torque": -0.05}, True),
+        ({"coulomb.torque": -0.05, "viscous.change": 0.05}, True),  # it drives at low speeds
+        ({"stribeck.coulomb": -0.02, "stribeck.breakaway": 0.3, "stribeck.speed": 2.0}, True),  # at high ones
+        ({"viscous.change": 0.1, "quadratic.drag": -0.001}, False),
+    ],
+)
+def test_a_friction_that_drives_the_joint_is_doubted(windows, values, driven):
+    start = start_from(BASE, windows)
+    problem, known = FitProblem(start.system, windows), catalogue(BASE)
+    fit = problem.evaluate({**start.values, **values})
+    sd = {name: 0.1 * abs(value) for name, value in values.items()}
+    fit = replace(fit, free=tuple(values), covariance=np.diag(np.square(list(sd.values()))))
+    causes = [known[name] for name in dict.fromkeys(n.split(".")[0] for n in values)]
+    moving = SimpleNamespace(omega=np.linspace(-5.0, 5.0, 200))
+    found = doubts_of_friction(start.system, causes, fit, [moving], 1.0)
+    assert len(found) == driven
+    assert all("joint 1 would push it on" in text for text in found)
+    # Hardly known, it may as well be none.
+    vague = replace(fit, covariance=fit.covariance * 1e4)
+    assert doubts_of_friction(start.system, causes, vague, [moving], 1.0) == ()
