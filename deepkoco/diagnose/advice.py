@@ -27,6 +27,16 @@ MOST = 5  # causes of a class that are compared
 FEW_LEVELS = 3
 
 
+def always_there(names: Sequence[str]) -> tuple[str, ...]:
+    """A sentence on causes that are part of the unit, as far as its healthy logs can tell."""
+    if not names:
+        return ()
+    return (
+        f"The healthy logs allow {_listed(names)} as this log shows it: taken for part of the unit, and not for what "
+        "went wrong. A healthy log under the same commands would tell.",
+    )
+
+
 def class_advice(
     system: System,
     start: Start,

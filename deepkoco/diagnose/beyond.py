@@ -75,11 +75,11 @@ def doubts_of_friction(
         missing: Per joint, with its speeds.
         inflation: Variance of what the model leaves, in noise variances.
     """
-    result = []
-    for joint in sorted({c.joint or 0 for c in causes if CAUSES[c.kind].family == "friction"}):
+    result, rubbing = [], [c for c in causes if CAUSES[c.kind].family == "friction"]
+    for joint in sorted({c.joint or 0 for c in rubbing}):
         fastest = float(np.quantile(np.abs(missing[joint].omega), 0.98))
         if fastest > 0.0 and pushes(friction_curve(system, fit, joint, fastest, inflation)):
-            names = " and ".join(c.name for c in causes if CAUSES[c.kind].family == "friction")
+            names = " and ".join(c.name for c in rubbing if (c.joint or 0) == joint)
             result.append(
                 f"With {names}, the friction of joint {joint + 1} would push it on instead of holding it back; "
                 "no friction does: something else acts like this."

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.advice import class_advice, level_advice
+from deepkoco.diagnose.advice import always_there, class_advice, level_advice
 from deepkoco.diagnose.baseline import (
     BaselineError,
     Start,
@@ -130,6 +130,7 @@ class _Study:
         self.accepted: tuple[Cause, ...] = ()
         self.steps: tuple[Step, ...] = ()
         self.doubts: tuple[str, ...] = ()
+        self.joined: tuple[str, ...] = ()
 
     def _take(self, start: Start) -> None:
         """Refit a baseline to the training windows."""
@@ -153,6 +154,7 @@ class _Study:
             causes = selection.allowed(found)
             if not causes:
                 return first, found
+            self.joined = (*self.joined, *(c.name for c in causes if c.name not in self.joined))
             self._take(extended(self.start, causes, length))
         missing = missing_torque(self.problem, self.reference)
         selection = Selection(self.start, self.data.train, self.data.held, self.causes, self.detection)
@@ -234,6 +236,7 @@ class _Study:
                 "white": final.chi2 / data.train.samples <= limit and after.lag_one <= alike,
                 "spectrum": spectrum_of(remaining),
                 "doubts": list(self.doubts),
+                "allowed_by_healthy_logs": list(self.joined),
                 "lost_commands_not_searched": why_not_searched(data.train, start.losing),
                 "signatures": [vars(e) for e in signatures(self.system, data.train, final)],
                 **({} if learned is None else {"residual_model": learned.to_json()}),
@@ -268,7 +271,7 @@ class _Study:
         train, classes = self.data.train, ()
         if any(len(found.members) > 1 for found in named):
             classes = class_advice(self.system, self.start, train, self.steps, logs, seed)
-        return (*classes, *level_advice(train, self.system))
+        return (*always_there(self.joined), *classes, *level_advice(train, self.system))
 
     def _named(self, missing: Sequence[MissingTorque], final: Fit) -> tuple[Finding, ...]:
         places = SLOTS * len(self.data.train)

@@ -14,6 +14,7 @@ from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.windows import Windows
 
 BENDING = ("cogging", "periodic")  # lasting causes that bend to what they are not
+FITFUL = ("event", *BENDING)  # and all causes that do
 
 
 def eliminated(
@@ -78,10 +79,7 @@ def carried(
         )
         now = errors(fit)
         # What only saves the baseline a way out of its prior does nothing for any window, and windows cannot judge it.
-        harm = [
-            now - errors(less) if less.chi2 - fit.chi2 > 0.5 * (less.cost - fit.cost) else np.zeros(len(held))
-            for less in fits
-        ]
+        harm = [np.zeros(len(held)) if _keeps_the_prior(less, fit) else now - errors(less) for less in fits]
         worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
         # What does nothing for these windows, as it acts in others, is no better or worse but for chance.
         if not harm[worst].sum() > np.sqrt(len(held)) * harm[worst].std():
@@ -89,6 +87,12 @@ def carried(
         kept.remove(lasting[worst])
         fit = fits[worst]
     return kept, fit
+
+
+def _keeps_the_prior(less: Fit, fit: Fit) -> bool:
+    """Whether what a fit with a cause saves is mostly a way of the baseline out of its prior."""
+    saved = less.cost - fit.cost
+    return saved > 0.0 and less.chi2 - fit.chi2 < 0.5 * saved
 
 
 def without_detents_and_tones(

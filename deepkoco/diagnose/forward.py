@@ -10,12 +10,12 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.beyond import at_bound
-from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LOUD
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Finding
-from deepkoco.diagnose.elimination import carried, eliminated, without, without_detents_and_tones
+from deepkoco.diagnose.elimination import FITFUL, carried, eliminated, without, without_detents_and_tones
 from deepkoco.diagnose.healthy import Claim, allowed
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
@@ -42,6 +42,7 @@ from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.windows import Windows
 
 MOST_CAUSES = 3
+LOOKS = 3  # at each cause beside the others, at most
 Step = tuple[Ranking, tuple[str, ...]]
 
 
@@ -103,14 +104,18 @@ class Selection:
     def allowed(self, found: Selected) -> list[Cause]:
         """Causes that the unit may have had all the time: for each that was found, what the healthy logs allow of it
         and of those that the data do not tell from it."""
-        accepted: list[Cause] = []
         claims = []
         for ranking, members in found.steps:
-            own = [c for c in ranking.candidates if c.cause.name in members and c.cause.effect != "event"]
-            fitted = [c for c in own if c.cause.free and c.fit is not ranking.reference]
-            claims += [Claim(c.cause, tuple(accepted), c.fit) for c in fitted]
-            accepted.append(ranking.best.cause)
-        verdicts = allowed(self.start, self.problem, claims)
+            for candidate in ranking.candidates:
+                cause, fit = candidate.cause, candidate.fit
+                # Pushes, tones and detents of one log say nothing of another's.
+                if cause.name not in members or not cause.free or kind_of(cause.name) in FITFUL:
+                    continue
+                if fit is not ranking.reference:
+                    freed = set(fit.free)
+                    beside = [c for c in found.accepted if c.name != cause.name and freed.issuperset(c.free)]
+                    claims.append(Claim(cause, tuple(beside), fit))
+        verdicts = allowed(self.start, found.acting, claims)
         return [claim.cause for claim, yes in zip(claims, verdicts, strict=True) if yes]
 
     def _forward(
@@ -134,6 +139,14 @@ class Selection:
 
     def _pruned(self, found: Selected) -> Selected:
         """Without causes that others make superfluous, or that do nothing for windows which no fit saw."""
+        for _ in range(LOOKS):
+            kept = self._kept(found)
+            found = self._reconsidered(kept)
+            if found.accepted == kept.accepted:
+                break
+        return found
+
+    def _kept(self, found: Selected) -> Selected:
         # A single cause is left for the verdict to judge; not beside losses, which hide what it does for windows whose
         # own losses are not known.
         least = 1 if found.lost is None else 0
@@ -146,7 +159,7 @@ class Selection:
         if dispersion(final, self.train).lag_one > coloured_from(self.train):
             kept, final = without_detents_and_tones(found.acting, self.start, kept, final)
         steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
-        return self._reconsidered(replace(found, final=final, accepted=tuple(kept), steps=steps))
+        return replace(found, final=final, accepted=tuple(kept), steps=steps)
 
     def _reconsidered(self, found: Selected) -> Selected:
         """Each of several causes once more, beside all others.
@@ -158,16 +171,22 @@ class Selection:
             return found
         start, problem = self.start, found.acting
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
+        everything = catalogue(start.system.base).values() if self.causes is None else self.causes
+        lasting = [
+            c for c in everything if c.effect != "event"
+        ]  # a push mends any window that another cause left
         for k, cause in enumerate(accepted):
             if cause.effect == "event":
                 continue
             others = [*accepted[:k], *accepted[k + 1 :]]
             less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]
             hints = self._hints(problem, less, missing_torque(problem, less))
-            ranking = rank(problem, start, less, others, hints, self.causes)
+            ranking = rank(problem, start, less, others, hints, lasting)
             ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
             steps[k] = (ranking, equivalent(problem, start, ranking, tuple(others)))
-            accepted[k], final = ranking.best.cause, ranking.best.fit
+            if ranking.best.cause.name != cause.name:
+                accepted[k] = ranking.best.cause
+            final = ranking.best.fit
         return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
 
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:

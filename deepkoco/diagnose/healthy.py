@@ -7,6 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy.stats
+import torch
 
 from deepkoco.diagnose.baseline import BaselineError, Healthy, Start, refit, refit_sharply, start_from
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
@@ -16,7 +18,7 @@ from deepkoco.diagnose.elimination import BENDING, eliminated
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.residuals import dispersion, missing_torque
-from deepkoco.diagnose.selection import CLOSE, DETECTION, PATIENCE, prior_with, rank
+from deepkoco.diagnose.selection import CLOSE, DETECTION, PATIENCE, declared, prior_with, rank
 from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem, Trial
@@ -26,8 +28,9 @@ from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.
 LARGEST_EXTENSION = 6
-# chi2 by which what other logs say of a cause must differ from what the healthy ones do; by chance once in 40.
-APART = 5.0
+SURE = (
+    0.975  # probability with which what other logs say of a cause must differ from what the healthy ones do
+)
 
 
 def learn_baseline(recordings: Sequence[Recording], system: System, length: float) -> Start:
@@ -72,7 +75,7 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
     known = catalogue(start.system.base)
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
     others = [known[n] for n in members if kind_of(n) not in ("event", *BENDING)]
-    return extended(learned, others, length) if len(others) > len(accepted) else learned
+    return extended(learned, others, length) if any(c not in accepted for c in others) else learned
 
 
 def extended(start: Start, causes: Sequence[Cause], length: float) -> Start:
@@ -120,29 +123,65 @@ def allowed(start: Start, problem: FitProblem, claims: Sequence[Claim]) -> list[
     healthy = start.healthy
     if healthy is None or not claims:
         return [False] * len(claims)
-    own = FitProblem(start.system, healthy.windows)
     known = {c.name for c in healthy.causes}
+    apart = [
+        _apart(start, problem, claims, _asked(start, healthy, log, claims))
+        for log in np.unique(healthy.windows.log)
+    ]
+    # Units vary from run to run: one healthy log that allows it is enough.
+    least = np.min(apart, axis=0)
+    limits = [float(scipy.stats.chi2.ppf(SURE, len(c.cause.free))) for c in claims]
+    return [
+        claim.cause.name not in known and chi2 <= limit
+        for claim, chi2, limit in zip(claims, least, limits, strict=True)
+    ]
+
+
+def _asked(
+    start: Start, healthy: Healthy, log: int, claims: Sequence[Claim]
+) -> list[tuple[float, dict[str, float]]]:
+    """For each claim, the chi2 by which a healthy log is against its values, and the values that it prefers."""
+    of_log = healthy.windows.log == log
+    problem = FitProblem(start.system, healthy.windows.take(of_log))
+    state = healthy.fit.state[torch.from_numpy(np.flatnonzero(of_log))]
     trials = []
     for cause, _, fit in claims:
         values = {**healthy.fit.values, **{n: fit.values[n] for n in cause.free}}
-        trials.append(_freed(own, healthy, healthy.causes, values))
-        trials.append(_freed(own, healthy, (*healthy.causes, cause), values))
-    answers = own.fit(trials, PATIENCE, CLOSE)
-    bound, free = answers[::2], answers[1::2]
+        for causes in (healthy.causes, (*healthy.causes, cause)):
+            trials.append(replace(_freed(problem, healthy, causes, values), state=state))
+    fits = problem.fit(trials, PATIENCE, CLOSE)
+    deflation = dispersion(healthy.fit, healthy.windows).deflation
+    return [
+        (max(bound.cost - free.cost, 0.0) / deflation, {n: free.values[n] for n in claim.cause.free})
+        for claim, bound, free in zip(claims, fits[::2], fits[1::2], strict=True)
+    ]
+
+
+def _apart(
+    start: Start,
+    problem: FitProblem,
+    claims: Sequence[Claim],
+    answers: Sequence[tuple[float, Mapping[str, float]]],
+) -> list[float]:
+    """chi2 by which two estimates of one thing differ, each with the spread that its logs leave it, for every claim.
+
+    Args:
+        start: The baseline.
+        problem: The windows that the claims are made for.
+        claims: What they show.
+        answers: chi2 by which a healthy log is against that, and what it prefers.
+    """
     trials = []
-    for (cause, beside, fit), other in zip(claims, free, strict=True):
-        values = {**fit.values, **{n: other.values[n] for n in cause.free}}
-        prior = prior_with(problem, start, beside, values)
-        trials.append(Trial(cause.name, prior.names, prior, values, fit.state, fit.zero))
-    theirs = problem.fit(trials, PATIENCE, CLOSE)
-    here = dispersion(healthy.fit, healthy.windows).deflation
+    for (cause, beside, fit), (_, values) in zip(claims, answers, strict=True):
+        at = {**fit.values, **values}
+        names = tuple(n for n in fit.free if n not in cause.free)
+        prior = prior_with(problem, start, beside, at)
+        prior = prior.widened(declared(problem, [n for n in names if n not in prior.names]), at)
+        trials.append(Trial(cause.name, names, prior, at, fit.state, fit.zero))
     result = []
-    for k, (cause, _, fit) in enumerate(claims):
-        unlike = max(bound[k].cost - free[k].cost, 0.0) / here
-        more = max(theirs[k].cost - fit.cost, 0.0) / dispersion(fit, problem.windows).deflation
-        # Two estimates of one thing, each with the spread that its logs leave it, differ by this chi2.
-        apart = unlike * more / max(unlike + more, 1e-9)
-        result.append(cause.name not in known and apart <= APART)
+    for claim, back, (unlike, _) in zip(claims, problem.fit(trials, PATIENCE, CLOSE), answers, strict=True):
+        more = max(back.cost - claim.fit.cost, 0.0) / dispersion(claim.fit, problem.windows).deflation
+        result.append(unlike * more / max(unlike + more, 1e-9))
     return result
 
 

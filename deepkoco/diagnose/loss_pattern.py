@@ -10,7 +10,7 @@ NEAR = 3  # ticks around a lost one that are turned over together with a neighbo
 MOST_CHANGES = 400  # of a window's pattern
 
 
-def held(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
+def held_over(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """Commands that acted when these ticks were lost: each holds what acted before it.
 
     Args:
@@ -24,7 +24,7 @@ def held(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
 
 def offset_of(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
     """(K,) what acts less what was sent, when these of K ticks are lost; (K + 1,) commands with the one before."""
-    return held(sent, 1 + np.flatnonzero(lost))[1:] - sent[1:]
+    return held_over(sent, 1 + np.flatnonzero(lost))[1:] - sent[1:]
 
 
 def pattern(
@@ -49,7 +49,7 @@ def pattern(
         """Change of the cost when these ticks are turned over, and of the offsets."""
         other = lost.copy()
         other[own] ^= True
-        step = held(sent, 1 + np.flatnonzero(other))[1:] - acted
+        step = held_over(sent, 1 + np.flatnonzero(other))[1:] - acted
         at = np.flatnonzero(step)
         cost = step[at] @ gram[np.ix_(at, at)] @ step[at] + 2.0 * step[at] @ slope[at]
         return float(cost) + price * (int(other.sum()) - int(lost.sum())), step

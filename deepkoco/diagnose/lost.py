@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.diagnose.loss_pattern import held, offset_of, pattern
+from deepkoco.diagnose.loss_pattern import held_over, offset_of, pattern
 from deepkoco.diagnose.residuals import acting_system, push_of
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
@@ -224,7 +224,7 @@ def _acting(windows: Windows, index: int, patterns: Sequence[np.ndarray]) -> Win
     for command, lost in zip(windows.commands, patterns, strict=True):
         value = np.array(command.value, dtype=float)
         column = value if value.ndim == 1 else value[:, index]
-        column[:] = held(column.copy(), np.flatnonzero(lost))
+        column[:] = held_over(column.copy(), np.flatnonzero(lost))
         commands.append(CommandSeries(command.t, value))
     return replace(windows, commands=tuple(commands))
 

@@ -20,6 +20,7 @@ from deepkoco.systems import ExtendedSystem
 __all__ = [
     "Dispersion",
     "MissingTorque",
+    "coloured_from",
     "dispersion",
     "missing_torque",
     "push_of",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Verdict
-from deepkoco.diagnose.elimination import BENDING
+from deepkoco.diagnose.elimination import FITFUL
 from deepkoco.diagnose.forward import MOST_CAUSES, Selected
 from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.pushed import touched
@@ -25,7 +25,6 @@ WORTH_NAMING = 0.5
 KNOWN = 0.98
 # And pushes alone: one mends any window, and leaves the others as they are.
 PUSHED = 0.9
-FITFUL = ("event", *BENDING)  # causes that bend to what they are not
 PLAIN = 0.1  # fall of chi2 per sample from which windows that no fit saw must show what is named, too
 
 
@@ -58,18 +57,18 @@ def verdict_of(
     # A push, a tone and detents together bend to anything.
     if doubts or (fitful(found) and len(causes) >= MOST_CAUSES):
         return "unknown"
-    if pushes and lasting and not white and gain is not None and gain.reduction <= 0.0:
-        return (
-            "unknown"  # the push does not leave noise, and the rest is of no use where the push does not act
-        )
     if found.lost is not None and (left or (causes and _all_fitful(found))):
         # Offsets at hundreds of places bend to anything, above all beside pushes and tones; losses leave nothing.
         return "unknown"
     if found.lost is not None or not lasting:
         gain = None  # what acts once is worth nothing on other windows, and other windows lose other commands
+    if pushes and gain is not None and not white and gain.fits["extended"].chi2 >= gain.fits["refit"].chi2:
+        return (
+            "unknown"  # the push does not leave noise, and the rest is of no use where the push does not act
+        )
     if left:
         if len(causes) >= MOST_CAUSES * start.system.joints:
-            return "unknown"  # the search ended at its limit, not because nothing was left to say
+            return "unknown"  # at each joint as many as are looked for, and still they do not say everything
         # What is named has to account for most of what was seen.
         share = explained_share(before, after, train, start.floor)
         worth = 1.0 if gain is None else gain.reduction

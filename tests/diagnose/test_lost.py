@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.data import cut_data
-from deepkoco.diagnose.loss_pattern import held, pattern
+from deepkoco.diagnose.loss_pattern import held_over, pattern
 from deepkoco.diagnose.lost import LostCommands, lost_commands
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import FitProblem
@@ -48,13 +48,13 @@ def test_where_responses_differ_every_tick_is_found(seed):
     sent = rng.choice([-1.0, 1.0], 25).cumsum()
     truth = rng.random(24) < 0.3
     response = 20.0 * rng.standard_normal((400, 24))
-    acted = held(sent, 1 + np.flatnonzero(truth))[1:]
+    acted = held_over(sent, 1 + np.flatnonzero(truth))[1:]
     residual = response @ (acted - sent[1:]) + rng.standard_normal(400)
     gram, match = response.T @ response, response.T @ residual
     # From nothing, and from the truth; the price of a tick is small beside what it wins.
     for before, left in ((np.zeros(24, dtype=bool), match), (truth, response.T @ rng.standard_normal(400))):
         lost = pattern(gram, left, sent, before, 4.0, 4.0)
-        assert (held(sent, 1 + np.flatnonzero(lost))[1:] == acted).all()
+        assert (held_over(sent, 1 + np.flatnonzero(lost))[1:] == acted).all()
 
 
 def test_nothing_is_lost_where_every_command_arrived():
@@ -88,7 +88,7 @@ def test_without_a_regular_pace_a_lost_tick_has_no_length():
 @given(st.lists(st.booleans(), min_size=1, max_size=30))
 def test_a_lost_tick_holds_what_acted_before_it(lost):
     sent = np.arange(1.0, len(lost) + 2.0)
-    acted = held(sent, 1 + np.flatnonzero(lost))
+    acted = held_over(sent, 1 + np.flatnonzero(lost))
     expected = sent[0]
     for k, gone in enumerate(lost):
         expected = expected if gone else sent[k + 1]
