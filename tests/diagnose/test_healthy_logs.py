@@ -1,13 +1,17 @@
 """What healthy logs allow is no cause, and what they exclude is one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from deepkoco.diagnose import BaselineError, diagnose
+from deepkoco.diagnose import BaselineError, diagnose, forward
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.forward import Selected, Selection
 from deepkoco.diagnose.healthy import Claim, allowed, extended, learn_baseline
-from deepkoco.diagnose.selection import prior_with
+from deepkoco.diagnose.residuals import dispersion
+from deepkoco.diagnose.selection import Candidate, Ranking, prior_with
 from deepkoco.identify.fit import FitProblem, Trial
 from deepkoco.identify.windows import cut_windows, moving, window_length
 from deepkoco.systems import make_system
@@ -95,3 +99,37 @@ def test_causes_that_healthy_logs_do_not_tell_apart_are_all_in_the_baseline():
     covariance = start.prior.covariance[np.ix_(index, index)]
     # Their sum is known better than each.
     assert covariance.sum() < 0.5 * np.diag(covariance).min()
+
+
+def test_each_cause_is_compared_with_all_others_beside_it_and_fitful_ones_are_not(bent, monkeypatch):
+    start, _ = bent
+    known = catalogue(SYSTEM)
+    windows = cut_windows([hidden_log("rod_pendulum", {}, "steps", SEED, 12.0)], SYSTEM, LENGTH)
+    problem = FitProblem(start.system, windows)
+    null = problem.evaluate(start.values)
+    names = ("coulomb", "viscous", "cogging", "event")
+    free = tuple(n for name in names for n in known[name].free)
+    fit = replace(null, free=free)
+    accepted = tuple(known[n] for n in names)
+    steps = []
+    for cause in accepted:
+        candidates = (Candidate(cause, fit, 50.0, 40.0), Candidate(known["gain"], null, 0.0, 0.0))
+        ranking = Ranking(null, candidates, dispersion(null, windows), 1.0, 500.0)
+        steps.append((ranking, (cause.name, "gain")))
+    asked = []
+
+    def listening(of, at, claims):
+        asked.extend([of, at, *claims])
+        return [claim.cause.name == "viscous" for claim in claims]
+
+    monkeypatch.setattr(forward, "allowed", listening)
+    selection = Selection(start, windows, None, None, 24.0)
+    acting = FitProblem(start.system, windows)
+    found = Selected(fit, accepted, tuple(steps), acting)
+    assert [c.name for c in selection.allowed(found)] == ["viscous"]
+    # The windows with the commands that acted; and what was never fitted makes no claim.
+    assert asked[:2] == [start, acting]
+    assert [(c.cause.name, [b.name for b in c.beside]) for c in asked[2:]] == [
+        ("coulomb", ["viscous", "cogging", "event"]),
+        ("viscous", ["coulomb", "cogging", "event"]),
+    ]

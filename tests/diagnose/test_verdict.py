@@ -1,0 +1,104 @@
+"""What is selected is named only if it accounts for what was seen."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from deepkoco.diagnose.baseline import Healthy, start_from
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.data import cut_data
+from deepkoco.diagnose.forward import Selected
+from deepkoco.diagnose.verdict import verdict_of
+from deepkoco.identify.fit import FitProblem
+from deepkoco.systems import make_system
+from experiments.hidden.unit import hidden_log
+
+BASE = make_system("rod_pendulum")
+KNOWN = catalogue(BASE)
+
+
+@pytest.fixture(scope="module")
+def stage():
+    """Windows, their baseline, and a fit that leaves a given chi2 per sample in every sample alike."""
+    windows = cut_data([hidden_log("rod_pendulum", {}, "steps", 172, 12.0)], (), BASE, 1.6).train
+    start = start_from(BASE, windows)
+    fit = FitProblem(start.system, windows).evaluate(start.values)
+
+    def leaving(chi2):
+        residual = windows.valid * chi2**0.5
+        return replace(fit, residual=residual, chi2=float((residual**2).sum()))
+
+    return windows, start, leaving
+
+
+def verdict(
+    stage, names, after, *, before=10.0, kept=(10.0, 2.0), white=True, doubts=(), lost=None, healthy=False
+):
+    windows, start, leaving = stage
+    causes = tuple(KNOWN[n] for n in names)
+    found = Selected(leaving(after), causes, tuple((None, (n,)) for n in names), None, lost)
+    if healthy:
+        start = replace(start, healthy=Healthy((), windows, start, (), leaving(1.0)))
+    gain = None
+    if kept is not None:
+        refit, extended = (leaving(chi2) for chi2 in kept)
+        fits = {"refit": refit, "extended": extended}
+        gain = SimpleNamespace(fits=fits, reduction=1.0 - (kept[1] / kept[0]) ** 0.5)
+    return verdict_of(found, start, windows, leaving(before), gain, white, doubts)
+
+
+def test_without_causes_what_is_left_decides(stage):
+    assert verdict(stage, (), 1.0, before=1.0) == "nothing"
+    assert verdict(stage, (), 2.0, before=2.0) == "unknown"
+
+
+def test_what_leaves_noise_is_named_and_doubts_are_not_overruled(stage):
+    assert verdict(stage, ["coulomb"], 1.0) == "cause"
+    assert verdict(stage, ["coulomb"], 1.0, doubts=["its unit is odd"]) == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("names", "after", "healthy", "expected"),
+    [
+        (["coulomb"], 3.0, False, "cause"),  # 78 % of the excess: real logs keep some model error
+        (["coulomb"], 5.5, False, "unknown"),  # half of it
+        (["coulomb"], 3.0, True, "unknown"),  # how much model error there is, healthy logs tell
+        (["coulomb"], 1.05, True, "cause"),
+        (["event"], 3.0, False, "unknown"),  # a push leaves other windows as they are
+        (["event"], 1.5, False, "cause"),
+        (["coulomb", "viscous", "gain"], 3.0, False, "unknown"),  # the search ended at its limit
+        (["coulomb", "viscous", "gain"], 1.0, False, "cause"),
+    ],
+)
+def test_what_leaves_structure_has_to_explain_enough(stage, names, after, healthy, expected):
+    assert verdict(stage, names, after, healthy=healthy, white=after < 2.0) == expected
+
+
+def test_windows_that_no_fit_saw_have_to_agree(stage):
+    assert verdict(stage, ["coulomb"], 1.0, kept=(10.0, 1.0)) == "cause"
+    assert verdict(stage, ["coulomb"], 1.0, kept=(10.0, 10.0)) == "unknown"
+    assert verdict(stage, ["coulomb"], 1.0, kept=None) == "cause"
+
+
+def test_causes_that_bend_to_anything_are_not_believed_together(stage):
+    assert verdict(stage, ["cogging"], 1.0) == "cause"
+    assert verdict(stage, ["cogging", "periodic", "event"], 1.0) == "unknown"
+    assert verdict(stage, ["coulomb", "periodic", "event"], 1.0) == "cause"
+
+
+def test_a_push_beside_what_is_of_no_use_is_not_believed_where_residuals_are_coloured(stage):
+    # So little that held-out windows need not show it.
+    little = {"before": 1.1, "kept": (1.1, 1.1)}
+    assert verdict(stage, ["event", "coulomb"], 1.05, white=False, **little) == "unknown"
+    assert verdict(stage, ["event", "coulomb"], 1.05, white=True, **little) == "cause"
+    assert verdict(stage, ["event", "coulomb"], 1.05, white=False, before=1.1, kept=(1.1, 1.05)) == "cause"
+    # Beside lost commands windows whose own losses are not known say nothing.
+    assert verdict(stage, ["event", "coulomb"], 1.05, white=False, lost=object(), **little) == "cause"
+
+
+def test_lost_commands_leave_nothing_and_stand_beside_no_pushes(stage):
+    assert verdict(stage, [], 1.0, lost=object()) == "cause"
+    assert verdict(stage, [], 2.0, lost=object()) == "unknown"
+    assert verdict(stage, ["event"], 1.0, lost=object()) == "unknown"
+    assert verdict(stage, ["coulomb"], 1.0, lost=object()) == "cause"
