@@ -65,7 +65,7 @@ def carried(
         accepted: Causes.
         fit: Fit with all of them.
         held: Windows kept back.
-        least: Number of lasting causes that stay in any case.
+        least: Number of causes that stay in any case, pushes counted.
     """
     kept, unseen = list(accepted), FitProblem(start.system, held)
 
@@ -73,7 +73,7 @@ def carried(
         replayed = unseen.evaluate({**found.values, "event.torque": 0.0}, "held back")
         return (replayed.residual**2).sum((1, 2)).numpy()
 
-    while len(lasting := [c for c in kept if c.effect != "event"]) > least:
+    while len(kept) > least and (lasting := [c for c in kept if c.effect != "event"]):
         fits = problem.fit(
             [without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
         )

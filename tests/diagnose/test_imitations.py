@@ -88,6 +88,9 @@ def test_a_cause_that_is_of_no_use_to_windows_kept_back_goes():
     kept, less = carried(problem, start, accepted, wrong, held, 1)
     assert [c.name for c in kept] == ["coulomb"]
     assert less.values["sensor_drift.rate"] == 0.0
+    # Beside a push it need not stay for being the only cause that lasts.
+    pushed = [known["event"], known["sensor_drift"]]
+    assert [c.name for c in carried(problem, start, pushed, wrong, held, 1)[0]] == ["event"]
     # The one that is there stays, even where none has to.
     assert [c.name for c in carried(problem, start, kept, less, held, 0)[0]] == ["coulomb"]
 
