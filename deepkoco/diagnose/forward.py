@@ -89,9 +89,11 @@ class Selection:
         self.start, self.train, self.held = start, train, held
         self.causes, self.detection = causes, detection
         self.problem = FitProblem(start.system, train)
+        self.before = math.inf  # chi2 of the refit
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
         """The first ranking (over the whole catalogue), and what is selected."""
+        self.before = reference.chi2
         hints = self._hints(self.problem, reference, missing)
         first = rank(self.problem, self.start, reference, (), hints, self.causes)
         nothing = Selected(reference, (), (), self.problem)
@@ -140,11 +142,11 @@ class Selection:
     def _pruned(self, found: Selected) -> Selected:
         """Without causes that others make superfluous, or that do nothing for windows which no fit saw."""
         for _ in range(LOOKS):
-            kept = self._kept(found)
-            found = self._reconsidered(kept)
-            if found.accepted == kept.accepted:
-                break
-        return found
+            kept = self._kept(self._reconsidered(found))
+            if kept.accepted == found.accepted:
+                return kept
+            found = kept
+        return self._reconsidered(found)
 
     def _kept(self, found: Selected) -> Selected:
         # A single cause is left for the verdict to judge; not beside losses, which hide what it does for windows whose
@@ -157,7 +159,10 @@ class Selection:
         if self.held is not None and len(self.held) > 0:
             kept, final = carried(found.acting, self.start, kept, final, self.held, least)
         if dispersion(final, self.train).lag_one > coloured_from(self.train):
-            kept, final = without_detents_and_tones(found.acting, self.start, kept, final)
+            rest, less = without_detents_and_tones(found.acting, self.start, kept, final)
+            # Unless they are most of it: then the verdict judges.
+            if less.chi2 - final.chi2 < self.before - less.chi2:
+                kept, final = rest, less
         steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
         return replace(found, final=final, accepted=tuple(kept), steps=steps)
 
@@ -176,12 +181,12 @@ class Selection:
             c for c in everything if c.effect != "event"
         ]  # a push mends any window that another cause left
         for k, cause in enumerate(accepted):
-            if cause.effect == "event":
-                continue
             others = [*accepted[:k], *accepted[k + 1 :]]
             less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]
             hints = self._hints(problem, less, missing_torque(problem, less))
-            ranking = rank(problem, start, less, others, hints, lasting)
+            # A push mends any window that another cause left; it is only put where it belongs beside the others.
+            rivals = [cause] if cause.effect == "event" else lasting
+            ranking = rank(problem, start, less, others, hints, rivals)
             ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
             steps[k] = (ranking, equivalent(problem, start, ranking, tuple(others)))
             if ranking.best.cause.name != cause.name:

@@ -21,7 +21,7 @@ from deepkoco.identify.windows import Windows
 # error on windows that no fit saw: what only imitates them does not get there, and real logs keep some model error.
 EXPLAINED = 0.6
 WORTH_NAMING = 0.5
-# Beside healthy logs, which tell how much model error there is, more: what is left is no such error.
+# More beside healthy logs, which tell how much model error there is, and where there are no such windows.
 KNOWN = 0.98
 # And pushes alone: one mends any window, and leaves the others as they are.
 PUSHED = 0.9
@@ -52,6 +52,8 @@ def verdict_of(
     left = after.chi2 / train.samples > white_limit(train) * start.floor
     if not causes and found.lost is None:
         return "unknown" if before.chi2 / train.samples > white_limit(train) * start.floor else "nothing"
+    # Without windows that no fit saw, only a fit that leaves next to nothing speaks for a name.
+    most = EXPLAINED if start.healthy is None and gain is not None else KNOWN
     pushes = sum(c.effect == "event" for c in causes)
     lasting = len(causes) - pushes
     # A push, a tone and detents together bend to anything.
@@ -72,7 +74,6 @@ def verdict_of(
         # What is named has to account for most of what was seen.
         share = explained_share(before, after, train, start.floor)
         worth = 1.0 if gain is None else gain.reduction
-        most = EXPLAINED if start.healthy is None else KNOWN
         if share < (most if lasting else max(most, PUSHED)) or worth <= (0.0 if white else WORTH_NAMING):
             return "unknown"
     plain = before.chi2 - after.chi2 > PLAIN * train.samples

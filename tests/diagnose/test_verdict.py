@@ -81,6 +81,12 @@ def test_windows_that_no_fit_saw_have_to_agree(stage):
     assert verdict(stage, ["coulomb"], 1.0, kept=None) == "cause"
 
 
+def test_without_windows_that_no_fit_saw_next_to_nothing_may_be_left(stage):
+    assert verdict(stage, ["gain"], 3.0, kept=None) == "unknown"
+    assert verdict(stage, ["gain"], 30.0, before=1000.0, kept=None) == "unknown"
+    assert verdict(stage, ["gain"], 10.0, before=1000.0, kept=None) == "cause"
+
+
 def test_causes_that_bend_to_anything_are_not_believed_together(stage):
     assert verdict(stage, ["cogging"], 1.0) == "cause"
     assert verdict(stage, ["cogging", "periodic", "event"], 1.0) == "unknown"
