@@ -108,11 +108,16 @@ def _time(system: System) -> float:
 
 
 def unexplained(recording: Recording, system: str) -> tuple[float, int]:
-    """Cost that the refitted baseline leaves (its distance from its priors included), and samples."""
+    """Cost that the refitted baseline leaves (its distance from its priors included), and samples.
+
+    Infinite for a log in which nothing moves: no effect that can be diagnosed is so strong.
+    """
     base = make_system(system)
     noise = tuple(Noise(c.noise_sd, 0.0) for c in base.measurements)
     windows = cut_windows([recording], base, window_length(base), noise)
     windows = windows.take(moving(windows))
+    if len(windows) == 0:
+        return math.inf, 1
     return refit(start_from(base, windows), windows).cost, windows.samples
 
 

@@ -1,11 +1,14 @@
 """The study of hidden effects: cases, resuming, measures worked out by hand."""
 
 import json
+import math
 
 import pytest
 
 from experiments.hidden.cases import make_case
+from experiments.hidden.doses import strength, unexplained
 from experiments.hidden.measures import measures
+from experiments.hidden.unit import hidden_log
 from experiments.hidden_effects import COLUMNS, ResumeError, read_rows
 
 
@@ -65,3 +68,10 @@ def test_a_row_that_a_kill_cut_off_is_run_again(tmp_path):
         read_rows(path, "pendulum", "clean", 500)
     with pytest.raises(ResumeError, match="another study"):
         read_rows(path, "two_link_arm", "clean", 101)
+
+
+def test_an_effect_that_stops_the_machine_is_beyond_every_strength():
+    """Its dose has to shrink; there is nothing in such a log that a baseline could be fitted to."""
+    still = hidden_log("rod_pendulum", {"gain": {"factor": 0.0}}, "bang-bang", 1, 6.0, noisy=False)
+    assert unexplained(still, "rod_pendulum") == (math.inf, 1)
+    assert strength("rod_pendulum", {"gain": {"factor": 0.0}}, "bang-bang", 1, 6.0, 1.0) == math.inf
