@@ -163,7 +163,7 @@ def run_case(case: FuzzCase, verdicts: Verdicts) -> FuzzResult:
     try:
         found, clean = verdicts.of(recording, system), verdicts.of(clean_recording(case.base), system)
     except LogError as error:
-        return FuzzResult("refused", (), str(error), _bad_error(path, str(error)))
+        return FuzzResult("refused", (), _said(path, error), _bad_error(path, str(error)))
     except Exception:
         return FuzzResult("traceback", (), "", traceback.format_exc(limit=-4))
     names = tuple(name for name, _ in found.named)
@@ -185,10 +185,15 @@ def read_case(case: FuzzCase) -> tuple[FuzzResult, Recording | None, Path]:
             _inspect(path, BASES[case.base][0])
             recording = _read(path, case.base, log.fill)
         except LogError as error:
-            return FuzzResult("refused", (), str(error), _bad_error(path, str(error))), None, path
+            return FuzzResult("refused", (), _said(path, error), _bad_error(path, str(error))), None, path
         except Exception:
             return FuzzResult("traceback", (), "", traceback.format_exc(limit=-4)), None, path
     return FuzzResult("read", (), "; ".join(recording.warnings), ""), recording, path
+
+
+def _said(path: Path, error: LogError) -> str:
+    """What an error says, without the folder that the file lay in for a moment."""
+    return str(error).replace(f"{path.parent}/", "")
 
 
 def cases(number: int, seed: int) -> list[FuzzCase]:
