@@ -41,12 +41,7 @@ DIAGNOSING = ("diagnose", "identify", "systems")  # packages of which a verdict 
 NAMING = ("cause", "ambiguous")
 # A command in the wrong unit that is named as such is diagnosed, not misdiagnosed.
 RESCALED = "command in other unit"
-# Names that say what a fault did.
-HONEST = {
-    RESCALED: {"unit_slip"},
-    "wrong sidecar": {"unit_slip"},
-    "angle and speed in degrees": {"channel_slip(theta)", "channel_slip(omega)"},
-}
+HONEST = {RESCALED: {"unit_slip"}, "wrong sidecar": {"unit_slip"}}
 # The clean logs: system and what is hidden in it.
 BASES: tuple[tuple[str, dict], ...] = (
     ("rod_pendulum", {}),

@@ -147,18 +147,17 @@ class _Study:
 
     def _selected(self, length: float) -> tuple[Ranking, Selected]:
         """The first ranking and what is selected, on a baseline that has what its healthy logs allow."""
-        for _ in range(MOST_ALLOWED):
+        more = MOST_ALLOWED
+        while True:
             missing = missing_torque(self.problem, self.reference)
             selection = Selection(self.start, self.data.train, self.data.held, self.causes, self.detection)
             first, found = selection.run(self.reference, missing)
-            causes = selection.allowed(found)
+            causes = selection.allowed(found) if more else []
             if not causes:
                 return first, found
+            more -= 1
             self.joined = (*self.joined, *(c.name for c in causes if c.name not in self.joined))
             self._take(extended(self.start, causes, length))
-        missing = missing_torque(self.problem, self.reference)
-        selection = Selection(self.start, self.data.train, self.data.held, self.causes, self.detection)
-        return selection.run(self.reference, missing)
 
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
         first, found = self._selected(length)

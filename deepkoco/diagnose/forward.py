@@ -177,9 +177,7 @@ class Selection:
         start, problem = self.start, found.acting
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
         everything = catalogue(start.system.base).values() if self.causes is None else self.causes
-        lasting = [
-            c for c in everything if c.effect != "event"
-        ]  # a push mends any window that another cause left
+        lasting = [c for c in everything if c.effect != "event"]
         for k, cause in enumerate(accepted):
             others = [*accepted[:k], *accepted[k + 1 :]]
             less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]

@@ -109,5 +109,10 @@ def test_small_effects_of_a_healthy_unit_are_learned_without_a_mixture():
     ]
     assert set(start.effects) <= set().union(*alike)
     assert all(group & set(start.effects) for group in alike)
+    held_back = sum(v for n, v in start.values.items() if n.split(".")[0] in alike[0])
+    assert held_back == pytest.approx(floor["lag"]["time_constant"], rel=0.2)
+    assert start.values["torque_bias.effort"] == pytest.approx(floor["torque_bias"]["effort"], rel=0.2)
+    share = start.values["load_friction.coefficient"]
+    assert share == pytest.approx(floor["load_friction"]["coefficient"], rel=0.2)
     rate = start.values["gain_drift.rate"]
     assert rate == pytest.approx(floor["gain_drift"]["rate"], rel=0.2)
