@@ -177,7 +177,7 @@ class _Study:
             *doubts_of_estimates(problem, self.accepted, final),
             *doubts_of_friction(start.system, self.accepted, final, missing, after.deflation),
         )
-        verdict = verdict_of(found, start, data.train, reference, gain, white, self.doubts)
+        verdict = verdict_of(found, start, data.train, reference, gain, after.lag_one, self.doubts)
         learned = None
         rival = verdict in ("cause", "ambiguous") and rivalled(found, start, data.train)
         if verdict == "unknown" or rival:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.windows import Windows
 
 BENDING = ("cogging", "periodic")  # lasting causes that bend to what they are not
-FITFUL = ("event", *BENDING)  # and all causes that do
+PUSHES = ("event",)
+FITFUL = (*PUSHES, *BENDING)  # and all causes that do
 
 
 def eliminated(
@@ -95,22 +96,23 @@ def _keeps_the_prior(less: Fit, fit: Fit) -> bool:
     return saved > 0.0 and less.chi2 - fit.chi2 < 0.5 * saved
 
 
-def without_detents_and_tones(
-    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit
+def without_kinds(
+    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, kinds: Collection[str]
 ) -> tuple[list[Cause], Fit]:
-    """The other causes alone, where there are any: for residuals that are coloured even so.
+    """The other causes alone, where one of them bends to nothing: for residuals that are coloured even so.
 
-    Detents and tones bend to any structure; what leaves some is no reason to believe in them.
+    Detents, tones and pushes bend to any structure; what leaves some is no reason to believe in them.
 
     Args:
         problem: Training windows.
         start: The baseline.
         accepted: Causes.
         fit: Fit with all of them.
+        kinds: Which go.
     """
     kept = list(accepted)
-    loose = [c for c in kept if kind_of(c.name) in BENDING]
-    if not loose or all(c.effect == "event" for c in kept if c not in loose):
+    loose = [c for c in kept if kind_of(c.name) in kinds]
+    if not loose or all(kind_of(c.name) in FITFUL for c in kept):
         return kept, fit
     for cause in loose:
         fit = problem.fit([without(problem, start, kept, cause, fit)], ITERATIONS, CLOSE)[0]

@@ -15,12 +15,22 @@ from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LOUD
 from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.diagnosis import Finding
-from deepkoco.diagnose.elimination import FITFUL, carried, eliminated, without, without_detents_and_tones
+from deepkoco.diagnose.elimination import (
+    BENDING,
+    FITFUL,
+    PUSHES,
+    carried,
+    eliminated,
+    without,
+    without_kinds,
+)
 from deepkoco.diagnose.healthy import Claim, allowed
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.residual_model import ResidualModel
 from deepkoco.diagnose.residuals import (
+    COLOURED,
+    DOUBTFUL,
     SLOTS,
     MissingTorque,
     coloured_from,
@@ -158,11 +168,12 @@ class Selection:
         kept, final = eliminated(found.acting, self.start, found.accepted, found.final, FURTHER, least)
         if self.held is not None and len(self.held) > 0:
             kept, final = carried(found.acting, self.start, kept, final, self.held, least)
-        if dispersion(final, self.train).lag_one > coloured_from(self.train):
-            rest, less = without_detents_and_tones(found.acting, self.start, kept, final)
-            # Unless they are most of it: then the verdict judges.
-            if less.chi2 - final.chi2 < self.before - less.chi2:
-                kept, final = rest, less
+        for kinds, deviations, most in ((BENDING, COLOURED, 0.5), (PUSHES, DOUBTFUL, 0.1)):
+            if dispersion(final, self.train).lag_one > coloured_from(self.train, deviations):
+                rest, less = without_kinds(found.acting, self.start, kept, final, kinds)
+                # Where they are much of what is explained, the verdict judges.
+                if less.chi2 - final.chi2 < most * (self.before - final.chi2):
+                    kept, final = rest, less
         steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
         return replace(found, final=final, accepted=tuple(kept), steps=steps)
 

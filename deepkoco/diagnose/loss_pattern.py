@@ -1,13 +1,59 @@
-"""Which ticks of a window were lost: a pattern is turned over tick by tick while that lowers its cost."""
+"""Which ticks of a window were lost: patterns are grown tick by tick in the order of time, and the best are kept.
+
+Two patterns that differ in one tick are told apart only by measurements after it, so none is decided on at once.
+
+Source: M-algorithm of sequence detection (Anderson and Mohan 1984, "Sequential coding algorithms"), on innovations
+    that take the window's initial state for unknown.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-NEAR = 3  # ticks around a lost one that are turned over together with a neighbour
-MOST_CHANGES = 400  # of a window's pattern
+KEPT = 256  # patterns that go on from tick to tick
+DIFFUSE = 1e8  # variance of the initial state in units of what the noise tells of it
+
+
+class Responses(NamedTuple):
+    """What offsets of a window's commands do to its measurements, in the order of time.
+
+    Attributes:
+        change: (S, K) of every sample to a unit offset in each tick, in noise standard deviations; what an unknown
+            initial state can do is taken out.
+        residual: (S,) of the model, under the pattern before.
+        known: (K,) number of samples before the tick that follows.
+    """
+
+    change: np.ndarray
+    residual: np.ndarray
+    known: np.ndarray
+
+    @property
+    def size(self) -> np.ndarray:
+        """(K,) squared change of all samples by a unit offset in each tick."""
+        return np.einsum("sk,sk->k", self.change, self.change)
+
+
+def innovations(
+    state: np.ndarray, change: np.ndarray, residual: np.ndarray, t: np.ndarray, ticks: np.ndarray
+) -> Responses:
+    """Responses in which every sample tells only what those before it and an unknown initial state do not.
+
+    Args:
+        state: (S, n) slopes of the samples by the initial state.
+        change: (S, K) by a unit offset in each tick.
+        residual: (S,) residuals.
+        t: (S,) times of the samples [s].
+        ticks: (K,) times of the ticks [s].
+    """
+    order = np.argsort(t, kind="stable")
+    basis, _ = np.linalg.qr(state[order])
+    factor = np.linalg.cholesky(np.eye(len(t)) + DIFFUSE * basis @ basis.T)
+    both = np.linalg.solve(factor, np.column_stack([change[order], residual[order]]))
+    known = np.append(np.searchsorted(t[order], ticks[1:]), len(t))
+    return Responses(both[:, :-1], both[:, -1], known)
 
 
 def held_over(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
@@ -28,53 +74,34 @@ def offset_of(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
 
 
 def pattern(
-    gram: np.ndarray, match: np.ndarray, sent: np.ndarray, before: np.ndarray, price: float, shows: float
+    responses: Responses, sent: np.ndarray, before: np.ndarray, price: float, shows: float
 ) -> np.ndarray:
     """Which of a window's ticks were lost, (K,).
 
     Args:
-        gram, match: (K, K) products of the ticks' responses with each other, (K,) with the residuals under the pattern
-            before; per unit of offset.
+        responses: Of this window's ticks.
         sent: (K + 1,) commands, that before the first tick included.
-        before: (K,) the pattern before.
+        before: (K,) the pattern before, under which the residuals are.
         price: What a lost tick costs.
         shows: Fall of the cost that a tick's loss must be able to bring to be looked at.
     """
-    lost = before.copy()
-    worth = np.diff(sent) ** 2 * np.diag(gram) > shows
-    acted = sent[1:] + offset_of(sent, before)
-    slope = -match  # half the slope of the cost at the offsets so far
-
-    def turned(own: np.ndarray) -> tuple[float, np.ndarray]:
-        """Change of the cost when these ticks are turned over, and of the offsets."""
-        other = lost.copy()
-        other[own] ^= True
-        step = held_over(sent, 1 + np.flatnonzero(other))[1:] - acted
-        at = np.flatnonzero(step)
-        cost = step[at] @ gram[np.ix_(at, at)] @ step[at] + 2.0 * step[at] @ slope[at]
-        return float(cost) + price * (int(other.sum()) - int(lost.sum())), step
-
-    for _ in range(MOST_CHANGES):
-        best: tuple[float, np.ndarray, np.ndarray] | None = None
-        for group in _turns(worth, lost):
-            for own in group:
-                change, step = turned(own)
-                if change < -1e-9 and (best is None or change < best[0]):
-                    best = (change, own, step)
-            if best is not None:
-                break
-        if best is None:
-            break
-        _, own, step = best
-        lost[own] ^= True
-        acted = acted + step
-        slope = slope + gram @ step
-    return lost
-
-
-def _turns(worth: np.ndarray, lost: np.ndarray) -> Iterator[list[np.ndarray]]:
-    """Ticks to turn over: each alone, then, as a loss that was put a tick off does not move alone, with neighbours."""
-    yield [np.array([k]) for k in np.flatnonzero(worth | lost)]
-    near = np.unique(np.flatnonzero(lost)[:, None] + np.arange(-NEAR, NEAR + 1))
-    near = near[(near >= 0) & (near < len(lost))]
-    yield [np.arange(k, min(k + wide, len(lost))) for wide in (2, 3) for k in near]
+    change, known, size = responses.change, responses.known, responses.size
+    plain = responses.residual + change @ offset_of(sent, before)
+    ticks = len(before)
+    offset, lost = np.zeros((1, ticks)), np.zeros((1, ticks), dtype=bool)
+    acts, cost = np.full(1, sent[0]), np.zeros(1)
+    for k in range(ticks):
+        step = acts - sent[k + 1]
+        may = np.flatnonzero(step**2 * size[k] > shows)
+        parent = np.concatenate([np.arange(len(cost)), may])
+        offset, lost, cost = offset[parent], lost[parent], cost[parent]
+        gone = slice(len(acts), None)
+        offset[gone, k], lost[gone, k] = step[may], True
+        cost[gone] += price
+        acts = np.concatenate([np.full(len(acts), sent[k + 1]), acts[may]])
+        rows = slice(known[k - 1] if k else 0, known[k])
+        cost = cost + ((plain[rows] - offset[:, : k + 1] @ change[rows, : k + 1].T) ** 2).sum(1)
+        if len(cost) > KEPT:
+            best = np.sort(np.argpartition(cost, KEPT)[:KEPT])
+            offset, lost, cost, acts = offset[best], lost[best], cost[best], acts[best]
+    return lost[np.argmin(cost)]

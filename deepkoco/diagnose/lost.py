@@ -1,12 +1,12 @@
 """Commands that were sent and logged but never acted: the actuator held the one before for a tick.
 
 Which ticks were lost is searched for in every window by itself. What the loss of each single tick does to the
-measurements is simulated once; a pattern of losses is a sum of such responses with known sizes, and is grown and shrunk
-tick by tick while the errors pay for saying where they are. Neighbouring ticks do nearly the same to a slow machine:
-how many were lost is found better than which.
+measurements is simulated once; a pattern of losses is a sum of such responses with known sizes, and the errors have to
+pay for saying which ticks they are. Neighbouring ticks do nearly the same to a slow machine: how many were lost is
+found better than which.
 
-Source: matching pursuit with amplitudes that are known (Mallat and Zhang 1993), stopped by the two-part code of
-    minimum description length (Rissanen 1978).
+Source: detection of a sequence (:mod:`deepkoco.diagnose.loss_pattern`) under the two-part code of minimum description
+    length (Rissanen 1978).
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from deepkoco.diagnose.loss_pattern import held_over, offset_of, pattern
+from deepkoco.diagnose.loss_pattern import Responses, held_over, innovations, offset_of, pattern
 from deepkoco.diagnose.residuals import acting_system, push_of
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
@@ -175,16 +174,17 @@ def _imitated(
     Whatever is irregular is explained in part by offsets at hundreds of places; only losses prefer one sign.
     """
     windows, real, opposite = found.problem.windows, 0.0, 0.0
-    products = _products(found.problem, found.fit, index, spans, sent)
-    for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
+    responses = _responses(found.problem, found.fit, index, spans, sent)
+    for response, own, log in zip(responses, spans, windows.log, strict=True):
         given = sent[log][own[0] - 1 : own[-1] + 1]
         lost = found.logs[log].lost[own]
-        offset = offset_of(given, lost)
-        without = match + gram @ offset  # what the residuals hold if nothing was lost
-        none = np.zeros_like(lost)
-        other = offset_of(given, pattern(gram, -without, given, none, found.price, found.price))
-        real += 2.0 * offset @ without - offset @ gram @ offset
-        opposite += -2.0 * other @ without - other @ gram @ other
+        # What the residuals are if nothing was lost.
+        without = response.residual + response.change @ offset_of(given, lost)
+        turned = response._replace(residual=-without)
+        other = pattern(turned, given, np.zeros_like(lost), found.price, found.price)
+        plain = without @ without
+        real += plain - response.residual @ response.residual
+        opposite += plain - ((without + response.change @ offset_of(given, other)) ** 2).sum()
     return bool(opposite > real)
 
 
@@ -255,28 +255,27 @@ def _search(
     """
     windows = problem.windows
     price = max(2.0 * math.log((1.0 - share) / share), 0.0)
-    products = list(_products(problem, fit, index, spans, sent))
+    responses = list(_responses(problem, fit, index, spans, sent))
     most = 0.0
-    for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
-        change = sent[log][own - 1] - sent[log][own]
-        most = max(most, float((2.0 * change * match - change**2 * np.diag(gram)).max(initial=0.0)))
+    for response, own, log in zip(responses, spans, windows.log, strict=True):
+        step = sent[log][own - 1] - sent[log][own]
+        worth = 2.0 * step * (response.residual @ response.change) - step**2 * response.size
+        most = max(most, float(worth.max(initial=0.0)))
     bar = max(price, part * most)
     # Where windows overlap a tick is lost if one of them says so.
     logs = [Shown(np.zeros_like(p), np.zeros(len(p))) for p in before]
-    for (gram, match), own, log in zip(products, spans, windows.log, strict=True):
+    for response, own, log in zip(responses, spans, windows.log, strict=True):
         given = sent[log][own[0] - 1 : own[-1] + 1]
-        lost = pattern(gram, match, given, before[log][own], bar, price)
-        logs[log].lost[own] |= lost
-        worth = np.diff(given) ** 2 * np.diag(gram)
+        logs[log].lost[own] |= pattern(response, given, before[log][own], bar, price)
+        worth = np.diff(given) ** 2 * response.size
         logs[log].worth[own] = np.maximum(logs[log].worth[own], worth)
     return logs, price, bar == price
 
 
-def _products(
+def _responses(
     problem: FitProblem, fit: Fit, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """For each window, the products (K, K) of its ticks' responses per unit of offset, and (K,) with the residuals;
-    both without what the initial states can do."""
+) -> Iterator[Responses]:
+    """For each window, what its measurements do when a command in one of its ticks is another one."""
     windows, states = problem.windows, fit.state.shape[1]
     system = acting_system(problem, fit)
     theta = np.array([fit.values[n] for n in problem.names])
@@ -289,8 +288,7 @@ def _products(
     for s in range(states):
         initial[1 + s, :, s] += tiny
     at = predict(system, windows, named, initial, push)
-    slopes = ((at[1:] - at[0]) * problem.weight).reshape(states, len(windows), -1).permute(1, 2, 0)
-    basis, _ = torch.linalg.qr(slopes)
+    slopes = ((at[1:] - at[0]) * problem.weight).flatten(2).permute(1, 2, 0)  # (W, samples, states)
     ring = max(len(own) for own in spans)
     commands, sizes = _ring(windows, index, ring, sent)
     block = max(LANES // ring, 1)
@@ -311,12 +309,15 @@ def _products(
         size = torch.from_numpy(np.concatenate([sizes[windows.log[w]][spans[w]] for w in picked]))
         change = ((moved - at[0][row]) * problem.weight[row]).flatten(1) / size[:, None]
         for w, response in zip(picked, change.split([len(spans[w]) for w in picked]), strict=True):
-            yield _cleared(response.mT, fit.residual[w].flatten(), basis[w])
-
-
-def _cleared(response: Tensor, residual: Tensor, basis: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    response = response - basis @ (basis.mT @ response)
-    return (response.mT @ response).numpy(), (response.mT @ residual).numpy()
+            is_there = windows.valid[w].flatten().numpy()
+            ticks = windows.commands[windows.log[w]].t[spans[w]] - windows.t0[w]
+            yield innovations(
+                slopes[w].numpy()[is_there],
+                response.mT.numpy()[is_there],
+                fit.residual[w].flatten().numpy()[is_there],
+                windows.t[w].flatten().numpy()[is_there],
+                ticks,
+            )
 
 
 def _ring(

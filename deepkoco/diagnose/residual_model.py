@@ -117,7 +117,7 @@ def learn_residual(
         train: Training windows.
         held: Held-out windows, which decide whether it is accepted.
         reference: The refitted baseline on the training windows.
-        missing: Load that the refit misses at each joint, which gives the range of the speeds.
+        missing: Load that the refit misses at each joint, which gives the ranges of angles and speeds.
         seed: Of the bootstrap.
 
     Returns:
@@ -165,6 +165,9 @@ def _scales(start: Start, train: Windows, missing: Sequence[MissingTorque]) -> d
             continue  # weights that a model file brought along mean something in their own scales only
         speed = float(np.abs(missing[j].omega).max())
         values[f"{placed.name}.speed_scale"] = max(speed, 1e-6)
+        low, high = float(missing[j].theta.min()), float(missing[j].theta.max())
+        values[f"{placed.name}.angle_middle"] = 0.5 * (low + high)
+        values[f"{placed.name}.angle_scale"] = max(0.5 * (high - low), 1e-9)
         if j in system.command_joints:
             k = system.command_joints.index(j)
             largest = max(float(np.abs(c.column(k)).max()) for c in train.commands)

@@ -28,25 +28,35 @@ __all__ = [
 ]
 
 SLOTS = 20  # pieces of a window over each of which a missing torque is held constant
+COLOURED = 5.0  # standard deviations of the correlation that white residuals have by chance
+LEFT = 4.0  # of their chi2
+DOUBTFUL = 2.0  # of either: what bends to anything has to leave less
 REACH = 1.5  # slots over which missing torques are alike: keeps the deconvolution from ringing
 
 
-def coloured_from(windows: Windows) -> float:
-    """Correlation of neighbouring residuals from which they are not white: five standard deviations."""
-    return 5.0 / math.sqrt(windows.samples)
+def coloured_from(windows: Windows, deviations: float = COLOURED) -> float:
+    """Correlation of neighbouring residuals from which they are not white.
+
+    Args:
+        windows: The windows.
+        deviations: How many standard deviations that is.
+    """
+    return deviations / math.sqrt(windows.samples)
 
 
-def white_limit(windows: Windows) -> float:
+def white_limit(windows: Windows, deviations: float = LEFT) -> float:
     """chi2 per sample above which residuals hold more than noise.
 
-    Four standard deviations of chi2 / N, plus what is uncertain in the noise itself.
+    Args:
+        windows: The windows.
+        deviations: How many standard deviations of chi2 / N that is, what is uncertain in the noise itself included.
     """
     samples = windows.samples
     per_channel = [int(windows.valid[:, c].sum()) for c in range(windows.valid.shape[1])]
     noise = sum(
         (2.0 * n / samples * s.relative_sd) ** 2 for n, s in zip(per_channel, windows.noise, strict=True)
     )
-    return 1.0 + 4.0 * math.sqrt(2.0 / samples + noise)
+    return 1.0 + deviations * math.sqrt(2.0 / samples + noise)
 
 
 @dataclass(frozen=True)

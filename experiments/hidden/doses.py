@@ -17,6 +17,7 @@ from experiments.hidden.unit import Hidden, hidden_log
 # Dose x -> parameters, from the load scale [N m or N], the largest command and the time scale [s] of a joint; doses
 # are such that x = 1 is visible.
 Dose = Callable[[float, float, float, float], dict[str, float]]
+INVISIBLE = 0.01  # ES below which a dose does nothing that the log shows
 DOSES: dict[str, Dose] = {
     "actuation_delay": lambda x, load, command, time: {"delay": 0.01 * time * x},
     "sensing_delay": lambda x, load, command, time: {"delay": 0.01 * time * x},
@@ -149,5 +150,8 @@ def scaled(
         found = strength(system, hidden, excitation, seed, seconds, cost / samples)
         if 0.75 * wanted < found < 1.33 * wanted:
             break
+        if found < INVISIBLE and dose > 1.0:
+            # Acting where the log shows nothing, as a push on a joint at rest, it would only grow out of all bounds.
+            return make(1.0), 0.0
         dose *= float(np.clip(wanted / max(found, 1e-3), 0.05, 8.0))
     return hidden, found

@@ -5,7 +5,7 @@ import pytest
 
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.elimination import carried, eliminated, without_detents_and_tones
+from deepkoco.diagnose.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
 from deepkoco.diagnose.forward import Selected, Selection
 from deepkoco.diagnose.residuals import missing_torque
 from deepkoco.diagnose.selection import FURTHER, prior_with, rank
@@ -76,14 +76,17 @@ def test_detents_and_tones_go_where_others_stay():
         hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 225, 12.0),
         ["cogging", "coulomb", "periodic"],
     )
-    kept, less = without_detents_and_tones(problem, start, causes, fit)
+    kept, less = without_kinds(problem, start, causes, fit, BENDING)
     assert [c.name for c in kept] == ["coulomb"]
     assert not any(n.startswith(("cogging", "periodic")) for n in less.free)
     assert less.values["cogging.sine"] == less.values["periodic.sine"] == 0.0
     # Alone they stay, for the verdict to judge.
-    alone, unchanged = without_detents_and_tones(problem, start, causes[:1], fit)
+    alone, unchanged = without_kinds(problem, start, causes[:1], fit, BENDING)
     assert alone == causes[:1]
     assert unchanged is fit
+    # So does everything where nothing of these kinds is there.
+    same, unchanged = without_kinds(problem, start, causes, fit, PUSHES)
+    assert (same, unchanged) == (causes, fit)
 
 
 def test_what_does_better_beside_the_others_takes_a_place():

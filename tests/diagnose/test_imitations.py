@@ -116,3 +116,11 @@ def test_small_effects_of_a_healthy_unit_are_learned_without_a_mixture():
     assert share == pytest.approx(floor["load_friction"]["coefficient"], rel=0.2)
     rate = start.values["gain_drift.rate"]
     assert rate == pytest.approx(floor["gain_drift"]["rate"], rel=0.2)
+
+
+def test_commands_of_two_levels_cannot_tell_a_cut_from_a_lower_gain():
+    """Every command is cut as a whole: a shallow cut has to show the way to a deep one."""
+    log = hidden_log("rod_pendulum", {"saturation": {"limit": 1.6}}, "bang-bang", 227, 16.0)
+    found = diagnose([log], "rod_pendulum", only=["saturation", "gain", "payload", "lag"])
+    assert found.verdict == "cause"
+    assert set(found.causes[0].members) == {"saturation", "gain"}

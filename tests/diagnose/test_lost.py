@@ -1,6 +1,7 @@
 """Which commands never arrived is found tick by tick, and nothing is found where all arrived."""
 
 from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.data import cut_data
-from deepkoco.diagnose.loss_pattern import held_over, pattern
+from deepkoco.diagnose.loss_pattern import Responses, held_over, innovations, offset_of, pattern
 from deepkoco.diagnose.lost import LostCommands, lost_commands
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import FitProblem
@@ -41,20 +42,64 @@ def test_losses_explain_what_the_refit_leaves_and_their_share_is_right():
     assert found.found == found.logs[0].lost.sum()
 
 
+def slow(rng, ticks: int, size: float) -> tuple[Responses, np.ndarray, np.ndarray]:
+    """Responses of a mass whose position is seen, the residuals with some ticks lost, commands and the lost ones."""
+    sent = rng.choice([-1.0, 1.0], ticks + 1).cumsum()
+    truth = rng.random(ticks) < 0.3
+    when = np.arange(float(ticks))
+    t = np.linspace(0.0, ticks + 3.0, 8 * ticks)
+    since = np.maximum(t[:, None] - when, 0.0)
+    change = size * (since**2 - np.maximum(since - 1.0, 0.0) ** 2)
+    residual = change @ offset_of(sent, truth) + rng.standard_normal(len(t))
+    state = np.stack([np.ones_like(t), t], 1)
+    residual = residual + state @ rng.normal(size=2, scale=30.0)
+    return innovations(state, change, residual, t, when), sent, truth
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.1, 0.5, 3.0]), st.floats(0.0, 6.0))
+def test_no_pattern_is_better_than_the_one_that_is_found(seed, size, price):
+    responses, sent, _ = slow(np.random.default_rng(seed), 7, size)
+
+    def cost(lost):
+        left = responses.residual - responses.change @ offset_of(sent, lost)
+        # A tick whose command changes nothing is never lost.
+        paid = sum(lost[k] and offset_of(sent, lost)[k] != 0.0 for k in range(len(lost)))
+        return left @ left + price * paid
+
+    every = [np.array(lost) for lost in product([False, True], repeat=7)]
+    found = pattern(responses, sent, np.zeros(7, dtype=bool), price, 0.0)
+    assert cost(found) == pytest.approx(min(map(cost, every)), abs=1e-6)
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
-def test_where_responses_differ_every_tick_is_found(seed):
-    rng = np.random.default_rng(seed)
-    sent = rng.choice([-1.0, 1.0], 25).cumsum()
-    truth = rng.random(24) < 0.3
-    response = 20.0 * rng.standard_normal((400, 24))
-    acted = held_over(sent, 1 + np.flatnonzero(truth))[1:]
-    residual = response @ (acted - sent[1:]) + rng.standard_normal(400)
-    gram, match = response.T @ response, response.T @ residual
-    # From nothing, and from the truth; the price of a tick is small beside what it wins.
-    for before, left in ((np.zeros(24, dtype=bool), match), (truth, response.T @ rng.standard_normal(400))):
-        lost = pattern(gram, left, sent, before, 4.0, 4.0)
-        assert (held_over(sent, 1 + np.flatnonzero(lost))[1:] == acted).all()
+def test_where_losses_are_plain_every_one_is_found(seed):
+    responses, sent, truth = slow(np.random.default_rng(seed), 60, 30.0)
+    acted = offset_of(sent, truth)
+    nothing = np.zeros(60, dtype=bool)
+    # From nothing, and from the truth: then the residuals are what it leaves.
+    for before, residual in (
+        (nothing, responses.residual),
+        (truth, responses.residual - responses.change @ acted),
+    ):
+        lost = pattern(responses._replace(residual=residual), sent, before, 4.0, 4.0)
+        np.testing.assert_allclose(offset_of(sent, lost), acted)
+
+
+def test_innovations_leave_out_what_an_initial_state_can_do():
+    rng = np.random.default_rng(3)
+    t = rng.permutation(np.linspace(0.0, 2.0, 50))
+    state, change, residual = rng.normal(size=(50, 2)), rng.normal(size=(50, 4)), rng.normal(size=50)
+    responses = innovations(state, change, residual, t, np.array([0.0, 0.5, 1.0, 1.5]))
+    assert responses.known.tolist() == [(t < 0.5).sum(), (t < 1.0).sum(), (t < 1.5).sum(), 50]
+    offset = rng.normal(size=4)
+    left = np.linalg.lstsq(state, residual - change @ offset, rcond=None)[1].item()
+    assert ((responses.residual - responses.change @ offset) ** 2).sum() == pytest.approx(left, rel=1e-5)
+    # No sample tells of one after it.
+    first = np.argsort(t)[:20]
+    early = innovations(state[first], change[first], residual[first], t[first], np.zeros(4))
+    np.testing.assert_allclose(early.residual, responses.residual[:20], atol=1e-3)
 
 
 def test_nothing_is_lost_where_every_command_arrived():

@@ -91,7 +91,9 @@ def test_null_weights_recover_the_baseline():
 
 def test_every_term_acts_where_it_is_declared():
     base = make_system("rod_pendulum")
-    state, effort = torch.tensor([1.0, 0.7], dtype=torch.float64), torch.tensor(0.5, dtype=torch.float64)
+    # On either side of the middle, where springs begin.
+    state = torch.tensor([[1.0, 0.7], [-1.0, 0.7]], dtype=torch.float64)
+    effort = torch.tensor(0.5, dtype=torch.float64)
     plain = base.derivative(state, effort, base.default_parameters())
     for term in terms_at(base, 0):
         moved = ExtendedSystem(base, ("learned",), {f"learned.{term}": 0.3})
@@ -106,3 +108,35 @@ def test_load_without_a_law_is_rejected():
     learned = result.unexplained["residual_model"]
     assert not learned["accepted"]
     assert [e.name for e in result.model.effects] == []
+
+
+def test_a_spring_that_begins_somewhere_is_learned_as_one():
+    """A tether that is slack up to 0.15 rad from the start: no cause of the catalogue."""
+    log = hidden_log("rod_pendulum", {"tether": {"stiffness": 0.5}}, "steps", 5, 20.0)
+    result = diagnose([log], "rod_pendulum", only=FEW)
+    assert result.verdict == "unknown"
+    learned = result.unexplained["residual_model"]
+    assert learned["accepted"]
+    assert learned["chi2_per_sample_before"] > 2.0
+    assert learned["chi2_per_sample_after"] < 1.05
+    first = learned["terms"][0]
+    assert first["name"] == "learned.beyond_15"
+    assert first["weight"] / result.model.parameter("learned.angle_scale").value == pytest.approx(
+        -0.5, rel=0.2
+    )
+
+
+def test_springs_begin_where_their_names_say():
+    base = make_system("rod_pendulum")
+    values = {"learned.angle_middle": 3.0, "learned.angle_scale": 2.0}
+    state = torch.tensor([[3.0 + 2.0 * z, 0.0] for z in (-0.8, -0.1, 0.3, 0.9)], dtype=torch.float64)
+    effort = torch.zeros(4, dtype=torch.float64)
+
+    def load(term):
+        systems = [ExtendedSystem(base, ("learned",), {**values, f"learned.{term}": w}) for w in (0.0, 1.0)]
+        less, more = (s.derivative(state, effort, s.default_parameters())[:, 1] for s in systems)
+        return (more - less) / (more - less).abs().max()
+
+    torch.testing.assert_close(load("above_p15") * 0.75, torch.tensor([0.0, 0.0, 0.15, 0.75]).double())
+    torch.testing.assert_close(load("below_m40") * 0.4, torch.tensor([-0.4, 0.0, 0.0, 0.0]).double())
+    torch.testing.assert_close(load("beyond_70") * 0.2, torch.tensor([-0.1, 0.0, 0.0, 0.2]).double())

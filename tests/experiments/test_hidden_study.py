@@ -5,8 +5,9 @@ import math
 
 import pytest
 
+from experiments.hidden import doses
 from experiments.hidden.cases import make_case
-from experiments.hidden.doses import strength, unexplained
+from experiments.hidden.doses import scaled, strength, unexplained
 from experiments.hidden.measures import measures
 from experiments.hidden.unit import hidden_log
 from experiments.hidden_effects import COLUMNS, ResumeError, read_rows
@@ -75,3 +76,19 @@ def test_an_effect_that_stops_the_machine_is_beyond_every_strength():
     still = hidden_log("rod_pendulum", {"gain": {"factor": 0.0}}, "bang-bang", 1, 6.0, noisy=False)
     assert unexplained(still, "rod_pendulum") == (math.inf, 1)
     assert strength("rod_pendulum", {"gain": {"factor": 0.0}}, "bang-bang", 1, 6.0, 1.0) == math.inf
+
+
+def test_a_push_on_a_joint_at_rest_does_not_grow_out_of_all_bounds(monkeypatch):
+    """Windows in which a joint rests say nothing, and no dose of what acts there alone shows."""
+    tried = []
+
+    def unseen(system, hidden, excitation, seed, seconds, healthy):
+        tried.append(hidden["event"]["torque"])
+        return 0.0
+
+    monkeypatch.setattr(doses, "strength", unseen)
+    hidden, found = scaled(
+        lambda x: {"event": {"torque": x}} if x else {}, "rod_pendulum", "steps", 1, 6.0, 1.0
+    )
+    assert (hidden, found) == ({"event": {"torque": 1.0}}, 0.0)
+    assert tried == [1.0, 8.0]

@@ -22,8 +22,9 @@ def _dead_zone_starts(hint: Hint) -> list[dict[str, float]]:
 
 
 def _saturation_starts(hint: Hint) -> list[dict[str, float]]:
-    # The limit has no gradient until it cuts into the commands.
-    return [{"limit": share * _largest(hint)} for share in (0.97, 0.8, 0.5)]
+    # The limit has no gradient until it cuts into the commands; of two levels alone every cut is a whole one, and only
+    # a shallow one is small enough to tell the direction.
+    return [{"limit": share * _largest(hint)} for share in (0.9999, 0.97, 0.8, 0.5)]
 
 
 GAIN = Cause(
