@@ -205,6 +205,9 @@ class _Run:
         self.gusty = any(kind == "turbulence" for kind, _ in unit.hidden)
         self.played = [0.0] * self.count
         self.filter = unit._of("low_pass").get("time_constant", 0.0)
+        # An explicit step across more than a time constant would blow up.
+        fastest = [x for chain in unit.lags for x in chain] + ([self.filter] if self.filter > 0.0 else [])
+        self.longest = min([STEP, *fastest])
         self.seen = [*self.q, *self.v]
         self.t, self.gust = 0.0, [0.0] * self.joints
         self.pending: deque[tuple[float, list[float]]] = deque()
@@ -268,7 +271,7 @@ class _Run:
             edges = [e for e in self._edges() if self.t + 1e-12 < e]
             pause = min([until, max(due, self.t), *edges])
             if pause > self.t + 1e-12:
-                steps = math.ceil((pause - self.t) / STEP - 1e-9)
+                steps = math.ceil((pause - self.t) / self.longest - 1e-9)
                 h = (pause - self.t) / steps
                 for _ in range(steps):
                     self._step(h)

@@ -92,3 +92,14 @@ def test_a_push_on_a_joint_at_rest_does_not_grow_out_of_all_bounds(monkeypatch):
     )
     assert (hidden, found) == ({"event": {"torque": 1.0}}, 0.0)
     assert tried == [1.0, 8.0]
+
+
+@pytest.mark.parametrize("effect", ["lag", "low_pass"])
+def test_a_lag_far_below_the_step_is_as_good_as_none(effect):
+    logs = [
+        hidden_log("rod_pendulum", hidden, "bang-bang", 1, 3.0, noisy=False)
+        for hidden in ({}, {effect: {"time_constant": 1e-4}}, {effect: {"time_constant": 2e-3}})
+    ]
+    plain, fast, slow = (log.channels["theta"].value for log in logs)
+    assert abs(fast - plain).max() < 2e-3
+    assert abs(fast - plain).max() < 0.1 * abs(slow - plain).max() < 1.0
