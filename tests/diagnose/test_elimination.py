@@ -89,25 +89,59 @@ def test_detents_and_tones_go_where_others_stay():
     assert (same, unchanged) == (causes, fit)
 
 
-def test_what_does_better_beside_the_others_takes_a_place():
-    hidden = {"coulomb": {"torque": 0.1}, "gain": {"factor": 1.1}}
-    problem, start, wrong, fit, reference = fitted(
-        hidden_log("rod_pendulum", hidden, "steps", 226, 20.0), ["viscous", "gain"]
-    )
-    known = catalogue(start.system.base)
-    selection = Selection(
-        start, problem.windows, None, [known[n] for n in ("viscous", "coulomb", "gain")], 24.0
-    )
-    ranking = rank(
-        problem,
-        start,
-        reference,
-        (),
-        selection._hints(problem, reference, missing_torque(problem, reference)),
-    )
-    found = Selected(fit, tuple(wrong), ((ranking, ("viscous",)), (ranking, ("gain",))), problem)
-    better = selection._reconsidered(found)
-    assert [c.name for c in better.accepted] == ["coulomb", "gain"]
+def looked_at_again(system, hidden, excitation, seed, first, wrong, known):
+    """Two causes, the second one wrong, as a selection has found them one after the other; and its second look."""
+    system = make_system(system)
+    log = hidden_log(system.name, hidden, excitation, seed, 20.0)
+    windows = cut_windows([log], system, window_length(system))
+    start = start_from(system, windows)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    problem, catalogued = FitProblem(start.system, windows), catalogue(system)
+    selection = Selection(start, windows, None, [catalogued[n] for n in known], 24.0)
+    steps, accepted, fit = [], [], reference
+    for name in (first, wrong):
+        hints = selection._hints(problem, fit, missing_torque(problem, fit))
+        ranking = rank(problem, start, fit, accepted, hints, [catalogued[name]])
+        steps.append((ranking, (name,)))
+        accepted.append(ranking.best.cause)
+        fit = ranking.best.fit
+    return fit, selection._reconsidered(Selected(fit, tuple(accepted), tuple(steps), problem))
+
+
+@pytest.mark.parametrize(
+    ("system", "hidden", "first", "wrong", "right"),
+    [
+        (
+            "rod_pendulum",
+            {"coulomb": {"torque": 0.1}, "gain": {"factor": 1.1}},
+            "gain",
+            "viscous",
+            "coulomb",
+        ),
+        (
+            "rod_pendulum",
+            {"coulomb": {"torque": 0.1}, "event": {"torque": 1.0, "start": 7.3, "duration": 0.2}},
+            "event",
+            "viscous",
+            "coulomb",
+        ),
+        (
+            "two_link_arm",
+            {"coulomb(joint 2)": {"torque": 0.2}, "gain(joint 1)": {"factor": 1.15}},
+            "gain(joint 1)",
+            "viscous(joint 2)",
+            "coulomb(joint 2)",
+        ),
+    ],
+)
+def test_what_does_better_beside_the_others_takes_a_place(system, hidden, first, wrong, right):
+    known = ("viscous(joint 1)", "coulomb(joint 1)") if system == "two_link_arm" else ()
+    fit, better = looked_at_again(system, hidden, "steps", 226, first, wrong, (first, wrong, right, *known))
+    # The right one may take either place, and the other one the place that is left.
+    assert {c.name for c in better.accepted} == {first, right}
     assert better.final.cost < fit.cost - 100.0
-    assert better.steps[0][1] == ("coulomb",)
-    assert better.final.values["coulomb.torque"] == pytest.approx(0.1, rel=0.1)
+    assert [members for _, members in better.steps] == [(c.name,) for c in better.accepted]
+    torque = hidden[right]["torque"]
+    assert better.final.values[f"{right}.torque"] == pytest.approx(torque, rel=0.1)
+    if first == "event":
+        assert better.final.values["event.start"] == pytest.approx(7.3, abs=0.02)

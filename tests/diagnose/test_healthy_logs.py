@@ -14,7 +14,7 @@ from deepkoco.diagnose.residuals import dispersion
 from deepkoco.diagnose.selection import Candidate, Ranking, prior_with
 from deepkoco.identify.fit import FitProblem, Trial
 from deepkoco.identify.windows import cut_windows, moving, window_length
-from deepkoco.systems import make_system
+from deepkoco.systems import ExtendedSystem, make_system
 from experiments.hidden.unit import hidden_log
 
 SYSTEM = make_system("rod_pendulum")
@@ -81,6 +81,20 @@ def test_an_offset_that_was_always_there_is_not_named(bent):
     only = ["torque_bias", "coulomb"]
     assert diagnose([log], "rod_pendulum", only=only).names == ("torque_bias",)
     assert diagnose([log], "rod_pendulum", baseline=start, only=only).verdict == "nothing"
+
+
+def test_a_model_that_was_extended_before_learns_from_healthy_logs_too():
+    """What an earlier model.yaml brings along is in the baseline; what is new is named."""
+    unit = {"coulomb": {"torque": 0.1}, "lag": {"time_constant": 0.02}}
+    model = ExtendedSystem(SYSTEM, ("coulomb",), {"coulomb.torque": 0.08})
+    healthy = hidden_log("rod_pendulum", unit, "chirp", SEED, 15.0)
+    log = hidden_log("rod_pendulum", {**unit, "gain": {"factor": 0.85}}, "steps", SEED, 20.0)
+    result = diagnose([log], model, [healthy], only=["gain", "viscous", "lag"])
+    assert result.names == ("gain",)
+    assert result.causes[0].parameters["gain.factor"].value == pytest.approx(0.85, rel=0.03)
+    values = {p.name: p.value for p in result.model.parameters}
+    assert values["coulomb.torque"] == pytest.approx(0.1, rel=0.1)
+    assert values["lag.time_constant"] == pytest.approx(0.02, rel=0.1)
 
 
 def test_causes_that_healthy_logs_do_not_tell_apart_are_all_in_the_baseline():
