@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.graph.recording import Recording
+from deepkoco.identify.dispersion import dispersion
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
@@ -57,6 +58,13 @@ class Start:
     effects: tuple[str, ...] = ()
     losing: tuple[int, ...] = ()
     healthy: Healthy | None = None
+
+    @property
+    def tinge(self) -> float:
+        """Correlation of neighbouring residuals that this unit shows when nothing is wrong."""
+        if self.healthy is None:
+            return 0.0
+        return max(dispersion(self.healthy.fit, self.healthy.windows).lag_one, 0.0)
 
 
 class BaselineError(ValueError):

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import CAUSES, Cause
 from deepkoco.diagnose.diagnosis import Finding
 from deepkoco.diagnose.friction_curve import friction_curve, pushes
+from deepkoco.diagnose.noise_left import more_than_noise
 from deepkoco.diagnose.residuals import MissingTorque
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.windows import Windows
@@ -102,6 +104,30 @@ def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
     return tuple(result)
 
 
+def doubts_of_bending(
+    start: Start, causes: Sequence[Cause], lost: Finding | None, windows: Windows, fit: Fit
+) -> tuple[str, ...]:
+    """A sentence for lost commands, and for a push beside other causes, that leave more than noise.
+
+    Args:
+        start: The baseline.
+        causes: Causes that would be named.
+        lost: Lost commands among them.
+        windows: Training windows.
+        fit: Fit with all of them.
+    """
+    pushes = sum(c.effect == "event" for c in causes)
+    if lost is None and pushes in (0, len(causes)):
+        return ()
+    left = more_than_noise(fit, windows, start)
+    if left is None:
+        return ()
+    what = "a pattern of lost commands bends" if lost is not None else "a push beside another cause bends"
+    return (
+        f"{_listed(causes, lost)} would leave more than noise: {left}; and {what} to much that it is not.",
+    )
+
+
 def doubts_of_names(causes: Sequence[Cause], lost: Finding | None) -> tuple[str, ...]:
     """A sentence for causes that explain hardly more than a learned load which stands for no mechanism, or less.
 
@@ -109,5 +135,9 @@ def doubts_of_names(causes: Sequence[Cause], lost: Finding | None) -> tuple[str,
         causes: Causes that would be named.
         lost: Lost commands among them.
     """
-    names = " and ".join([c.name for c in causes] + ([lost.name] if lost else []))
+    names = _listed(causes, lost)
     return (f"A load that follows angle, speed and effort smoothly says nearly as much as {names}, or more.",)
+
+
+def _listed(causes: Sequence[Cause], lost: Finding | None) -> str:
+    return " and ".join([c.name for c in causes] + ([lost.name] if lost else []))

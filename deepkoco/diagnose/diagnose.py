@@ -18,6 +18,7 @@ from deepkoco.diagnose.baseline import (
     with_floor_as_noise,
 )
 from deepkoco.diagnose.beyond import (
+    doubts_of_bending,
     doubts_of_commands,
     doubts_of_estimates,
     doubts_of_friction,
@@ -176,8 +177,9 @@ class _Study:
             *doubts_of_commands(data.train, self.system),
             *doubts_of_estimates(problem, self.accepted, final),
             *doubts_of_friction(start.system, self.accepted, final, missing, after.deflation),
+            *doubts_of_bending(start, self.accepted, self.lost, data.train, final),
         )
-        verdict = verdict_of(found, start, data.train, reference, gain, after.lag_one, self.doubts)
+        verdict = verdict_of(found, start, data.train, reference, gain, white, self.doubts)
         learned = None
         rival = verdict in ("cause", "ambiguous") and rivalled(found, start, data.train)
         if verdict == "unknown" or rival:

@@ -27,10 +27,9 @@ from deepkoco.diagnose.elimination import (
 from deepkoco.diagnose.healthy import Claim, allowed
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
+from deepkoco.diagnose.noise_left import more_than_noise
 from deepkoco.diagnose.residual_model import ResidualModel
 from deepkoco.diagnose.residuals import (
-    COLOURED,
-    DOUBTFUL,
     SLOTS,
     MissingTorque,
     coloured_from,
@@ -168,14 +167,21 @@ class Selection:
         kept, final = eliminated(found.acting, self.start, found.accepted, found.final, FURTHER, least)
         if self.held is not None and len(self.held) > 0:
             kept, final = carried(found.acting, self.start, kept, final, self.held, least)
-        for kinds, deviations, most in ((BENDING, COLOURED, 0.5), (PUSHES, DOUBTFUL, 0.1)):
-            if dispersion(final, self.train).lag_one > coloured_from(self.train, deviations):
-                rest, less = without_kinds(found.acting, self.start, kept, final, kinds)
-                # Where they are much of what is explained, the verdict judges.
-                if less.chi2 - final.chi2 < most * (self.before - final.chi2):
-                    kept, final = rest, less
+        if dispersion(final, self.train).lag_one > coloured_from(self.train):
+            kept, final = self._without(found.acting, kept, final, BENDING, 0.5)
+        if more_than_noise(final, self.train, self.start) is not None:
+            kept, final = self._without(found.acting, kept, final, PUSHES, 0.1)
         steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
         return replace(found, final=final, accepted=tuple(kept), steps=steps)
+
+    def _without(
+        self, problem: FitProblem, kept: Sequence[Cause], fit: Fit, kinds: Sequence[str], most: float
+    ) -> tuple[Sequence[Cause], Fit]:
+        """Without causes of these kinds, unless more than this share of what is explained is theirs: then the verdict
+        judges."""
+        rest, less = without_kinds(problem, self.start, kept, fit, kinds)
+        gives_little = less.chi2 - fit.chi2 < most * (self.before - fit.chi2)
+        return (rest, less) if gives_little else (kept, fit)
 
     def _reconsidered(self, found: Selected) -> Selected:
         """Each of several causes once more, beside all others.

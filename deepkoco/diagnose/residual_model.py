@@ -27,9 +27,9 @@ from deepkoco.diagnose.screening import screen
 from deepkoco.diagnose.selection import WORTH, prior_with
 from deepkoco.identify.dispersion import dispersion
 from deepkoco.identify.fit import Fit, FitProblem, Trial
-from deepkoco.identify.windows import Windows
+from deepkoco.identify.windows import STANDSTILL, Windows
 from deepkoco.systems.effects import EFFECTS, place
-from deepkoco.systems.effects.learned import SCALES
+from deepkoco.systems.effects.learned import SCALES, is_spring
 
 MOST_TERMS = 6
 VALIDATED = 4  # one training window in four decides how many terms are kept
@@ -128,7 +128,10 @@ def learn_residual(
     system = start.system
     scaled = {**reference.values, **_scales(start, train, missing)}
     choose = np.arange(len(train)) % VALIDATED == VALIDATED - 2
-    names, validation = _choose(start, train, choose, reference, scaled)
+    offered = [
+        c for c in _candidates(start) if not (is_spring(c.name) and c.joint in _resting(train, missing))
+    ]
+    names, validation = _choose(start, train, choose, reference, scaled, offered)
     problem = FitProblem(system, train)
     before = reference.chi2 / train.samples
     if not names:
@@ -160,19 +163,32 @@ def _scales(start: Start, train: Windows, missing: Sequence[MissingTorque]) -> d
     system, values = start.system, {}
     for placed in place(EFFECTS["learned"], system):
         j = placed.index
-        weights = [p.name for p in placed.parameters(system.base) if p.name not in SCALES]
-        if any(start.values[f"{placed.name}.{name}"] != 0.0 for name in weights):
-            continue  # weights that a model file brought along mean something in their own scales only
+        weights = {p.name for p in placed.parameters(system.base) if p.name not in SCALES}
+        # Weights that a model file brought along mean something in their own scales only.
+        had = {name for name in weights if start.values[f"{placed.name}.{name}"] != 0.0}
+        if not any(map(is_spring, had)):
+            low, high = float(missing[j].theta.min()), float(missing[j].theta.max())
+            values[f"{placed.name}.angle_middle"] = 0.5 * (low + high)
+            values[f"{placed.name}.angle_scale"] = max(0.5 * (high - low), 1e-9)
+        if not all(map(is_spring, had)):
+            continue
         speed = float(np.abs(missing[j].omega).max())
         values[f"{placed.name}.speed_scale"] = max(speed, 1e-6)
-        low, high = float(missing[j].theta.min()), float(missing[j].theta.max())
-        values[f"{placed.name}.angle_middle"] = 0.5 * (low + high)
-        values[f"{placed.name}.angle_scale"] = max(0.5 * (high - low), 1e-9)
         if j in system.command_joints:
             k = system.command_joints.index(j)
             largest = max(float(np.abs(c.column(k)).max()) for c in train.commands)
             values[f"{placed.name}.effort_scale"] = max(largest, 1e-9)
     return values
+
+
+def _resting(train: Windows, missing: Sequence[MissingTorque]) -> tuple[int, ...]:
+    """Joints that rest: a spring somewhere in their way would be a wall."""
+    found = []
+    for j, own in enumerate(missing):
+        noise = [n.sd for n, state in zip(train.noise, train.shows, strict=True) if state == j]
+        if np.ptp(own.theta) < STANDSTILL * min(noise, default=0.0):
+            found.append(j)
+    return tuple(found)
 
 
 def _candidates(start: Start) -> list[Cause]:
@@ -199,7 +215,12 @@ def _candidates(start: Start) -> list[Cause]:
 
 
 def _choose(
-    start: Start, train: Windows, choose: np.ndarray, reference: Fit, scaled: Mapping[str, float]
+    start: Start,
+    train: Windows,
+    choose: np.ndarray,
+    reference: Fit,
+    scaled: Mapping[str, float],
+    offered: Sequence[Cause],
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Names of the weights that pay on the windows that choose, and the error there after each term."""
     system = start.system
@@ -210,7 +231,7 @@ def _choose(
     chosen: list[str] = []
     kept, failed = 0, 0
     while len(chosen) < MOST_TERMS and failed < PATIENCE:
-        left = [c for c in _candidates(start) if c.name not in chosen]
+        left = [c for c in offered if c.name not in chosen]
         prior = _prior(inner, start, scaled, chosen)
         best = max(screen(inner, fit, prior, [(c, {}) for c in left]), key=lambda p: p.promise)
         if best.promise < WORTH:

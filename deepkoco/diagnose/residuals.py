@@ -30,7 +30,6 @@ __all__ = [
 SLOTS = 20  # pieces of a window over each of which a missing torque is held constant
 COLOURED = 5.0  # standard deviations of the correlation that white residuals have by chance
 LEFT = 4.0  # of their chi2
-DOUBTFUL = 2.0  # of either: what bends to anything has to leave less
 REACH = 1.5  # slots over which missing torques are alike: keeps the deconvolution from ringing
 
 

@@ -11,7 +11,7 @@ from deepkoco.diagnose.elimination import FITFUL
 from deepkoco.diagnose.forward import MOST_CAUSES, Selected
 from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.pushed import touched
-from deepkoco.diagnose.residuals import DOUBTFUL, coloured_from, white_limit
+from deepkoco.diagnose.residuals import white_limit
 from deepkoco.diagnose.selection import FURTHER
 from deepkoco.diagnose.unknown import carries_over, explained_share
 from deepkoco.identify.fit import Fit
@@ -34,7 +34,7 @@ def verdict_of(
     train: Windows,
     before: Fit,
     gain: Gain | None,
-    lag_one: float,
+    white: bool,
     doubts: Sequence[str],
 ) -> Verdict:
     """The verdict on what was selected.
@@ -45,15 +45,11 @@ def verdict_of(
         train: Training windows.
         before: The refit.
         gain: What the selection is worth on windows that no fit saw; None where there are none.
-        lag_one: Correlation of neighbouring residuals that it leaves.
+        white: Whether what it leaves is white.
         doubts: Sentences that speak against any name.
     """
     after, causes = found.final, found.accepted
     left = after.chi2 / train.samples > white_limit(train) * start.floor
-    white = lag_one <= coloured_from(train)
-    noise = lag_one <= coloured_from(train, DOUBTFUL) and (
-        after.chi2 / train.samples <= white_limit(train, DOUBTFUL) * start.floor
-    )
     if not causes and found.lost is None:
         return "unknown" if before.chi2 / train.samples > white_limit(train) * start.floor else "nothing"
     # Without windows that no fit saw, only a fit that leaves next to nothing speaks for a name.
@@ -63,13 +59,9 @@ def verdict_of(
     # A push, a tone and detents together bend to anything.
     if doubts or (fitful(found) and len(causes) >= MOST_CAUSES):
         return "unknown"
-    if found.lost is not None and (left or not noise or (causes and _all_fitful(found))):
+    if found.lost is not None and (left or (causes and _all_fitful(found))):
         # Offsets at hundreds of places bend to anything, above all beside pushes and tones; losses leave nothing.
         return "unknown"
-    if pushes and lasting and not noise:
-        return (
-            "unknown"  # most of what is there is a push and something that the push may well imitate in part
-        )
     if found.lost is not None or not lasting:
         gain = None  # what acts once is worth nothing on other windows, and other windows lose other commands
     if left:

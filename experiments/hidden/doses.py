@@ -152,6 +152,7 @@ def scaled(
             break
         if found < INVISIBLE and dose > 1.0:
             # Acting where the log shows nothing, as a push on a joint at rest, it would only grow out of all bounds.
-            return make(1.0), 0.0
+            hidden = make(1.0)
+            return hidden, strength(system, hidden, excitation, seed, seconds, cost / samples)
         dose *= float(np.clip(wanted / max(found, 1e-3), 0.05, 8.0))
     return hidden, found

@@ -18,6 +18,7 @@ from experiments.hidden.machines import MACHINES, Body, soft_sign
 Hidden = Mapping[str, Mapping[str, Any]]
 Load = Callable[[float, float, float, float, float], float]
 STEP = 1e-3  # longest integration step [s]
+NO_LAG = 1e-4  # time constant that does nothing the sensors show, and would only ask for short steps [s]
 SHARPNESS = 0.01  # of dry friction [per s]
 SLACK = 0.15  # way from the start on which a tether does not pull [rad or m]
 SENSOR_RATE, COMMAND_RATE = 100.0, 50.0  # [Hz]
@@ -58,7 +59,7 @@ class HiddenUnit:
         self.law = MACHINES[system](self.parameters, body)
         base_lag = self.parameters.get("motor_lag", 0.0)
         self.lags = [
-            [x for x in (base_lag, self._of("lag", k).get("time_constant", 0.0)) if x > 0.0]
+            [x for x in (base_lag, self._of("lag", k).get("time_constant", 0.0)) if x > NO_LAG]
             for k in range(len(self.system.commands))
         ]
         drawn = seed if drawn is None else drawn
@@ -204,8 +205,9 @@ class _Run:
         self.loads = [unit.load_on(j, self.q[j]) for j in range(self.joints)]
         self.gusty = any(kind == "turbulence" for kind, _ in unit.hidden)
         self.played = [0.0] * self.count
-        self.filter = unit._of("low_pass").get("time_constant", 0.0)
-        # An explicit step across more than a time constant would blow up.
+        constant = unit._of("low_pass").get("time_constant", 0.0)
+        self.filter = constant if constant > NO_LAG else 0.0
+        # Explicit steps across several time constants would blow up.
         fastest = [x for chain in unit.lags for x in chain] + ([self.filter] if self.filter > 0.0 else [])
         self.longest = min([STEP, *fastest])
         self.seen = [*self.q, *self.v]

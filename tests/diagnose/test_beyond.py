@@ -5,11 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
-from deepkoco.diagnose.baseline import start_from
-from deepkoco.diagnose.beyond import at_bound, doubts_of_commands, doubts_of_estimates, doubts_of_friction
+from deepkoco.diagnose.baseline import Healthy, start_from
+from deepkoco.diagnose.beyond import (
+    at_bound,
+    doubts_of_bending,
+    doubts_of_commands,
+    doubts_of_estimates,
+    doubts_of_friction,
+)
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
+from deepkoco.diagnose.residuals import white_limit
 from deepkoco.graph.recording import LogError, read_log
 from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.windows import CommandSeries
@@ -51,6 +59,41 @@ def test_an_estimate_at_its_bound_is_doubted_and_null_is_not(windows):
     assert len(text) == 1
     assert "gain" in text[0]
     assert "-3" in text[0]
+
+
+def residuals_like(windows, fit, chi2, colour=0.0):
+    """A fit that leaves Gaussian residuals of this chi2 per sample, correlated along every channel."""
+    rng = np.random.default_rng(1)
+    drawn = rng.standard_normal(windows.value.shape)
+    for k in range(1, drawn.shape[-1]):
+        drawn[..., k] = colour * drawn[..., k - 1] + (1.0 - colour**2) ** 0.5 * drawn[..., k]
+    residual = torch.from_numpy(drawn) * windows.valid
+    residual = residual * (chi2 * windows.samples / (residual**2).sum()) ** 0.5
+    return replace(fit, residual=residual, chi2=float((residual**2).sum()))
+
+
+def test_what_bends_to_anything_has_to_leave_noise(windows):
+    start = start_from(BASE, windows)
+    null = FitProblem(start.system, windows).evaluate(start.values)
+    known, lost = catalogue(BASE), SimpleNamespace(name="lost_commands")
+    below, above = (residuals_like(windows, null, white_limit(windows, sd)) for sd in (1.9, 2.1))
+    coloured = residuals_like(windows, null, 1.0, 0.2)
+    healthy = Healthy((), windows, start, (), coloured)
+    for names, missing in ((["event", "coulomb"], None), (["coulomb"], lost), ([], lost)):
+        causes = [known[n] for n in names]
+
+        def doubts(fit, start=start, causes=causes, missing=missing):
+            return doubts_of_bending(start, causes, missing, windows, fit)
+
+        assert doubts(below) == ()
+        assert "chi2 per sample" in doubts(above)[0]
+        assert "correlation of 0.19" in doubts(coloured)[0]
+        # A unit in which nothing is wrong leaves as much.
+        assert doubts(coloured, start=replace(start, healthy=healthy)) == ()
+        assert doubts(above, start=replace(start, floor=1.2)) == ()
+    # A push alone, and causes that do not bend, may leave some model error.
+    for names in (["event"], ["coulomb", "viscous"], []):
+        assert doubts_of_bending(start, [known[n] for n in names], None, windows, coloured) == ()
 
 
 def test_columns_given_for_each_other_are_named(tmp_path):

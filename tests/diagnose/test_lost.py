@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.diagnose import diagnose
+from deepkoco.diagnose import diagnose, loss_pattern
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.loss_pattern import Responses, held_over, innovations, offset_of, pattern
@@ -42,49 +42,72 @@ def test_losses_explain_what_the_refit_leaves_and_their_share_is_right():
     assert found.found == found.logs[0].lost.sum()
 
 
-def slow(rng, ticks: int, size: float) -> tuple[Responses, np.ndarray, np.ndarray]:
-    """Responses of a mass whose position is seen, the residuals with some ticks lost, commands and the lost ones."""
+def slow(
+    rng, ticks: int, size: float, late: float = 0.0
+) -> tuple[Responses, np.ndarray, np.ndarray, np.ndarray]:
+    """A mass whose position is seen: responses with no pattern before, commands, lost ticks, and the noise alone."""
     sent = rng.choice([-1.0, 1.0], ticks + 1).cumsum()
     truth = rng.random(ticks) < 0.3
     when = np.arange(float(ticks))
     t = np.linspace(0.0, ticks + 3.0, 8 * ticks)
-    since = np.maximum(t[:, None] - when, 0.0)
+    since = np.maximum(t[:, None] - late - when, 0.0)
     change = size * (since**2 - np.maximum(since - 1.0, 0.0) ** 2)
-    residual = change @ offset_of(sent, truth) + rng.standard_normal(len(t))
-    state = np.stack([np.ones_like(t), t], 1)
-    residual = residual + state @ rng.normal(size=2, scale=30.0)
-    return innovations(state, change, residual, t, when), sent, truth
+    noise, state = rng.standard_normal(len(t)), np.stack([np.ones_like(t), t], 1)
+    noise = noise + state @ rng.normal(size=2, scale=30.0)
+    responses = innovations(state, change, noise + change @ offset_of(sent, truth), t, when)
+    return responses, sent, truth, innovations(state, change, noise, t, when).residual
+
+
+def cost(responses, sent, lost, price):
+    """Of a pattern, with residuals under no loss; a tick whose command changes nothing is never lost."""
+    offset = offset_of(sent, lost)
+    left = responses.residual - responses.change @ offset
+    return left @ left + price * np.count_nonzero(lost & (offset != 0.0))
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.1, 0.5, 3.0]), st.floats(0.0, 6.0))
 def test_no_pattern_is_better_than_the_one_that_is_found(seed, size, price):
-    responses, sent, _ = slow(np.random.default_rng(seed), 7, size)
-
-    def cost(lost):
-        left = responses.residual - responses.change @ offset_of(sent, lost)
-        # A tick whose command changes nothing is never lost.
-        paid = sum(lost[k] and offset_of(sent, lost)[k] != 0.0 for k in range(len(lost)))
-        return left @ left + price * paid
-
-    every = [np.array(lost) for lost in product([False, True], repeat=7)]
+    responses, sent, _, _ = slow(np.random.default_rng(seed), 7, size)
+    best = min(cost(responses, sent, np.array(lost), price) for lost in product([False, True], repeat=7))
     found = pattern(responses, sent, np.zeros(7, dtype=bool), price, 0.0)
-    assert cost(found) == pytest.approx(min(map(cost, every)), abs=1e-6)
+    assert cost(responses, sent, found, price) == pytest.approx(best, abs=1e-6)
 
 
 @settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10_000))
-def test_where_losses_are_plain_every_one_is_found(seed):
-    responses, sent, truth = slow(np.random.default_rng(seed), 60, 30.0)
+@given(st.integers(0, 10_000), st.sampled_from([0.05, 0.5, 30.0]), st.sampled_from([0.0, 2.5, 8.0]))
+def test_what_is_found_explains_as_much_as_what_was_lost(seed, size, late):
+    """Even with few patterns kept, and where commands act late; and it is never worse than what was known before."""
+    responses, sent, truth, noise = slow(np.random.default_rng(seed), 50, size, late)
+    wrong = np.random.default_rng(seed + 1).random(50) < 0.3
+    for kept in (20, 256):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(loss_pattern, "KEPT", kept)
+            for before in (truth, wrong):
+                given = responses._replace(
+                    residual=responses.residual - responses.change @ offset_of(sent, before)
+                )
+                found = pattern(given, sent, before, 4.0, 4.0)
+                known = cost(responses, sent, before, 0.0) + 4.0 * before.sum()
+                assert cost(responses, sent, found, 4.0) <= known + 1e-6
+    assert cost(responses, sent, truth, 0.0) == pytest.approx(noise @ noise, rel=1e-4)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.0, 2.5]))
+def test_where_losses_are_plain_every_one_is_found(seed, late):
+    responses, sent, truth, noise = slow(np.random.default_rng(seed), 60, 30.0, late)
     acted = offset_of(sent, truth)
-    nothing = np.zeros(60, dtype=bool)
     # From nothing, and from the truth: then the residuals are what it leaves.
-    for before, residual in (
-        (nothing, responses.residual),
-        (truth, responses.residual - responses.change @ acted),
-    ):
+    for before, residual in ((np.zeros(60, dtype=bool), responses.residual), (truth, noise)):
         lost = pattern(responses._replace(residual=residual), sent, before, 4.0, 4.0)
-        np.testing.assert_allclose(offset_of(sent, lost), acted)
+        np.testing.assert_allclose(offset_of(sent, lost)[:-3], acted[:-3])
+
+
+def test_a_state_that_shows_nothing_is_no_obstacle():
+    change, residual, t = np.eye(5), np.arange(1.0, 6.0), np.arange(5.0)
+    for state in (np.zeros((5, 2)), np.zeros((5, 0))):
+        np.testing.assert_allclose(innovations(state, change, residual, t, t).residual, residual)
 
 
 def test_innovations_leave_out_what_an_initial_state_can_do():
@@ -92,7 +115,7 @@ def test_innovations_leave_out_what_an_initial_state_can_do():
     t = rng.permutation(np.linspace(0.0, 2.0, 50))
     state, change, residual = rng.normal(size=(50, 2)), rng.normal(size=(50, 4)), rng.normal(size=50)
     responses = innovations(state, change, residual, t, np.array([0.0, 0.5, 1.0, 1.5]))
-    assert responses.known.tolist() == [(t < 0.5).sum(), (t < 1.0).sum(), (t < 1.5).sum(), 50]
+    assert responses.until.tolist() == [(t < 0.5).sum(), (t < 1.0).sum(), (t < 1.5).sum(), 50]
     offset = rng.normal(size=4)
     left = np.linalg.lstsq(state, residual - change @ offset, rcond=None)[1].item()
     assert ((responses.residual - responses.change @ offset) ** 2).sum() == pytest.approx(left, rel=1e-5)

@@ -1,5 +1,8 @@
 """A learned load for effects outside of the catalogue."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -68,12 +71,26 @@ def test_weights_of_a_model_file_keep_their_scales_and_their_prior(monkeypatch):
     learned = residual_model.learn_residual(start, windows, None, reference, missing, 0)
     assert learned is not None
     assert learned.terms
+    # Springs had no weight yet, so their places are those of these data.
+    low, high = missing[0].theta.min(), missing[0].theta.max()
+    assert learned.fit.values["learned.angle_middle"] == pytest.approx(0.5 * (low + high))
+    assert learned.fit.values["learned.angle_scale"] == pytest.approx(0.5 * (high - low))
     # It was free already: a second time would give its prior twice the variance.
     assert "learned.v_cubed" not in [term.name for term in learned.terms]
     assert "learned.v_cubed" in learned.fit.free
     assert {name: learned.fit.values[name] for name in had if name.endswith("scale")} == {
         name: value for name, value in had.items() if name.endswith("scale")
     }
+
+
+def test_no_spring_is_offered_where_a_joint_rests():
+    log = hidden_log("rod_pendulum", HIDDEN, "steps", 5, 10.0)
+    windows = cut_windows([log], make_system("rod_pendulum"), 1.6)
+    start = start_from(make_system("rod_pendulum"), windows)
+    missing = missing_torque(FitProblem(start.system, windows), refit(start, windows))
+    assert residual_model._resting(windows, missing) == ()
+    still = [replace(m, theta=np.full_like(m.theta, 3.0)) for m in missing]
+    assert residual_model._resting(windows, still) == (0,)
 
 
 def test_null_weights_recover_the_baseline():

@@ -24,7 +24,7 @@ PLACES = (15, 40, 70)  # where springs begin, in percent of half the range of th
 class Scaled(NamedTuple):
     """A joint's motion without units."""
 
-    angle: Tensor  # [rad]
+    angle: Tensor  # joint coordinate [rad or m]
     place: Tensor  # angle from the middle of the data over half their range
     v: Tensor  # speed over the largest speed of the data
     sign: Tensor  # smooth sign of the speed
@@ -35,7 +35,10 @@ Term = Callable[[Scaled], Tensor]
 
 
 def _springs() -> dict[str, Term]:
-    """How far a joint is above a place, below a place, and beyond two that are as far from the middle."""
+    """How far a joint is above a place, below a place, and beyond two that are as far from the middle.
+
+    Each is a sum of others: with a term of its own a stop, a hose and a tether each need but one.
+    """
 
     def above(place: float) -> Term:
         return lambda x: torch.clamp(x.place - place, min=0.0)
@@ -100,6 +103,11 @@ def is_weight(name: str) -> bool:
     """Whether a parameter's full name is that of the weight of a term."""
     effect, _, term = name.rpartition(".")
     return effect.split("(")[0] == "learned" and term in TERMS
+
+
+def is_spring(name: str) -> bool:
+    """Whether a parameter's name, full or not, is that of the weight of a spring that begins somewhere."""
+    return name.rpartition(".")[2] in _springs()
 
 
 def _declared(system: System, joint: int = 0) -> tuple[Parameter, ...]:
