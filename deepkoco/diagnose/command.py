@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from deepkoco.command_line import InputError
 
 if TYPE_CHECKING:
+    from deepkoco.diagnose.progress import Progress
     from deepkoco.graph.recording import Recording
     from deepkoco.systems import System
 
@@ -30,7 +31,11 @@ INSUFFICIENT = 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco diagnose`."""
     parser.add_argument(
-        "recording", type=Path, nargs="+", metavar="LOG", help="log to explain (CSV or Parquet)"
+        "recording",
+        type=Path,
+        nargs="+",
+        metavar="LOG",
+        help="log to explain (CSV, Parquet, MCAP or a ROS bag)",
     )
     parser.add_argument(
         "--system", metavar="SYSTEM", help="name of the system, or a model.yaml; default: as the log says"
@@ -88,10 +93,13 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
     try:
         check_new(out)
-        system, logs = read_logs(args, args.recording, None)
-        healthy, holdout = (read_logs(args, paths, system)[1] for paths in (args.healthy, args.holdout))
-        result = diagnose(logs, system, healthy, holdout, args.seed, args.window)
-        page = write_report(result, out)
+        with _Doing(args.json) as say:
+            say("reading the logs")
+            system, logs = read_logs(args, args.recording, None)
+            healthy, holdout = (read_logs(args, paths, system)[1] for paths in (args.healthy, args.holdout))
+            result = diagnose(logs, system, healthy, holdout, args.seed, args.window, progress=say)
+            say("drawing the report")
+            page = write_report(result, out)
     except (LogError, FolderExistsError) as error:
         raise InputError(str(error)) from error
     except OSError as error:
@@ -105,6 +113,32 @@ def run(args: argparse.Namespace) -> int:
         console.print(terminal_table(result))
         console.print(f"report: {page}", highlight=False)
     return INSUFFICIENT if result.verdict == "insufficient" else 0
+
+
+class _Doing:
+    """What is being done and for how long, on a terminal's stderr."""
+
+    def __init__(self, quiet: bool) -> None:
+        from rich.console import Console
+        from rich.progress import Progress as Line
+        from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        self.line = Line(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+            disable=quiet or not sys.stderr.isatty(),
+        )
+        self.task = self.line.add_task("", total=None)
+
+    def __enter__(self) -> Progress:
+        self.line.start()
+        return lambda doing: self.line.update(self.task, description=doing)
+
+    def __exit__(self, *_: object) -> None:
+        self.line.stop()
 
 
 def read_logs(

@@ -32,6 +32,7 @@ from deepkoco.diagnose.forward import Selected, Selection, Step, learned_instead
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
 from deepkoco.diagnose.healthy import extended, learn_baseline
 from deepkoco.diagnose.lost import why_not_searched
+from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.pushed import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals import (
@@ -70,6 +71,7 @@ def diagnose(
     detection: float = DETECTION,
     only: Sequence[str] | None = None,
     baseline: Start | None = None,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Say what a simulation gets wrong about a unit, from logs of it.
 
@@ -90,6 +92,7 @@ def diagnose(
         only: Causes to try, by their names at this system; None tries the whole catalogue.
         baseline: What :func:`learn_baseline` made of the healthy logs, where several diagnoses share it, in the
             place of ``healthy``; None learns it.
+        progress: Told what begins, in a few words; ``print`` will do.
 
     Raises:
         LogError: A log lacks a channel.
@@ -112,16 +115,25 @@ def diagnose(
             return _insufficient(data, base, recordings, length, seed, began)
         start = baseline
         if start is None:
-            start = learn_baseline(healthy, base, length) if healthy else start_from(base, data.train)
-        return _Study(base, start, data, detection, only).run(recordings, length, seed, began)
+            start = (
+                learn_baseline(healthy, base, length, progress) if healthy else start_from(base, data.train)
+            )
+        return _Study(base, start, data, detection, only, progress).run(recordings, length, seed, began)
 
 
 class _Study:
     """One diagnosis under way."""
 
     def __init__(
-        self, system: System, start: Start, data: Data, detection: float, only: Sequence[str] | None
+        self,
+        system: System,
+        start: Start,
+        data: Data,
+        detection: float,
+        only: Sequence[str] | None,
+        progress: Progress,
     ) -> None:
+        self.progress = progress
         known = catalogue(start.system.base)
         self.causes = None if only is None else [known[name] for name in only]
         self.system, self.detection = system, detection
@@ -135,6 +147,7 @@ class _Study:
 
     def _take(self, start: Start) -> None:
         """Refit a baseline to the training windows."""
+        self.progress("refit of the simulation as given")
         data = self.given
         train, self.reference = refit_sharply(start, data.train)
         if start.floor > 1.0:
@@ -151,12 +164,15 @@ class _Study:
         more = MOST_ALLOWED
         while True:
             missing = missing_torque(self.problem, self.reference)
-            selection = Selection(self.start, self.data.train, self.data.held, self.causes, self.detection)
+            selection = Selection(
+                self.start, self.data.train, self.data.held, self.causes, self.detection, self.progress
+            )
             first, found = selection.run(self.reference, missing)
             causes = selection.allowed(found) if more else []
             if not causes:
                 return first, found
             more -= 1
+            self.progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
             self.joined = (*self.joined, *(c.name for c in causes if c.name not in self.joined))
             self._take(extended(self.start, causes, length))
 
@@ -183,6 +199,7 @@ class _Study:
         learned = None
         rival = verdict in ("cause", "ambiguous") and rivalled(found, start, data.train)
         if verdict == "unknown" or rival:
+            self.progress("a learned load")
             learned = learn_residual(start, data.train, data.held, reference, missing, seed)
         if rival and learned is not None:
             least = -FURTHER if fitful(found) else FURTHER

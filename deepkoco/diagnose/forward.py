@@ -28,6 +28,7 @@ from deepkoco.diagnose.healthy import Claim, allowed
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.noise_left import more_than_noise
+from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residual_model import ResidualModel
 from deepkoco.diagnose.residuals import (
     SLOTS,
@@ -85,6 +86,7 @@ class Selection:
         held: Windows that no fit sees; what does not carry over to them is dropped.
         causes: Causes to try; None tries the whole catalogue.
         detection: Fall of the BIC from which a first cause is named.
+        progress: Told what begins.
     """
 
     def __init__(
@@ -94,7 +96,9 @@ class Selection:
         held: Windows | None,
         causes: Sequence[Cause] | None,
         detection: float,
+        progress: Progress = silent,
     ) -> None:
+        self.progress = progress
         self.start, self.train, self.held = start, train, held
         self.causes, self.detection = causes, detection
         self.problem = FitProblem(start.system, train)
@@ -104,6 +108,7 @@ class Selection:
         """The first ranking (over the whole catalogue), and what is selected."""
         self.before = reference.chi2
         hints = self._hints(self.problem, reference, missing)
+        self.progress("fitting every cause")
         first = rank(self.problem, self.start, reference, (), hints, self.causes)
         nothing = Selected(reference, (), (), self.problem)
         forward = self._forward(nothing, first, hints)
@@ -136,12 +141,15 @@ class Selection:
         start, problem = self.start, so_far.acting
         final, accepted, steps, charge = so_far.final, [*so_far.accepted], [*so_far.steps], so_far.charge
         while len(accepted) < MOST_CAUSES:
+            names = [*(c.name for c in accepted), *([so_far.lost.name] if so_far.lost else [])]
             if ranking is None or hints is None:
+                self.progress(f"fitting every cause{in_company_of(names)}")
                 hints = self._hints(problem, final, missing_torque(problem, final))
                 ranking = rank(problem, start, final, accepted, hints, self.causes)
             wanted = FURTHER if accepted or so_far.lost else self.detection
             if not ranking.candidates or ranking.best.delta_bic <= wanted:
                 break
+            self.progress(f"what the data do not tell from {ranking.best.cause.name}{in_company_of(names)}")
             ranking = self._led(problem, ranking, accepted, hints)
             steps.append((ranking, equivalent(problem, start, ranking, tuple(accepted))))
             accepted.append(ranking.best.cause)
@@ -197,6 +205,7 @@ class Selection:
         lasting = [c for c in everything if c.effect != "event"]
         for k, cause in enumerate(accepted):
             others = [*accepted[:k], *accepted[k + 1 :]]
+            self.progress(f"{cause.name} once more{in_company_of(c.name for c in others)}")
             less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]
             hints = self._hints(problem, less, missing_torque(problem, less))
             # A push mends any window that another cause left; it is only put where it belongs beside the others.
@@ -247,6 +256,7 @@ class Selection:
 
     def _lossy(self, prefix: Selected, causes: Sequence[Cause]) -> Selected | None:
         """Lost commands on top of what is selected, and what else pays then."""
+        self.progress(f"lost commands{in_company_of(c.name for c in prefix.accepted)}")
         start, fit = self.start, prefix.final
         prior = prior_with(self.problem, start, prefix.accepted, fit.values)
         wanted = FURTHER if prefix.accepted else self.detection

@@ -17,6 +17,7 @@ from deepkoco.diagnose.classes import equivalent
 from deepkoco.diagnose.elimination import BENDING, eliminated
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
+from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals import dispersion, missing_torque
 from deepkoco.diagnose.selection import CLOSE, DETECTION, PATIENCE, declared, prior_with, rank
 from deepkoco.diagnose.settling import front_settled
@@ -33,7 +34,9 @@ SURE = (
 )
 
 
-def learn_baseline(recordings: Sequence[Recording], system: System, length: float) -> Start:
+def learn_baseline(
+    recordings: Sequence[Recording], system: System, length: float, progress: Progress = silent
+) -> Start:
     """Refit, and where needed extend, the baseline on logs in which nothing is wrong.
 
     Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would be taken for
@@ -46,7 +49,9 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
         recordings: Healthy logs.
         system: The system.
         length: Length of the windows [s].
+        progress: Told what begins.
     """
+    progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
     start = start_from(system, windows)
@@ -56,6 +61,7 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
     alike: dict[str, tuple[str, ...]] = {}
     causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
     for _ in range(LARGEST_EXTENSION):
+        progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         ranking = rank(problem, start, fit, accepted, hints, causes)
         if ranking.best.delta_bic < DETECTION:
@@ -66,6 +72,7 @@ def learn_baseline(recordings: Sequence[Recording], system: System, length: floa
         # A mixture that was found first is superfluous once its parts are there; it must not come back.
         causes = [c for c in causes if c.name != best.cause.name]
         accepted, fit = eliminated(problem, start, [*accepted, best.cause], best.fit, DETECTION)
+    progress(f"healthy logs: lost commands{in_company_of(c.name for c in accepted)}")
     prior = prior_with(problem, start, accepted, fit.values)
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
     losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)

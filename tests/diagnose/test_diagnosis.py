@@ -2,7 +2,11 @@
 
 import io
 import json
+import sys
+import time
 from dataclasses import replace
+from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -116,10 +120,13 @@ def test_model_is_a_system_and_diagnosing_from_it_finds_nothing(report):
     assert diagnose([second], system).verdict == "nothing"
 
 
-def test_same_seed_same_bytes(log, diagnosis):
-    again = diagnose([log], "rod_pendulum", seed=5)
+def test_same_seed_same_bytes_whoever_watches(log, diagnosis):
+    told = []
+    again = diagnose([log], "rod_pendulum", seed=5, progress=told.append)
     first, second = (json.dumps(replace(d, seconds=0.0).to_json()) for d in (diagnosis, again))
     assert first == second
+    assert told[:2] == ["refit of the simulation as given", "fitting every cause"]
+    assert told[-1] == "lost commands beside coulomb"
 
 
 def test_report_is_never_written_over(diagnosis, tmp_path):
@@ -189,6 +196,35 @@ def test_command_line_diagnoses(log, tmp_path, capsys):
     )
     assert json.loads(capsys.readouterr().out)["verdict"] == "cause"
     assert (tmp_path / "out" / "report.html").is_file()
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(("stream", "options"), [(Terminal, []), (Terminal, ["--json"]), (io.StringIO, [])])
+def test_a_terminal_is_told_what_is_being_done(log, tmp_path, monkeypatch, stream, options):
+    path = write_log(tmp_path / "log.csv", log)
+    monkeypatch.setattr("sys.stderr", stream())
+    monkeypatch.setattr("deepkoco.diagnose.report.write_report", lambda result, out: out)
+    monkeypatch.setattr("deepkoco.diagnose.words.terminal_table", lambda result: result.verdict)
+    monkeypatch.setattr(import_module("deepkoco.diagnose.diagnose"), "diagnose", told)
+    assert (
+        main(["diagnose", str(path), "--system", "rod_pendulum", "--out", str(tmp_path / "o"), *options]) == 3
+    )
+    shown = sys.stderr.getvalue()
+    assert ("fitting every [b]cause" in shown) == (stream is Terminal and not options)
+    assert stream is Terminal or shown == ""
+
+
+def told(*_, progress):
+    """A diagnosis that ends at once."""
+    progress("fitting every [b]cause")
+    time.sleep(0.2)  # the line is drawn ten times a second
+    return SimpleNamespace(verdict="insufficient", to_json=dict)
 
 
 @pytest.mark.parametrize("window", [[], ["--window", "50"]])
