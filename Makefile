@@ -6,7 +6,7 @@ help:
 	@echo "make demo   diagnose a log, extend the simulator, train in both, run on the unit; writes demo_out/index.html"
 	@echo "make test   run the tests"
 	@echo "make lint   ruff and basedpyright"
-	@echo "make bench  tests against stable-baselines3, and the benchmarks against the peers (about two hours)"
+	@echo "make bench  tests against stable-baselines3, and the benchmarks against the peers (about half an hour)"
 	@echo "make docs   the documentation, into docs/_build/html"
 	@echo "make clean  remove .venv and build output"
 

@@ -3,8 +3,8 @@
 Runs the benchmarks one after the other, each ours and the peer's in turn on the same work, keeps what each
 prints beside its CSV, and writes a page that says where the figures come from. The peers are installed first,
 into environments of their own (`scripts/peers.sh`). A benchmark that is done is skipped, so an interrupted run
-goes on where it was; delete its text file to repeat it. On two cores all of it takes about two hours, most of
-them in the peers' searches.
+goes on where it was; delete its text file to repeat it. On two cores all of it takes about 25 minutes, most of
+them in the peer's searches.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from rich.console import Console
 
 from experiments.provenance import as_markdown
 
+WIDE = 140  # characters of a line of the tables
 BATCHES = ("1", "16", "64", "256", "1024", "4096", "16384")
 
 
@@ -31,6 +32,11 @@ def benchmarks(folder: Path) -> dict[str, tuple[str, list[str]]]:
             "Rollouts against REX: agent steps per second, start-up, memory, population",
             ["experiments.rollout_speed", "--batch", *BATCHES, "--peer", "--start-up", "--population",
              "--out", str(folder / "rollout.csv")],
+        ),
+        "population": (
+            "A population of models on both cores, against REX, which always uses them",
+            ["experiments.rollout_speed", "--executors", "fused", "--batch", "64", "--peer", "--population",
+             "--threads", "2", "--out", str(folder / "population.csv")],
         ),
         "single_environment": (
             "One environment through Gymnasium, against Pendulum-v1 and EAGERx",
@@ -46,7 +52,8 @@ def benchmarks(folder: Path) -> dict[str, tuple[str, list[str]]]:
 
 def run(console: Console, module: list[str], text: Path) -> bool:
     """Run one benchmark, show what it prints and keep it in a file once it has succeeded."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    # Its tables are wider than what a program that writes to a pipe believes to have.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": str(WIDE)}
     partial = text.with_name(f".{text.name}.partial")
     with partial.open("w", encoding="utf-8") as file:
         process = subprocess.Popen(
@@ -54,7 +61,7 @@ def run(console: Console, module: list[str], text: Path) -> bool:
         )
         assert process.stdout is not None
         for line in process.stdout:
-            console.print(line, end="", markup=False, highlight=False)
+            console.print(line, end="", markup=False, highlight=False, soft_wrap=True)
             file.write(line)
     if process.wait() != 0:
         partial.unlink()

@@ -195,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.table:
             from experiments.supergraph_efficiency_table import run_table
 
-            run_table(options.output, options.peer_python)
+            print("\n".join(run_table(options.output, options.peer_python)))
             return 0
         cell = Cell(
             options.topology, options.nodes, options.sigma, options.seed, options.episodes, options.length

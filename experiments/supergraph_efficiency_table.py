@@ -37,8 +37,11 @@ def cells() -> Iterator[Cell]:
                         yield Cell(topology, nodes, sigma, seed, episodes=5, length=100.0)
 
 
-def run_table(folder: Path, python: str) -> None:
+def run_table(folder: Path, python: str) -> list[str]:
     """Measure all cells that are not in the folder yet, then write tables, figure and README.
+
+    Returns:
+        What it says in short, a line each.
 
     Args:
         folder: where `cells.csv` grows, one row per cell and method.
@@ -72,11 +75,11 @@ def run_table(folder: Path, python: str) -> None:
                 rows = row if rows.empty else pd.concat([rows, row], ignore_index=True)
                 _write(path, rows.to_csv(index=False))
             progress.advance(task)
-    write_summary(rows, folder)
+    return write_summary(rows, folder)
 
 
-def write_summary(rows: Any, folder: Path) -> None:
-    """Write `summary.csv` (means over seeds), `efficiency.png` and `README.md`."""
+def write_summary(rows: Any, folder: Path) -> list[str]:
+    """Write `summary.csv` (means over seeds), `efficiency.png` and `README.md`; what they say in short."""
     table = summarise(rows)
     _write(folder / "summary.csv", table.to_csv(index=False))
     figure = draw(rows)
@@ -86,6 +89,7 @@ def write_summary(rows: Any, folder: Path) -> None:
     )
     plt.close(figure)
     _write(folder / "README.md", readme(rows, table))
+    return answers(rows, table)
 
 
 def summarise(rows: Any) -> Any:
@@ -154,8 +158,8 @@ counted. The peer's result depends on the seed of Python's string hash, which is
 COLUMNS = (*ORDER, "bound", "release_bound")
 
 
-def readme(rows: Any, table: Any) -> str:
-    """What was measured, how, and the answer."""
+def answers(rows: Any, table: Any) -> list[str]:
+    """The four figures that were asked for, a line each."""
     rings = ~table["topology"].isin(["v2v", "uav"])
     middle = table[table["nodes"].between(4, 16) & (table["sigma"] > 0) & ~rings]
     large = table[table["nodes"] >= 16]
@@ -163,13 +167,20 @@ def readme(rows: Any, table: Any) -> str:
     below = int((paired["ours"] < paired["peer"] - 1e-12).sum())
     possible = ((middle["release_bound"] - middle["peer"]) / (middle["bound"] - middle["peer"])).mean()
     search, generation = large["search_ratio"], table["generation_ratio"]
-    lines = [
-        INTRODUCTION,
+    return [
         f"- cells (with seeds) in which ours is below the peer: {below} of {len(paired)}",
         "- gap between the peer and `bound` closed, mean over V2V and UAV, N = 4-16, sigma >= 0.1: "
         f"{middle['gap_closed'].mean():.0%} (up to `release_bound` it would be {possible:.0%})",
         f"- search CPU, peer / ours, N >= 16: median {search.median():.0f}, least {search.min():.0f}",
         f"- generation CPU, peer / ours: median {generation.median():.0f}, least {generation.min():.0f}",
+    ]
+
+
+def readme(rows: Any, table: Any) -> str:
+    """What was measured, how, and the answer."""
+    lines = [
+        INTRODUCTION,
+        *answers(rows, table),
         "",
         f"| topology | N | sigma | {' | '.join(COLUMNS)} | search CPU s ours / peer |",
         "|---" * (len(COLUMNS) + 4) + "|",

@@ -115,9 +115,9 @@ def make_unit(
 
     Args:
         system: Name of the system.
-        effects: Hidden effects by the names of :mod:`deepkoco.systems.effects`, and besides ``event``
-            (``torque``, ``start``, ``duration``: a push) and ``cogging`` (``torque``, ``cycles``), which
-            the simulator has no name for. A delay is a number or ``{mean, sd}``, all in seconds.
+        effects: Hidden effects (``CARRIED``) by the names and parameters of :mod:`deepkoco.systems.effects`, but
+            ``event`` with ``torque``, ``start`` and ``duration``, and ``cogging`` by its height (``torque``,
+            ``cycles``). A delay is a number or ``{mean, sd}``, all in seconds.
         parameters: True values that differ from the nominal ones.
         sensor: ``rate_hz``, and ``noise_sd`` and ``quantisation`` by channel.
         initial_state: Angle [rad] and speed [rad/s] at power-on; None takes hanging at rest.

@@ -32,7 +32,7 @@ def first_graph(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         return run_examples("graph.md", {"__name__": "example"})
 
 
-@pytest.mark.parametrize("page", ["delays.md", "recordings.md"])
+@pytest.mark.parametrize("page", ["delays.md", "executors.md", "recordings.md", "supergraph.md"])
 def test_examples_go_on_from_the_first_graph(
     page: str, first_graph: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
