@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.graph.recording import Recording
@@ -16,6 +17,9 @@ from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.effects.learned import is_weight
+
+if TYPE_CHECKING:
+    from deepkoco.diagnose.run_to_run import RunToRun
 
 
 @dataclass(frozen=True)
@@ -46,24 +50,30 @@ class Start:
         values: Present value of every parameter, pushes included.
         prior: Over the parameters that every fit frees.
         floor: chi2 per sample that this unit shows when nothing is wrong.
+        correlation: Samples per independent sample of what the model misses then.
         effects: Effects that a healthy log of the unit asked for, part of the baseline from then on.
         losing: Numbers of the commands of which a healthy log lost some, too.
         healthy: The healthy logs that it was learned from, if any.
+        runs: What these logs show when each has parameters of its own; None for less than two.
     """
 
     system: ExtendedSystem
     values: dict[str, float]
     prior: Prior
     floor: float = 1.0
+    correlation: float = 1.0
     effects: tuple[str, ...] = ()
     losing: tuple[int, ...] = ()
     healthy: Healthy | None = None
+    runs: RunToRun | None = None
 
     @property
     def tinge(self) -> float:
         """Correlation of neighbouring residuals that this unit shows when nothing is wrong."""
         if self.healthy is None:
             return 0.0
+        if self.runs is not None:
+            return max(self.runs.lag_one, 0.0)
         return max(dispersion(self.healthy.fit, self.healthy.windows).lag_one, 0.0)
 
 
@@ -152,7 +162,8 @@ def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
 def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows, Fit]:
     """Take the model-error floor for noise, and refit.
 
-    The prior of a baseline that was learned knows the floor; a likelihood that does not would overrule it.
+    The prior of a baseline that was learned knows the floor; a likelihood that does not would overrule it, and so would
+    one that takes neighbouring model errors for independent.
 
     Args:
         start: A baseline learned from healthy logs.
@@ -161,9 +172,21 @@ def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows,
     Returns:
         The baseline with a floor of 1, the windows with the larger noise, and their refit.
     """
-    wider = math.sqrt(start.floor)
-    windows = replace(windows, noise=tuple(n._replace(sd=wider * n.sd) for n in windows.noise))
-    start = replace(start, floor=1.0)
+    windows = noisier(windows, start.floor)
+    start = replace(start, floor=1.0, prior=tempered(start.prior, start.correlation))
     first = refit(start, windows)
     trial = Trial("refit", first.free, start.prior, first.values, first.state, first.zero)
     return start, windows, FitProblem(start.system, windows).fit([trial])[0]
+
+
+def noisier(windows: Windows, floor: float) -> Windows:
+    """Windows whose noise has this many times its variance."""
+    return replace(windows, noise=tuple(n._replace(sd=math.sqrt(floor) * n.sd) for n in windows.noise))
+
+
+def tempered(prior: Prior, correlation: float) -> Prior:
+    """A prior for a cost in which each sample counts in full, though only one in so many is independent.
+
+    Likelihood ratios and covariances of such fits are deflated by as much, which gives the prior its own weight back.
+    """
+    return Prior(prior.names, prior.centre, prior.covariance / correlation)

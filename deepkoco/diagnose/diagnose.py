@@ -159,7 +159,7 @@ class _Study:
         self.start, self.data = start, replace(data, train=train, held=held)
         self.problem = self.acting = FitProblem(start.system, train)
 
-    def _selected(self, length: float) -> tuple[Ranking, Selected]:
+    def _selected(self) -> tuple[Ranking, Selected]:
         """The first ranking and what is selected, on a baseline that has what its healthy logs allow."""
         more = MOST_ALLOWED
         while True:
@@ -174,10 +174,10 @@ class _Study:
             more -= 1
             self.progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
             self.joined = (*self.joined, *(c.name for c in causes if c.name not in self.joined))
-            self._take(extended(self.start, causes, length))
+            self._take(extended(self.start, causes))
 
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
-        first, found = self._selected(length)
+        first, found = self._selected()
         problem, start, data = self.problem, self.start, self.data
         reference = self.reference
         final, self.accepted, self.steps = found.final, found.accepted, found.steps

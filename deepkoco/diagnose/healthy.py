@@ -10,7 +10,14 @@ import numpy as np
 import scipy.stats
 import torch
 
-from deepkoco.diagnose.baseline import BaselineError, Healthy, Start, refit, refit_sharply, start_from
+from deepkoco.diagnose.baseline import (
+    BaselineError,
+    Healthy,
+    Start,
+    noisier,
+    refit_sharply,
+    start_from,
+)
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.classes import equivalent
@@ -19,12 +26,13 @@ from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals import dispersion, missing_torque
+from deepkoco.diagnose.run_to_run import posterior, run_to_run
 from deepkoco.diagnose.selection import CLOSE, DETECTION, PATIENCE, declared, prior_with, rank
 from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
-from deepkoco.identify.windows import cut_windows, moving
+from deepkoco.identify.windows import Windows, cut_windows, moving
 from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.
@@ -77,21 +85,20 @@ def learn_baseline(
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
     losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
     healthy = Healthy(tuple(recordings), windows, start, tuple(accepted), fit)
-    learned = replace(_learned(healthy, length), losing=losing)
+    learned = replace(_learned(healthy), losing=losing)
     # Where the logs do not tell which of several causes it is, a later one may: each is there, as far as they allow.
     known = catalogue(start.system.base)
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
     others = [known[n] for n in members if kind_of(n) not in ("event", *BENDING)]
-    return extended(learned, others, length) if any(c not in accepted for c in others) else learned
+    return extended(learned, others) if any(c not in accepted for c in others) else learned
 
 
-def extended(start: Start, causes: Sequence[Cause], length: float) -> Start:
+def extended(start: Start, causes: Sequence[Cause]) -> Start:
     """A learned baseline with further causes in it, at what its healthy logs say of them, however uncertain.
 
     Args:
         start: The baseline, learned from healthy logs.
         causes: Further causes.
-        length: Length of the windows [s].
 
     Raises:
         BaselineError: The baseline was not learned from logs.
@@ -104,8 +111,10 @@ def extended(start: Start, causes: Sequence[Cause], length: float) -> Start:
     problem = FitProblem(start.system, healthy.windows)
     known = {c.name for c in healthy.causes}
     together = (*healthy.causes, *(c for c in causes if c.name not in known))
-    fit = problem.fit([_freed(problem, healthy, together, healthy.fit.values)], PATIENCE)[0]
-    return replace(_learned(replace(healthy, causes=together, fit=fit), length), losing=start.losing)
+    fit = problem.fit([_freed(problem, healthy.before, together, healthy.fit, healthy.fit.values)], PATIENCE)[
+        0
+    ]
+    return replace(_learned(replace(healthy, causes=together, fit=fit)), losing=start.losing)
 
 
 class Claim(NamedTuple):
@@ -131,11 +140,11 @@ def allowed(start: Start, problem: FitProblem, claims: Sequence[Claim]) -> list[
     if healthy is None or not claims:
         return [False] * len(claims)
     known = {c.name for c in healthy.causes}
-    apart = [
-        _apart(start, problem, claims, _asked(start, healthy, log, claims))
-        for log in np.unique(healthy.windows.log)
-    ]
-    # Units vary from run to run: one healthy log that allows it is enough.
+    logs = [healthy.windows.log == k for k in np.unique(healthy.windows.log)]
+    # It may have been there in all of them, which then took it for something else, or in one: units vary from run to
+    # run.
+    asked = [*logs, np.full(len(healthy.windows), True)] if len(logs) > 1 else logs
+    apart = [_apart(start, problem, claims, _asked(start, healthy, own, claims)) for own in asked]
     least = np.min(apart, axis=0)
     limits = [float(scipy.stats.chi2.ppf(SURE, len(c.cause.free))) for c in claims]
     return [
@@ -145,23 +154,45 @@ def allowed(start: Start, problem: FitProblem, claims: Sequence[Claim]) -> list[
 
 
 def _asked(
-    start: Start, healthy: Healthy, log: int, claims: Sequence[Claim]
+    start: Start, healthy: Healthy, own: np.ndarray, claims: Sequence[Claim]
 ) -> list[tuple[float, dict[str, float]]]:
-    """For each claim, the chi2 by which a healthy log is against its values, and the values that it prefers."""
-    of_log = healthy.windows.log == log
-    problem = FitProblem(start.system, healthy.windows.take(of_log))
-    state = healthy.fit.state[torch.from_numpy(np.flatnonzero(of_log))]
+    """For each claim, the chi2 by which some healthy windows are against its values, and the values they prefer."""
+    before, learned, windows, deflation = _before(start, healthy, own)
+    problem = FitProblem(start.system, windows)
+    state = healthy.fit.state[torch.from_numpy(np.flatnonzero(own))]
     trials = []
     for cause, _, fit in claims:
         values = {**healthy.fit.values, **{n: fit.values[n] for n in cause.free}}
-        for causes in (healthy.causes, (*healthy.causes, cause)):
-            trials.append(replace(_freed(problem, healthy, causes, values), state=state))
+        for causes in (learned, (*learned, cause)):
+            trials.append(replace(_freed(problem, before, causes, healthy.fit, values), state=state))
     fits = problem.fit(trials, PATIENCE, CLOSE)
-    deflation = dispersion(healthy.fit, healthy.windows).deflation
     return [
         (max(bound.cost - free.cost, 0.0) / deflation, {n: free.values[n] for n in claim.cause.free})
         for claim, bound, free in zip(claims, fits[::2], fits[1::2], strict=True)
     ]
+
+
+def _before(
+    start: Start, healthy: Healthy, own: np.ndarray
+) -> tuple[Start, tuple[Cause, ...], Windows, float]:
+    """What may be taken for granted of some healthy windows, causes that this has to be widened by, the windows with
+    the noise under which it holds, and their deflation.
+
+    Of a log it is what the other logs say, as far as a log may differ from them; of all, what was known before.
+    """
+    runs = start.runs
+    if runs is None or own.all():
+        deflation = dispersion(healthy.fit, healthy.windows).deflation
+        return healthy.before, healthy.causes, healthy.windows.take(own), deflation
+    problem = FitProblem(start.system, healthy.windows)
+    prior = prior_with(problem, healthy.before, healthy.causes, healthy.fit.values)
+    prior = within_bounds(runs.of_another(prior, int(healthy.windows.log[own][0])), start.system)
+    return (
+        replace(healthy.before, prior=prior),
+        (),
+        noisier(healthy.windows, runs.floor).take(own),
+        runs.correlation,
+    )
 
 
 def _apart(
@@ -193,54 +224,40 @@ def _apart(
 
 
 def _freed(
-    problem: FitProblem, healthy: Healthy, causes: Sequence[Cause], values: Mapping[str, float]
+    problem: FitProblem, before: Start, causes: Sequence[Cause], fit: Fit, values: Mapping[str, float]
 ) -> Trial:
-    prior = prior_with(problem, healthy.before, causes, values)
-    return Trial("healthy", prior.names, prior, values, healthy.fit.state, healthy.fit.zero)
+    """Everything free that a baseline has and these causes free, from a fit of the same windows."""
+    prior = prior_with(problem, before, causes, values)
+    return Trial("healthy", prior.names, prior, values, fit.state, fit.zero)
 
 
-def _learned(healthy: Healthy, length: float) -> Start:
+def _learned(healthy: Healthy) -> Start:
     """What a diagnosis may take for granted after these logs."""
     start, fit = healthy.before, healthy.fit
     prior = prior_with(FitProblem(start.system, healthy.windows), start, healthy.causes, fit.values)
-    centre = np.array([fit.values[n] for n in prior.names])
-    spread = dispersion(fit, healthy.windows)
-    wider = _run_to_run(healthy.recordings, start.system, length, replace(start, prior=prior), fit)
+    runs = run_to_run(healthy, prior)
+    if runs is None:
+        pooled = dispersion(fit, healthy.windows)
+        centre = np.array([fit.values[n] for n in prior.names])
+        learned = Prior(prior.names, centre, posterior(fit, prior, pooled.deflation))
+        floor, correlation = pooled.chi2_per_sample, pooled.correlation
+    else:
+        learned = within_bounds(runs.of_another(prior), start.system)
+        floor, correlation = runs.floor, runs.correlation
     return replace(
         start,
-        values=dict(fit.values),
-        prior=Prior(prior.names, centre, fit.covariance * spread.deflation + wider),
-        floor=max(1.0, spread.chi2_per_sample),
+        values={**fit.values, **dict(zip(learned.names, learned.centre.tolist(), strict=True))},
+        prior=learned,
+        floor=max(1.0, floor),
+        correlation=correlation,
         effects=tuple(dict.fromkeys(c.effect for c in healthy.causes)),
         healthy=healthy,
+        runs=runs,
     )
 
 
-def _run_to_run(
-    recordings: Sequence[Recording], system: System, length: float, start: Start, pooled: Fit
-) -> np.ndarray:
-    """Covariance (diagonal) of the parameters between logs, 0 for a single log.
-
-    Each log is refitted by itself, with everything free that the pooled fit freed; what the logs differ by beyond
-    the uncertainty of their fits is the unit's own spread.
-    """
-    size = len(pooled.free)
-    if len(recordings) < 2:
-        return np.zeros((size, size))
-    fits = []
-    for recording in recordings:
-        windows = cut_windows([recording], system, length)
-        windows = windows.take(moving(windows))
-        if len(windows) >= 3:
-            own = replace(start, values=dict(pooled.values))
-            fits.append(refit(own, windows, start.prior.names))
-    if len(fits) < 2:
-        return np.zeros((size, size))
-    result = np.zeros((size, size))
-    for i, name in enumerate(pooled.free):
-        if name in fits[0].free:
-            j = fits[0].free.index(name)
-            between = np.var([f.values[name] for f in fits], ddof=1)
-            within = np.mean([f.covariance[j, j] for f in fits])
-            result[i, i] = max(float(between - within), 0.0)
-    return result
+def within_bounds(prior: Prior, system: System) -> Prior:
+    """A prior with its mean where the system's parameters may be."""
+    declared = [system.parameter(n) for n in prior.names]
+    low, high = (np.array([getattr(p, side) for p in declared]) for side in ("low", "high"))
+    return Prior(prior.names, np.clip(prior.centre, low, high), prior.covariance)

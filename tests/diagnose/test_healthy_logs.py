@@ -59,19 +59,19 @@ def test_without_healthy_logs_nothing_is_allowed(bent):
     problem, same = claim(start, BIAS, "torque_bias")
     assert allowed(plain, problem, [same]) == [False]
     with pytest.raises(BaselineError, match="not learned from healthy logs"):
-        extended(plain, [same.cause], LENGTH)
+        extended(plain, [same.cause])
 
 
 def test_a_baseline_takes_what_its_logs_say_of_a_further_cause(bent):
     start, _ = bent
-    wider = extended(start, [catalogue(SYSTEM)["torque_bias"]], LENGTH)
+    wider = extended(start, [catalogue(SYSTEM)["torque_bias"]])
     assert wider.effects == ("torque_bias",)
     index = wider.prior.names.index("torque_bias.effort")
     sd = np.sqrt(wider.prior.covariance[index, index])
     assert abs(wider.values["torque_bias.effort"] - 0.001) < 3.0 * sd
     assert 0.0 < sd < 0.005
     # It is in there once, however often it is added.
-    again = extended(wider, [catalogue(SYSTEM)["torque_bias"]], LENGTH)
+    again = extended(wider, [catalogue(SYSTEM)["torque_bias"]])
     assert again.prior.names == wider.prior.names
 
 
