@@ -282,9 +282,7 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument(
-        "--out", type=Path, help="existing folder; fuzzed_logs.csv and .json are written into it"
-    )
+    parser.add_argument("--out", type=Path, help="folder that fuzzed_logs.csv and .json are written into")
     parser.add_argument(
         "--rows", type=Path, help="folder in which rows are kept and gone on from; default runs/fuzz_logs"
     )
@@ -294,6 +292,8 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
         if target.exists():
             sys.stderr.write(f"fuzz_logs: {target}: exists; move it away\n")
             return 2
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
     folder = args.rows or Path("runs/fuzz_logs")
     rows = run_cases(
         cases(args.cases, args.seed), folder / f"seed_{args.seed}.jsonl", folder / "verdicts.jsonl"

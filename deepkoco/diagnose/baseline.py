@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.run_to_run import RunToRun
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.dispersion import dispersion
 from deepkoco.identify.fit import Fit, FitProblem, Trial
@@ -17,9 +17,6 @@ from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.effects.learned import is_weight
-
-if TYPE_CHECKING:
-    from deepkoco.diagnose.run_to_run import RunToRun
 
 
 @dataclass(frozen=True)

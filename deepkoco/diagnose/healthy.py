@@ -15,8 +15,10 @@ from deepkoco.diagnose.baseline import (
     Healthy,
     Start,
     noisier,
+    refit,
     refit_sharply,
     start_from,
+    tempered,
 )
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
@@ -25,11 +27,12 @@ from deepkoco.diagnose.elimination import BENDING, eliminated
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
-from deepkoco.diagnose.residuals import dispersion, missing_torque
-from deepkoco.diagnose.run_to_run import posterior, run_to_run
+from deepkoco.diagnose.residuals import missing_torque
+from deepkoco.diagnose.run_to_run import RunToRun, posterior, said, sampling_variance
 from deepkoco.diagnose.selection import CLOSE, DETECTION, PATIENCE, declared, prior_with, rank
 from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
+from deepkoco.identify.dispersion import Dispersion, dispersion
 from deepkoco.identify.fit import Fit, FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import Windows, cut_windows, moving
@@ -37,6 +40,9 @@ from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.
 LARGEST_EXTENSION = 6
+FEWEST_OF_A_LOG = 3  # windows from which on a log has parameters of its own
+ROUNDS = 10  # of fits and the floor that weighs them, at most
+SETTLED = 0.9  # share of the floor before, from which on they have settled
 SURE = (
     0.975  # probability with which what other logs say of a cause must differ from what the healthy ones do
 )
@@ -187,12 +193,8 @@ def _before(
     problem = FitProblem(start.system, healthy.windows)
     prior = prior_with(problem, healthy.before, healthy.causes, healthy.fit.values)
     prior = within_bounds(runs.of_another(prior, int(healthy.windows.log[own][0])), start.system)
-    return (
-        replace(healthy.before, prior=prior),
-        (),
-        noisier(healthy.windows, runs.floor).take(own),
-        runs.correlation,
-    )
+    before = replace(healthy.before, prior=tempered(prior, runs.correlation))
+    return before, (), noisier(healthy.windows, runs.floor).take(own), runs.correlation
 
 
 def _apart(
@@ -254,6 +256,74 @@ def _learned(healthy: Healthy) -> Start:
         healthy=healthy,
         runs=runs,
     )
+
+
+def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
+    """Refit every healthy log by itself; None for less than two that are long enough.
+
+    Everything is free that the pooled fit freed, and the model-error floor counts as noise. What the logs differ by
+    beyond what that moves their estimates by is the unit's own spread. The floor is what is left of each log under
+    all that is known of another log then, as it is in a diagnosis.
+
+    Source: random effects by the method of moments (DerSimonian and Laird 1986).
+
+    Args:
+        healthy: The logs and their pooled fit.
+        prior: What the pooled fit began with.
+    """
+    windows, fit = healthy.windows, healthy.fit
+    logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
+    logs = {k: own for k, own in logs.items() if len(own) >= FEWEST_OF_A_LOG}
+    if len(logs) < 2:
+        return None
+    # A log that says nothing of a parameter is to stay where all of them together are.
+    centred = Prior(prior.names, np.array([fit.values[n] for n in prior.names]), prior.covariance)
+    pooled = dispersion(fit, windows)
+    alone = _refits(
+        healthy, list(logs.values()), centred, max(1.0, pooled.chi2_per_sample), pooled.correlation
+    )
+    for _ in range(ROUNDS):
+        before = alone.floor * alone.correlation
+        alone = _refits(healthy, list(logs.values()), centred, alone.floor, alone.correlation)
+        if alone.floor * alone.correlation > SETTLED * before:
+            break
+    values = [[fit.values[n] for n in prior.names] for fit in alone.fits]
+    pairs = list(zip(alone.fits, alone.spreads, strict=True))
+    by_noise = np.mean([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs], axis=0)
+    between = np.diag(np.maximum(np.var(values, axis=0, ddof=1) - by_noise, 0.0))
+    told = {k: said(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)}
+    found = RunToRun(told, between, alone.floor, alone.correlation, alone.lag_one)
+    again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
+    return replace(found, floor=again.floor, correlation=again.correlation, lag_one=again.lag_one)
+
+
+class _Refits(NamedTuple):
+    """Every log refitted by itself, and what that leaves."""
+
+    prior: Prior
+    fits: list[Fit]
+    spreads: list[Dispersion]
+    floor: float
+
+    @property
+    def correlation(self) -> float:
+        return float(np.mean([s.correlation for s in self.spreads]))
+
+    @property
+    def lag_one(self) -> float:
+        return float(np.mean([s.lag_one for s in self.spreads]))
+
+
+def _refits(
+    healthy: Healthy, logs: Sequence[Windows], prior: Prior, floor: float, correlation: float
+) -> _Refits:
+    prior = tempered(prior, correlation)
+    start = replace(healthy.before, values=dict(healthy.fit.values), prior=prior)
+    noisy = [noisier(own, floor) for own in logs]
+    fits = [refit(start, own) for own in noisy]
+    chi2, samples = sum(fit.chi2 for fit in fits), sum(own.samples for own in noisy)
+    spreads = [dispersion(fit, own) for fit, own in zip(fits, noisy, strict=True)]
+    return _Refits(prior, fits, spreads, max(1.0, floor * chi2 / samples))
 
 
 def within_bounds(prior: Prior, system: System) -> Prior:

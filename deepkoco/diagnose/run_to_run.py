@@ -1,22 +1,17 @@
-"""What differs between logs of one healthy unit, and how large its model error is within a log."""
+"""What logs of one unit say of another log of it, where parameters differ from run to run.
+
+Source: random effects (DerSimonian and Laird 1986), in the information form of normal distributions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
-from deepkoco.identify.dispersion import Dispersion, dispersion
 from deepkoco.identify.fit import Fit
 from deepkoco.identify.prior import Prior
-from deepkoco.identify.windows import Windows
-
-FEWEST_OF_A_LOG = 3  # windows from which on a log has parameters of its own
-ROUNDS = 10  # of fits and the floor that weighs them, at most
-SETTLED = 0.9  # share of the floor before, from which on they have settled
 
 
 class Said(NamedTuple):
@@ -70,74 +65,6 @@ class RunToRun:
         return Prior(prior.names, covariance @ times_mean, covariance + self.covariance)
 
 
-def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
-    """Refit every healthy log by itself; None for less than two that are long enough.
-
-    Everything is free that the pooled fit freed, and the model-error floor counts as noise. What the logs differ by
-    beyond what that moves their estimates by is the unit's own spread. The floor is what is left of each log under
-    all that is known of another log then, as it is in a diagnosis.
-
-    Source: random effects by the method of moments (DerSimonian and Laird 1986).
-
-    Args:
-        healthy: The logs and their pooled fit.
-        prior: What the pooled fit began with.
-    """
-    windows, fit = healthy.windows, healthy.fit
-    logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
-    logs = {k: own for k, own in logs.items() if len(own) >= FEWEST_OF_A_LOG}
-    if len(logs) < 2:
-        return None
-    # A log that says nothing of a parameter is to stay where all of them together are.
-    centred = Prior(prior.names, np.array([fit.values[n] for n in prior.names]), prior.covariance)
-    pooled = dispersion(fit, windows)
-    alone = _refits(
-        healthy, list(logs.values()), centred, max(1.0, pooled.chi2_per_sample), pooled.correlation
-    )
-    for _ in range(ROUNDS):
-        before = alone.floor * alone.correlation
-        alone = _refits(healthy, list(logs.values()), centred, alone.floor, alone.correlation)
-        if alone.floor * alone.correlation > SETTLED * before:
-            break
-    values = [[fit.values[n] for n in prior.names] for fit in alone.fits]
-    pairs = list(zip(alone.fits, alone.spreads, strict=True))
-    by_noise = np.mean([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs], axis=0)
-    between = np.diag(np.maximum(np.var(values, axis=0, ddof=1) - by_noise, 0.0))
-    said = {k: _said(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)}
-    found = RunToRun(said, between, alone.floor, alone.correlation, alone.lag_one)
-    again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
-    return replace(found, floor=again.floor, correlation=again.correlation, lag_one=again.lag_one)
-
-
-class _Refits(NamedTuple):
-    """Every log refitted by itself, and what that leaves."""
-
-    prior: Prior
-    fits: list[Fit]
-    spreads: list[Dispersion]
-    floor: float
-
-    @property
-    def correlation(self) -> float:
-        return float(np.mean([s.correlation for s in self.spreads]))
-
-    @property
-    def lag_one(self) -> float:
-        return float(np.mean([s.lag_one for s in self.spreads]))
-
-
-def _refits(
-    healthy: Healthy, logs: Sequence[Windows], prior: Prior, floor: float, correlation: float
-) -> _Refits:
-    prior = tempered(prior, correlation)
-    start = replace(healthy.before, values=dict(healthy.fit.values), prior=prior)
-    noisy = [noisier(own, floor) for own in logs]
-    fits = [refit(start, own) for own in noisy]
-    chi2, samples = sum(fit.chi2 for fit in fits), sum(own.samples for own in noisy)
-    spreads = [dispersion(fit, own) for fit, own in zip(fits, noisy, strict=True)]
-    return _Refits(prior, fits, spreads, max(1.0, floor * chi2 / samples))
-
-
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
     """(K,) variance by which noise moves the estimates of a fit under a prior that stays where it is.
 
@@ -169,7 +96,7 @@ def posterior(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
     return 0.5 * (wider + wider.T)
 
 
-def _said(fit: Fit, prior: Prior, deflation: float) -> Said:
+def said(fit: Fit, prior: Prior, deflation: float) -> Said:
     """What the data of a fit say, its prior taken out."""
     precision, both = prior.precision(prior.names), _inverse(_covariance(fit, prior))
     values = np.array([fit.values[n] for n in prior.names])

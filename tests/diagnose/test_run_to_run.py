@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from deepkoco.diagnose.baseline import Healthy, refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.healthy import Claim, allowed, learn_baseline
-from deepkoco.diagnose.run_to_run import posterior, run_to_run, sampling_variance
+from deepkoco.diagnose.healthy import Claim, allowed, learn_baseline, run_to_run
+from deepkoco.diagnose.run_to_run import posterior, sampling_variance
 from deepkoco.diagnose.selection import prior_with
 from deepkoco.identify.fit import FitProblem, Trial
 from deepkoco.identify.prior import Prior
