@@ -293,7 +293,11 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
             sys.stderr.write(f"fuzz_logs: {target}: exists; move it away\n")
             return 2
     if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
+        try:
+            args.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            sys.stderr.write(f"fuzz_logs: {args.out}: {error.strerror}\n")
+            return 2
     folder = args.rows or Path("runs/fuzz_logs")
     rows = run_cases(
         cases(args.cases, args.seed), folder / f"seed_{args.seed}.jsonl", folder / "verdicts.jsonl"

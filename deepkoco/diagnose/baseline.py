@@ -47,7 +47,7 @@ class Start:
         values: Present value of every parameter, pushes included.
         prior: Over the parameters that every fit frees.
         floor: chi2 per sample that this unit shows when nothing is wrong.
-        correlation: Samples per independent sample of what the model misses then.
+        correlation: Samples per independent sample of what the model misses then; asked of several healthy logs only.
         effects: Effects that a healthy log of the unit asked for, part of the baseline from then on.
         losing: Numbers of the commands of which a healthy log lost some, too.
         healthy: The healthy logs that it was learned from, if any.
@@ -63,6 +63,11 @@ class Start:
     losing: tuple[int, ...] = ()
     healthy: Healthy | None = None
     runs: RunToRun | None = None
+
+    @property
+    def least_deflation(self) -> float:
+        """Factor by which likelihood ratios are too large on any log of this unit."""
+        return self.floor * self.correlation
 
     @property
     def tinge(self) -> float:

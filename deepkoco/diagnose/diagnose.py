@@ -30,7 +30,7 @@ from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding
 from deepkoco.diagnose.findings import estimates, evidence_for, finding, localise, motion_of
 from deepkoco.diagnose.forward import Selected, Selection, Step, learned_instead
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
-from deepkoco.diagnose.healthy import extended, learn_baseline
+from deepkoco.diagnose.healthy import describe_healthy, extended, learn_baseline
 from deepkoco.diagnose.lost import why_not_searched
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.pushed import refit_elsewhere, train_on_pushed
@@ -148,9 +148,10 @@ class _Study:
     def _take(self, start: Start) -> None:
         """Refit a baseline to the training windows."""
         self.progress("refit of the simulation as given")
+        self.learned = start
         data = self.given
         train, self.reference = refit_sharply(start, data.train)
-        if start.floor > 1.0:
+        if start.least_deflation > 1.0:
             # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.
             start, train, self.reference = with_floor_as_noise(start, train)
         held = None if data.held is None else replace(data.held, noise=train.noise)
@@ -241,7 +242,7 @@ class _Study:
             window_s=length,
             localisation=localise(missing),
             advice=self._advice(named, recordings, seed),
-            data=describe_data(recordings, data),
+            data={**describe_data(recordings, data), "healthy": describe_healthy(self.learned)},
             refit=estimates(problem, reference, reference.free, first.deflation),
             model=self._model(final, kept, gain),
             seed=seed,
@@ -264,7 +265,7 @@ class _Study:
         )
 
     def _details(self, reference: Fit, final: Fit, missing: Sequence[MissingTorque]) -> Details:
-        prior = self.start.prior
+        prior = self.learned.prior
         held = self.data.held is not None and len(self.data.held) > 0
         spread = np.sqrt(np.diag(prior.covariance))
         return Details(
@@ -288,7 +289,8 @@ class _Study:
         logs = [str(r.path) for r in recordings if r.path is not None]
         train, classes = self.data.train, ()
         if any(len(found.members) > 1 for found in named):
-            classes = class_advice(self.system, self.start, train, self.steps, logs, seed)
+            start = replace(self.start, prior=self.learned.prior)
+            classes = class_advice(self.system, start, train, self.steps, logs, seed)
         return (*always_there(self.joined), *classes, *level_advice(train, self.system))
 
     def _named(self, missing: Sequence[MissingTorque], final: Fit) -> tuple[Finding, ...]:

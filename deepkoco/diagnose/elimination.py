@@ -38,7 +38,7 @@ def eliminated(
     while len(kept) > least:
         fits = problem.fit([without(problem, start, kept, cause, fit) for cause in kept], ITERATIONS, CLOSE)
         spread = dispersion(fit, problem.windows)
-        deflation = max(spread.deflation, start.floor)
+        deflation = max(spread.deflation, start.least_deflation)
         samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
         worth = [
             (less.cost - fit.cost) / deflation - penalty(cause, samples, places)

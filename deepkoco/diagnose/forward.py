@@ -260,7 +260,7 @@ class Selection:
         start, fit = self.start, prefix.final
         prior = prior_with(self.problem, start, prefix.accepted, fit.values)
         wanted = FURTHER if prefix.accepted else self.detection
-        found = best_losses(self.problem, fit, prior, causes, start.floor, wanted)
+        found = best_losses(self.problem, fit, prior, causes, start.least_deflation, wanted)
         if found is None:
             return None
         lossy = replace(
@@ -304,7 +304,7 @@ def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Start, trai
     spread = dispersion(lowest, train)
     samples, places = train.samples / spread.correlation, SLOTS * len(train)
     charge = found.charge + sum(penalty(cause, samples, places) for cause in found.accepted)
-    return (reference.cost - found.final.cost) / max(spread.deflation, start.floor) - charge
+    return (reference.cost - found.final.cost) / max(spread.deflation, start.least_deflation) - charge
 
 
 def learned_instead(
@@ -328,5 +328,5 @@ def learned_instead(
     lowest = min(found.final, learned.fit, key=lambda fit: fit.cost)
     spread = dispersion(lowest, train)
     charge = len(learned.terms) * math.log(train.samples / spread.correlation)
-    won = (reference.cost - learned.fit.cost) / max(spread.deflation, start.floor) - charge
+    won = (reference.cost - learned.fit.cost) / max(spread.deflation, start.least_deflation) - charge
     return won > fall_of_bic(found, reference, lowest, start, train) + least

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -34,6 +34,7 @@ from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.dispersion import Dispersion, dispersion
 from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.known import Known
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import Windows, cut_windows, moving
 from deepkoco.systems import System
@@ -70,6 +71,10 @@ def learn_baseline(
     windows = windows.take(moving(windows))
     start = start_from(system, windows)
     windows, fit = refit_sharply(start, windows)
+    plain = windows
+    if (known := _own_ways(Healthy(tuple(recordings), windows, start, (), fit))) is not None:
+        # What the logs differ by would be taken for effects that all of them show.
+        windows, fit = refit_sharply(start, replace(windows, known=known))
     problem = FitProblem(start.system, windows)
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
@@ -90,13 +95,18 @@ def learn_baseline(
     prior = prior_with(problem, start, accepted, fit.values)
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
     losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
+    if windows.known != plain.known:
+        windows = replace(windows, known=plain.known)
+        problem = FitProblem(start.system, windows)
+        fit = problem.fit([_freed(problem, start, accepted, fit, fit.values)])[0]
     healthy = Healthy(tuple(recordings), windows, start, tuple(accepted), fit)
-    learned = replace(_learned(healthy), losing=losing)
     # Where the logs do not tell which of several causes it is, a later one may: each is there, as far as they allow.
-    known = catalogue(start.system.base)
+    catalogued = catalogue(start.system.base)
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
-    others = [known[n] for n in members if kind_of(n) not in ("event", *BENDING)]
-    return extended(learned, others) if any(c not in accepted for c in others) else learned
+    others = [catalogued[n] for n in members if kind_of(n) not in ("event", *BENDING)]
+    if any(c not in accepted for c in others):
+        return extended(replace(start, healthy=healthy, losing=losing), others)
+    return replace(_learned(healthy), losing=losing)
 
 
 def extended(start: Start, causes: Sequence[Cause]) -> Start:
@@ -146,10 +156,11 @@ def allowed(start: Start, problem: FitProblem, claims: Sequence[Claim]) -> list[
     if healthy is None or not claims:
         return [False] * len(claims)
     known = {c.name for c in healthy.causes}
-    logs = [healthy.windows.log == k for k in np.unique(healthy.windows.log)]
+    told = np.unique(healthy.windows.log) if start.runs is None else sorted(start.runs.said)
+    logs = [healthy.windows.log == k for k in told]
     # It may have been there in all of them, which then took it for something else, or in one: units vary from run to
     # run.
-    asked = [*logs, np.full(len(healthy.windows), True)] if len(logs) > 1 else logs
+    asked = [*logs, np.full(len(healthy.windows), True)] if start.runs is not None else logs
     apart = [_apart(start, problem, claims, _asked(start, healthy, own, claims)) for own in asked]
     least = np.min(apart, axis=0)
     limits = [float(scipy.stats.chi2.ppf(SURE, len(c.cause.free))) for c in claims]
@@ -187,14 +198,19 @@ def _before(
     Of a log it is what the other logs say, as far as a log may differ from them; of all, what was known before.
     """
     runs = start.runs
-    if runs is None or own.all():
+    if runs is None:
         deflation = dispersion(healthy.fit, healthy.windows).deflation
         return healthy.before, healthy.causes, healthy.windows.take(own), deflation
-    problem = FitProblem(start.system, healthy.windows)
-    prior = prior_with(problem, healthy.before, healthy.causes, healthy.fit.values)
-    prior = within_bounds(runs.of_another(prior, int(healthy.windows.log[own][0])), start.system)
+    windows = noisier(healthy.windows, runs.floor)
+    prior = prior_with(FitProblem(start.system, windows), healthy.before, healthy.causes, healthy.fit.values)
+    if own.all():
+        # Each keeps what it differs by.
+        known = _with_own_ways(windows.known, len(healthy.recordings), runs, prior)
+        before = replace(healthy.before, prior=tempered(prior, runs.correlation))
+        return before, (), replace(windows, known=known), runs.correlation
+    prior = within_bounds(runs.of_another(prior, int(windows.log[own][0])), start.system)
     before = replace(healthy.before, prior=tempered(prior, runs.correlation))
-    return before, (), noisier(healthy.windows, runs.floor).take(own), runs.correlation
+    return before, (), windows.take(own), runs.correlation
 
 
 def _apart(
@@ -242,7 +258,7 @@ def _learned(healthy: Healthy) -> Start:
         pooled = dispersion(fit, healthy.windows)
         centre = np.array([fit.values[n] for n in prior.names])
         learned = Prior(prior.names, centre, posterior(fit, prior, pooled.deflation))
-        floor, correlation = pooled.chi2_per_sample, pooled.correlation
+        floor, correlation = pooled.chi2_per_sample, 1.0
     else:
         learned = within_bounds(runs.of_another(prior), start.system)
         floor, correlation = runs.floor, runs.correlation
@@ -256,6 +272,23 @@ def _learned(healthy: Healthy) -> Start:
         healthy=healthy,
         runs=runs,
     )
+
+
+def _own_ways(healthy: Healthy) -> Known | None:
+    """What is known to differ between healthy logs, with what their own refits say; None where that adds nothing."""
+    prior = healthy.before.prior
+    runs = run_to_run(healthy, prior)
+    if runs is None or not runs.covariance.any():
+        return None
+    return _with_own_ways(healthy.windows.known, len(healthy.recordings), runs, prior)
+
+
+def _with_own_ways(before: Known, logs: int, runs: RunToRun, prior: Prior) -> Known:
+    known = [dict(before[k]) if before else {} for k in range(logs)]
+    for log, differs in runs.own_ways(prior).items():
+        for name, amount in zip(prior.names, differs, strict=True):
+            known[log][name] = known[log].get(name, 0.0) + float(amount)
+    return tuple(known)
 
 
 def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
@@ -273,8 +306,8 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     """
     windows, fit = healthy.windows, healthy.fit
     logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
-    logs = {k: own for k, own in logs.items() if len(own) >= FEWEST_OF_A_LOG}
-    if len(logs) < 2:
+    long = np.array([len(own) >= FEWEST_OF_A_LOG for own in logs.values()])
+    if long.sum() < 2:
         return None
     # A log that says nothing of a parameter is to stay where all of them together are.
     centred = Prior(prior.names, np.array([fit.values[n] for n in prior.names]), prior.covariance)
@@ -287,12 +320,13 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
         alone = _refits(healthy, list(logs.values()), centred, alone.floor, alone.correlation)
         if alone.floor * alone.correlation > SETTLED * before:
             break
-    values = [[fit.values[n] for n in prior.names] for fit in alone.fits]
+    values = np.array([[fit.values[n] for n in prior.names] for fit in alone.fits])
     pairs = list(zip(alone.fits, alone.spreads, strict=True))
-    by_noise = np.mean([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs], axis=0)
-    between = np.diag(np.maximum(np.var(values, axis=0, ddof=1) - by_noise, 0.0))
+    by_noise = np.array([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs])
+    between = np.diag(np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0))
     told = {k: said(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)}
-    found = RunToRun(told, between, alone.floor, alone.correlation, alone.lag_one)
+    degrees = int(long.sum()) - 1
+    found = RunToRun(told, between, degrees, alone.floor, alone.correlation, alone.lag_one)
     again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
     return replace(found, floor=again.floor, correlation=again.correlation, lag_one=again.lag_one)
 
@@ -331,3 +365,22 @@ def within_bounds(prior: Prior, system: System) -> Prior:
     declared = [system.parameter(n) for n in prior.names]
     low, high = (np.array([getattr(p, side) for p in declared]) for side in ("low", "high"))
     return Prior(prior.names, np.clip(prior.centre, low, high), prior.covariance)
+
+
+def describe_healthy(start: Start) -> dict[str, Any] | None:
+    """What a baseline learned from healthy logs, for a report; None where there are none."""
+    if start.healthy is None:
+        return None
+    runs = start.runs
+    varies = () if runs is None else np.sqrt(np.diag(runs.covariance))
+    units = [start.system.parameter(n).unit for n in start.prior.names]
+    return {
+        "logs": len(start.healthy.recordings),
+        "effects": list(start.effects),
+        "chi2_per_sample": start.floor,
+        "correlation": start.correlation,
+        "run_to_run": {
+            name: {"sd": float(sd), "unit": unit}
+            for name, sd, unit in zip(start.prior.names, varies, units, strict=False)
+        },
+    }

@@ -42,7 +42,7 @@ def best_losses(
     Args:
         problem, fit, prior: Model to be improved.
         causes: Lost commands at every command of the system.
-        floor: chi2 per sample of a healthy unit.
+        floor: Least factor by which likelihood ratios are too large on a healthy unit.
         wanted: Fall of the BIC that they must reach.
     """
     tried = [(cause, lost_commands(problem, fit, prior, cause.index)) for cause in causes]

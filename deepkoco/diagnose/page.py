@@ -14,7 +14,7 @@ from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding
 from deepkoco.diagnose.layout import held_out_models
 from deepkoco.diagnose.remains import remains
-from deepkoco.diagnose.words import headline, lead, spoken
+from deepkoco.diagnose.words import headline, lead, noise_of, spoken
 from deepkoco.picture import Picture
 
 GLOSSARY = {
@@ -57,6 +57,7 @@ def render(
         system=diagnosis.model.name,
         tried=len(diagnosis.candidates) or len(CAUSES),
         headline=headline(diagnosis),
+        noise=noise_of(diagnosis),
         lead=lead(diagnosis),
         tiles=_tiles(diagnosis),
         advice_title="What would settle the rest" if suffices else "What is needed",

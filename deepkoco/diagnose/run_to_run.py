@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy.stats
 
 from deepkoco.identify.fit import Fit
 from deepkoco.identify.prior import Prior
@@ -32,7 +33,9 @@ class RunToRun:
 
     Attributes:
         said: By the number of a log, what it says of its parameters.
-        covariance: (K, K) diagonal, by which parameters differ between logs.
+        covariance: (K, K) diagonal, by which parameters differ between logs. What moves several of them together is
+            spread over them, and comes out low by that.
+        degrees: Of freedom of this estimate.
         floor: chi2 per sample that is left in each.
         correlation: Samples per independent sample of what is left.
         lag_one: Correlation of neighbouring residuals.
@@ -40,6 +43,7 @@ class RunToRun:
 
     said: dict[int, Said]
     covariance: np.ndarray
+    degrees: int
     floor: float
     correlation: float
     lag_one: float
@@ -47,7 +51,9 @@ class RunToRun:
     def of_another(self, prior: Prior, without: int | None = None) -> Prior:
         """What these logs say of the parameters of another one.
 
-        Each tells of the mean as far as it knows its own parameters and these do not differ from it.
+        Each tells of the mean as far as it knows its own parameters and these do not differ from it. How much logs
+        differ is known from a few of them only: their spread is widened as Student's t is wider than a normal
+        distribution.
 
         Args:
             prior: Of the mean, before any log.
@@ -55,14 +61,32 @@ class RunToRun:
         """
         precision = prior.precision(prior.names)
         times_mean = precision @ prior.centre
-        one = np.eye(len(precision))
+        one, differ = np.eye(len(precision)), self._doubted
         for log, own in self.said.items():
             if log != without:
-                through = np.linalg.inv(one + own.information @ self.covariance)
+                through = np.linalg.inv(one + own.information @ differ)
                 precision = precision + through @ own.information
                 times_mean = times_mean + through @ own.times_mean
         covariance = _inverse(precision)
-        return Prior(prior.names, covariance @ times_mean, covariance + self.covariance)
+        return Prior(prior.names, covariance @ times_mean, covariance + differ)
+
+    @property
+    def _doubted(self) -> np.ndarray:
+        sure = scipy.stats.t.ppf(0.975, self.degrees) / scipy.stats.norm.ppf(0.975)
+        return sure**2 * self.covariance
+
+    def own_ways(self, prior: Prior) -> dict[int, np.ndarray]:
+        """(K,) by which the parameters of each log most probably differ from the mean of all; without noise's share.
+
+        Args:
+            prior: Of the mean, before any log.
+        """
+        mean, differ = self.of_another(prior).centre, self._doubted
+        one, result = np.eye(len(differ)), {}
+        for log, own in self.said.items():
+            beside = own.times_mean - own.information @ mean
+            result[log] = differ @ np.linalg.solve(one + own.information @ differ, beside)
+        return result
 
 
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:

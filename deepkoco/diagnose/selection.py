@@ -159,7 +159,7 @@ def rank(
     ]
     trials += _slipped(problem, start, accepted, reference, slips)
     fits = _fit_best(problem, trials, reference)
-    if reference.penalty > FAR and promising:
+    if reference.penalty > FAR * start.correlation and promising:
         # A strong cause drives the refit far from the truth, into a valley that leads back slowly. The
         # baseline's values before the refit are a second foothold, with states that suit each start.
         before = {n: start.values[n] for n in start.prior.names}
@@ -335,7 +335,7 @@ def _ranked(
 ) -> Ranking:
     lowest = min([reference, *fits.values()], key=lambda fit: fit.cost)
     spread = dispersion(lowest, problem.windows)
-    deflation = max(spread.deflation, start.floor)
+    deflation = max(spread.deflation, start.least_deflation)
     samples = problem.windows.samples / spread.correlation
     places = SLOTS * len(problem.windows)
     candidates = []

@@ -32,7 +32,7 @@ def lead(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "nothing":
         doubts = "".join(f" {text}" for text in diagnosis.unexplained.get("doubts") or ())
         return (
-            "After refitting the parameters that the simulation already has, what remains is sensor noise; "
+            f"After refitting the parameters that the simulation already has, what remains is {noise_of(diagnosis)}; "
             f"no cause of the catalogue is worth its extra parameters.{doubts}"
         )
     if diagnosis.verdict == "unknown":
@@ -52,6 +52,15 @@ def lead(diagnosis: Diagnosis) -> str:
         if others:
             text += f" These data do not tell {spoken(cause.name)} apart from {' or '.join(others)}."
     return f"{text} {beside_causes(diagnosis)}".strip()
+
+
+def noise_of(diagnosis: Diagnosis) -> str:
+    """What counts as noise: that of the sensors, or what healthy logs leave beside it."""
+    healthy = diagnosis.data.get("healthy")
+    if healthy is None or healthy["chi2_per_sample"] <= 1.0:
+        return "sensor noise"
+    logs = "a healthy log leaves" if healthy["logs"] == 1 else "the healthy logs leave"
+    return f"what {logs}, {healthy['chi2_per_sample']:.3g} times the sensor noise's variance"
 
 
 def beside_causes(diagnosis: Diagnosis) -> str:
@@ -92,9 +101,8 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
         elif gain.as_given:
             table.add_row("gain", f"None. {diagnosis.gain_note}")
     if diagnosis.verdict != "insufficient":
-        text = (
-            f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} at the end (1 is sensor noise)"
-        )
+        noise = noise_of(diagnosis)
+        text = f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} at the end (1 is {noise})"
         table.add_row("error / noise variance", text)
     if more := beside_causes(diagnosis):
         table.add_row("unexplained", more)

@@ -163,7 +163,11 @@ class Batch:
         full = normal.reduced(0.0)[0].numpy()
         data = full.copy()
         data[:p, :p] -= self.precision[k, :p, :p].numpy()
-        covariance = np.linalg.pinv(full, hermitian=True)[:p, :p] if len(full) else full
+        # Parameters have units of their own: what is large in one need not be small in another.
+        size = np.sqrt(np.diag(full))
+        size = np.outer(size, size)
+        size[size == 0.0] = 1.0
+        covariance = (np.linalg.pinv(full / size, hermitian=True) / size)[:p, :p] if len(full) else full
         return Fit(
             trial.name,
             trial.free,

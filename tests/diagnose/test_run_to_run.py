@@ -1,5 +1,7 @@
 """Healthy logs of one unit tell how far its parameters vary from run to run, and how large its model error is."""
 
+import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,11 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import Healthy, refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.healthy import Claim, allowed, learn_baseline, run_to_run
-from deepkoco.diagnose.run_to_run import posterior, sampling_variance
+from deepkoco.diagnose.run_to_run import RunToRun, Said, posterior, said, sampling_variance
 from deepkoco.diagnose.selection import prior_with
+from deepkoco.diagnose.words import noise_of
 from deepkoco.identify.fit import FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import cut_windows, window_length
@@ -111,3 +115,109 @@ def test_what_one_healthy_log_shows_is_allowed_and_nothing_else():
     assert allowed(start, problem, [same]) == [True]
     problem, more = claimed(start, 0.05)
     assert allowed(start, problem, [more]) == [False]
+
+
+def test_a_report_says_what_healthy_logs_leave_and_how_they_vary():
+    change = [0.0, 0.06]
+    logs = [
+        hidden_log("rod_pendulum", {"viscous": {"change": c}} if c else {}, drive, SEED, SECONDS)
+        for c, drive in zip(change, DRIVES, strict=False)
+    ]
+    log = hidden_log("rod_pendulum", {"viscous": {"change": 0.03}}, "steps", SEED, SECONDS)
+    result = diagnose([log], "rod_pendulum", logs, only=["gain", "viscous"])
+    assert result.verdict == "nothing"  # it lies between the others
+    said = json.loads(json.dumps(result.to_json()))["data"]["healthy"]
+    assert said["logs"] == 2
+    assert said["run_to_run"]["viscous"]["sd"] == pytest.approx(np.std(change, ddof=1), rel=0.3)
+    assert said["run_to_run"]["viscous"]["unit"] == "N m s/rad"
+    assert "sensor noise" in noise_of(result)
+    noisy = replace(result, data={**result.data, "healthy": {**said, "chi2_per_sample": 7.0}})
+    assert noise_of(noisy) == "what the healthy logs leave, 7 times the sensor noise's variance"
+    assert noise_of(replace(result, data={})) == "sensor noise"
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10_000), st.booleans())
+def test_several_logs_are_combined_as_random_effects(seed, blind):
+    """Against the dense normal distribution of the mean, every log's own parameters and its data."""
+    rng = np.random.default_rng(seed)
+    names, logs = ("a", "b"), 3
+    prior = Prior(names, rng.normal(size=2), np.diag(rng.uniform(0.5, 2.0, 2)))
+    runs = RunToRun({}, np.diag(rng.uniform(0.01, 1.0, 2)), 10**9, 1.0, 1.0, 0.0)  # so many that t is normal
+    slopes = [rng.normal(size=(4, 2)) for _ in range(logs)]
+    if blind:
+        slopes[0][:, 1] = 0.0
+    seen = [a @ rng.normal(size=2) + rng.normal(size=4) for a in slopes]
+    precision = np.linalg.inv(prior.covariance)
+    for k, (a, y) in enumerate(zip(slopes, seen, strict=True)):
+        covariance = np.linalg.inv(a.T @ a + precision)
+        at = covariance @ (a.T @ y + precision @ prior.centre)
+        fit = SimpleNamespace(free=names, covariance=covariance, values=dict(zip(names, at, strict=True)))
+        runs.said[k] = said(fit, prior, 1.0)
+        np.testing.assert_allclose(runs.said[k].information, a.T @ a, atol=1e-8)
+    # mean, then what each log differs by: each measurement is linear in them
+    everything = np.linalg.inv(
+        np.block(
+            [[prior.covariance, np.zeros((2, 6))], [np.zeros((6, 2)), np.kron(np.eye(3), runs.covariance)]]
+        )
+    )
+    rows = np.zeros((4 * logs, 2 + 2 * logs))
+    for k, a in enumerate(slopes):
+        rows[4 * k : 4 * k + 4, :2] = rows[4 * k : 4 * k + 4, 2 + 2 * k : 4 + 2 * k] = a
+    whole = np.linalg.inv(everything + rows.T @ rows)
+    centre = np.concatenate([prior.centre, np.zeros(2 * logs)])
+    best = whole @ (everything @ centre + rows.T @ np.concatenate(seen))
+    found = runs.of_another(prior)
+    np.testing.assert_allclose(found.centre, best[:2], atol=1e-6)
+    np.testing.assert_allclose(found.covariance, whole[:2, :2] + runs.covariance, rtol=1e-3)
+    for k, differs in runs.own_ways(prior).items():
+        np.testing.assert_allclose(differs, best[2 + 2 * k : 4 + 2 * k], atol=1e-3)
+    fewer = RunToRun(
+        {k: own for k, own in runs.said.items() if k != 1}, runs.covariance, 10**9, 1.0, 1.0, 0.0
+    )
+    np.testing.assert_allclose(runs.of_another(prior, 1).centre, fewer.of_another(prior).centre)
+
+
+def test_a_spread_of_few_logs_is_doubted():
+    prior = Prior(("a",), np.zeros(1), np.eye(1))
+    told = {0: Said(np.eye(1) * 1e9, np.zeros(1)), 1: Said(np.eye(1) * 1e9, np.zeros(1))}
+    sd = [
+        np.sqrt(RunToRun(told, np.eye(1) * 1e-4, k, 1.0, 1.0, 0.0).of_another(prior).covariance[0, 0])
+        for k in (1, 3, 1000)
+    ]
+    assert sd[2] == pytest.approx(0.01 * np.sqrt(1.5), rel=0.01)  # its own, and that of a mean of two
+    assert sd[0] > 3.0 * sd[1] > 3.0 * sd[2]
+
+
+def test_logs_that_vary_much_hide_nothing_else():
+    change = [0.0, 0.06, 0.12]
+    logs = [
+        hidden_log("rod_pendulum", {"viscous": {"change": c}} if c else {}, drive, SEED, SECONDS)
+        for c, drive in zip(change, DRIVES, strict=False)
+    ]
+    logs.append(shortened(logs[0], 2.0))  # too short to say anything; it allows nothing either
+    start = learn_baseline(logs, SYSTEM, LENGTH)
+    assert start.effects == ()
+    assert start.floor < 1.2
+    problem, bias = claimed(start, 0.01)
+    assert allowed(start, problem, [bias]) == [False]
+
+
+def shortened(log, seconds: float):
+    """The first seconds of a log."""
+    channels = {
+        name: replace(series, t=series.t[series.t < seconds], value=series.value[series.t < seconds])
+        for name, series in log.channels.items()
+    }
+    return replace(log, channels=channels)
+
+
+def test_units_of_very_different_size_are_no_obstacle():
+    prior = Prior(("angle", "speed"), np.zeros(2), np.diag([0.02**2, 3.0**2]))
+    fit = SimpleNamespace(
+        free=prior.names, covariance=np.diag([1e-18, 9.0]), values={"angle": 0.01, "speed": 0.0}
+    )
+    runs = RunToRun({0: said(fit, prior, 1.0)}, np.zeros((2, 2)), 1, 1.0, 1.0, 0.0)
+    found = runs.of_another(prior)
+    np.testing.assert_allclose(found.centre, [0.01, 0.0], atol=1e-9)
+    np.testing.assert_allclose(np.diag(found.covariance), [1e-18, 9.0], rtol=1e-6)
