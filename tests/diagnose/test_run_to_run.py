@@ -117,18 +117,24 @@ def test_what_one_healthy_log_shows_is_allowed_and_nothing_else():
     assert allowed(start, problem, [more]) == [False]
 
 
-def test_a_report_says_what_healthy_logs_leave_and_how_they_vary():
-    change = [0.0, 0.06]
+def test_what_varies_is_no_cause_and_what_does_not_is():
+    change = [0.0, 0.06, 0.03]
     logs = [
         hidden_log("rod_pendulum", {"viscous": {"change": c}} if c else {}, drive, SEED, SECONDS)
         for c, drive in zip(change, DRIVES, strict=False)
     ]
-    log = hidden_log("rod_pendulum", {"viscous": {"change": 0.03}}, "steps", SEED, SECONDS)
-    result = diagnose([log], "rod_pendulum", logs, only=["gain", "viscous"])
-    assert result.verdict == "nothing"  # it lies between the others
+    start = learn_baseline(logs, SYSTEM, LENGTH)
+    only = ["gain", "viscous", "coulomb"]
+    log = hidden_log("rod_pendulum", {"viscous": {"change": 0.09}}, "steps", SEED, SECONDS)
+    result = diagnose([log], "rod_pendulum", baseline=start, only=only)
+    assert result.verdict == "nothing"
+    unit = {"viscous": {"change": 0.03}, "coulomb": {"torque": 0.05}}
+    rubbing = hidden_log("rod_pendulum", unit, "steps", SEED, SECONDS)
+    assert diagnose([rubbing], "rod_pendulum", baseline=start, only=only).names == ("coulomb",)
+    # A report says what the healthy logs leave, and how they vary.
     said = json.loads(json.dumps(result.to_json()))["data"]["healthy"]
-    assert said["logs"] == 2
-    assert said["run_to_run"]["viscous"]["sd"] == pytest.approx(np.std(change, ddof=1), rel=0.3)
+    assert said["logs"] == 3
+    assert said["run_to_run"]["viscous"]["sd"] == pytest.approx(np.std(change, ddof=1), rel=0.2)
     assert said["run_to_run"]["viscous"]["unit"] == "N m s/rad"
     assert "sensor noise" in noise_of(result)
     noisy = replace(result, data={**result.data, "healthy": {**said, "chi2_per_sample": 7.0}})
