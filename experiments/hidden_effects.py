@@ -65,7 +65,8 @@ def study(
     Args:
         path: CSV of the rows, made or continued.
         system: Name of the system.
-        condition: ``clean``, ``floor`` (small effects are everywhere, one healthy log) or ``bang-bang``.
+        condition: ``clean``, ``floor`` (small effects are everywhere, one healthy log), ``runs`` (besides,
+            parameters differ from log to log; three healthy logs) or ``bang-bang``.
         cases: Number of cases.
         seed: Seed of the study; case i has the seed ``seed + i``.
         seconds: Length of a log [s].

@@ -21,10 +21,11 @@ from deepkoco.systems import make_system
 from experiments.hidden.doses import FLOOR, dosed, effect_names, outside, outside_names, scaled
 from experiments.hidden.unit import Hidden, hidden_log
 
-CONDITIONS = ("clean", "floor", "bang-bang")
+CONDITIONS = ("clean", "floor", "runs", "bang-bang")
 CONTROL, SINGLE, PAIR = 0.3, 0.5, 0.1  # shares of the cases; the rest is outside the catalogue
 WEAKEST, STRONGEST = 0.1, 3.0  # ES
 OPEN = ("steps", "chirp", "closed-loop")
+VARIES = 0.02  # standard deviation of every parameter from run to run, as a share, in the condition "runs"
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ class Recorded(NamedTuple):
 
 def record_case(case: Case, system: str, condition: str, seconds: float) -> Recorded:
     """Hide the effects of a case at their strengths, and record the logs."""
-    floor = small_effects(system) if condition == "floor" else {}
+    floor = small_effects(system) if condition in ("floor", "runs") else {}
+    varies = VARIES if condition == "runs" else 0.0
     hidden: dict[str, Mapping[str, float]] = dict(floor)
     strengths = []
     for name in case.names:
@@ -101,11 +103,16 @@ def record_case(case: Case, system: str, condition: str, seconds: float) -> Reco
         )
         hidden = _merged(hidden, added)
         strengths.append(found)
-    log = hidden_log(system, hidden, case.excitation, case.seed, seconds)
+    log = hidden_log(system, hidden, case.excitation, case.seed, seconds, varies=varies)
     healthy = []
     if condition == "floor":
         # The same unit on a day on which nothing is wrong: same parameters, another excitation and noise.
         healthy = [hidden_log(system, floor, "chirp", case.seed, seconds)]
+    if condition == "runs":
+        healthy = [
+            hidden_log(system, floor, drive, case.seed, seconds, take=k, varies=varies)
+            for k, drive in enumerate(OPEN, start=1)
+        ]
     return Recorded(log, healthy, hidden, strengths)
 
 
@@ -146,7 +153,7 @@ def judge(case: Case, recorded: Recorded, system: str, condition: str) -> dict[s
 
 
 def small_effects(system: str) -> dict[str, Mapping[str, float]]:
-    """What every unit of the condition "floor" has, also when nothing is wrong."""
+    """What every unit of the conditions "floor" and "runs" has, also when nothing is wrong."""
     physics = make_system(system)
     floor: dict[str, Mapping[str, float]] = {}
     for kind, dose in FLOOR:

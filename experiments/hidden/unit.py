@@ -33,9 +33,12 @@ class HiddenUnit:
         hidden: Effects by the names of the catalogue, with their parameters.
         seed: Seed of the parameters.
         drawn: Seed of noise and turbulence; None takes the other one.
+        varies: Standard deviation by which parameters differ from recording to recording, as a share of each.
     """
 
-    def __init__(self, system: str, hidden: Hidden, seed: int, drawn: int | None = None) -> None:
+    def __init__(
+        self, system: str, hidden: Hidden, seed: int, drawn: int | None = None, varies: float = 0.0
+    ) -> None:
         self.system = make_system(system)
         rng = np.random.default_rng([seed, 1])
         self.parameters: dict[str, float] = {}
@@ -43,6 +46,10 @@ class HiddenUnit:
             # Within two standard deviations: beyond that the data sheet would be wrong.
             shift = float(np.clip(rng.standard_normal(), -2.0, 2.0))
             self.parameters[p.name] = float(np.clip(p.value + p.prior_sd * shift, p.low, p.high))
+        today = np.random.default_rng([seed if drawn is None else drawn, 6])
+        for p in self.system.parameters if varies else ():
+            own = self.parameters[p.name] * (1.0 + varies * today.standard_normal())
+            self.parameters[p.name] = float(np.clip(own, p.low, p.high))
         self.hidden: dict[tuple[str, int | str], dict[str, Any]] = {}
         for name, values in hidden.items():
             match = PLACED.match(name)
@@ -167,6 +174,7 @@ def hidden_log(
     seconds: float = 30.0,
     noisy: bool = True,
     take: int = 0,
+    varies: float = 0.0,
 ) -> Recording:
     """Record a unit in simulated time.
 
@@ -179,10 +187,11 @@ def hidden_log(
         seconds: Length of the log [s].
         noisy: Whether sensors have noise, quantisation and jitter.
         take: Which recording of the unit; each has an excitation and noise of its own, the parameters are the same.
+        varies: Standard deviation by which they differ from take to take nevertheless, as a share of each.
     """
     # What the first take drew stays what it was before there were others.
     drawn = int(np.random.SeedSequence([seed, 5, take]).generate_state(1)[0]) if take else seed
-    unit = HiddenUnit(system, hidden, seed, drawn)
+    unit = HiddenUnit(system, hidden, seed, drawn, varies)
     log = _Run(unit, excitation, drawn, seconds, noisy)
     log.run()
     return log.recording()
