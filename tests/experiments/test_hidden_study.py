@@ -2,13 +2,14 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
-from experiments.hidden.cases import make_case
+from experiments.hidden.cases import make_case, record_case
 from experiments.hidden.doses import scaled, strength, unexplained
 from experiments.hidden.measures import measures
-from experiments.hidden.unit import hidden_log
+from experiments.hidden.unit import HiddenUnit, hidden_log
 from experiments.hidden_effects import COLUMNS, ResumeError, read_rows
 
 
@@ -98,3 +99,16 @@ def test_a_lag_below_the_step_does_as_little_as_it_should(effect):
     assert abs(fast - plain).max() < 2e-3
     # To first order a lag does what its time constant says.
     assert abs(fast - plain).max() == pytest.approx(0.1 * abs(slow - plain).max(), rel=0.05)
+
+
+def test_in_runs_every_log_has_parameters_of_its_own_and_healthy_ones_the_floor_alone():
+    case = make_case(0, 3800, "rod_pendulum", "runs")
+    found = record_case(replace(case, kind="control", names=()), "rod_pendulum", "runs", 4.0)
+    assert len(found.healthy) == 3
+    units = [HiddenUnit("rod_pendulum", {}, case.seed, drawn, varies=0.02) for drawn in (None, 1, 2)]
+    lengths = [unit.parameters["length"] for unit in units]
+    assert len(set(lengths)) == 3
+    assert max(abs(x / lengths[0] - 1.0) for x in lengths) < 0.2
+    # Where nothing varies, takes differ in noise and commands alone.
+    same = [HiddenUnit("rod_pendulum", {}, case.seed, drawn).parameters for drawn in (None, 1)]
+    assert same[0] == same[1]
