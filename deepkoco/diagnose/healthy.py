@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.optimize
 import scipy.stats
 import torch
 
@@ -34,7 +35,7 @@ from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.dispersion import Dispersion, dispersion
 from deepkoco.identify.fit import Fit, FitProblem, Trial
-from deepkoco.identify.known import Known
+from deepkoco.identify.known import Known, may_differ
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import Windows, cut_windows, moving
 from deepkoco.systems import System
@@ -205,7 +206,7 @@ def _before(
     prior = prior_with(FitProblem(start.system, windows), healthy.before, healthy.causes, healthy.fit.values)
     if own.all():
         # Each keeps what it differs by.
-        known = _with_own_ways(windows.known, len(healthy.recordings), runs, prior)
+        known = _with_own_ways(healthy, runs, prior)
         before = replace(healthy.before, prior=tempered(prior, runs.correlation))
         return before, (), replace(windows, known=known), runs.correlation
     prior = within_bounds(runs.of_another(prior, int(windows.log[own][0])), start.system)
@@ -280,14 +281,17 @@ def _own_ways(healthy: Healthy) -> Known | None:
     runs = run_to_run(healthy, prior)
     if runs is None or not runs.covariance.any():
         return None
-    return _with_own_ways(healthy.windows.known, len(healthy.recordings), runs, prior)
+    return _with_own_ways(healthy, runs, prior)
 
 
-def _with_own_ways(before: Known, logs: int, runs: RunToRun, prior: Prior) -> Known:
-    known = [dict(before[k]) if before else {} for k in range(logs)]
+def _with_own_ways(healthy: Healthy, runs: RunToRun, prior: Prior) -> Known:
+    """What is known to differ, with what the logs say that they differ by, of what may."""
+    before, may = healthy.windows.known, may_differ(healthy.before.system)
+    known = [dict(before[k]) if before else {} for k in range(len(healthy.recordings))]
     for log, differs in runs.own_ways(prior).items():
         for name, amount in zip(prior.names, differs, strict=True):
-            known[log][name] = known[log].get(name, 0.0) + float(amount)
+            if name in may:
+                known[log][name] = known[log].get(name, 0.0) + float(amount)
     return tuple(known)
 
 
@@ -361,10 +365,20 @@ def _refits(
 
 
 def within_bounds(prior: Prior, system: System) -> Prior:
-    """A prior with its mean where the system's parameters may be."""
+    """A prior with its mean at the most probable place where the system's parameters may be.
+
+    What is known of a sum of parameters stays so: one that is moved to its bound takes the others along.
+    """
     declared = [system.parameter(n) for n in prior.names]
     low, high = (np.array([getattr(p, side) for p in declared]) for side in ("low", "high"))
-    return Prior(prior.names, np.clip(prior.centre, low, high), prior.covariance)
+    if ((prior.centre >= low) & (prior.centre <= high)).all():
+        return prior
+    scale = np.sqrt(np.diag(prior.covariance))
+    root = np.linalg.cholesky(prior.precision(prior.names) * np.outer(scale, scale)).T
+    at = scipy.optimize.lsq_linear(
+        root, root @ (prior.centre / scale), (low / scale, high / scale), tol=1e-12
+    ).x
+    return Prior(prior.names, np.clip(at * scale, low, high), prior.covariance)
 
 
 def describe_healthy(start: Start) -> dict[str, Any] | None:

@@ -26,14 +26,20 @@ def known_of(recordings: Sequence[Recording], system: System) -> Known:
     Raises:
         LogError: A name is no parameter of the system or of an effect on its body or joints, or no number is given.
     """
+    names = may_differ(system)
+    return tuple(
+        _checked(r.meta.get(KEY), names, str(r.path or "the recording"), system.name) for r in recordings
+    )
+
+
+def may_differ(system: System) -> set[str]:
+    """Parameters that can be known to differ from log to log: the system's own, and those of effects in `PLACES`."""
     base = system.base if isinstance(system, ExtendedSystem) else system
     names = {p.name for p in base.parameters}
     for placed in effects_of(base).values():
         if placed.effect.place in PLACES:
             names |= {f"{placed.name}.{p.name}" for p in placed.parameters(base)}
-    return tuple(
-        _checked(r.meta.get(KEY), names, str(r.path or "the recording"), base.name) for r in recordings
-    )
+    return names
 
 
 def _checked(known: Any, names: set[str], where: str, system: str) -> dict[str, float]:
