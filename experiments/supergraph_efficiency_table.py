@@ -40,12 +40,12 @@ def cells() -> Iterator[Cell]:
 def run_table(folder: Path, python: str) -> list[str]:
     """Measure all cells that are not in the folder yet, then write tables, figure and README.
 
-    Returns:
-        What it says in short, a line each.
-
     Args:
         folder: where `cells.csv` grows, one row per cell and method.
         python: the peer's interpreter.
+
+    Returns:
+        What it says in short, a line each.
 
     Raises:
         PeerError: the peer is not there.

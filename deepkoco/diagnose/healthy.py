@@ -368,13 +368,19 @@ def within_bounds(prior: Prior, system: System) -> Prior:
     """A prior with its mean at the most probable place where the system's parameters may be.
 
     What is known of a sum of parameters stays so: one that is moved to its bound takes the others along.
+
+    Args:
+        prior: (K,) mean and (K, K) covariance, in the parameters' units; the covariance stays as it is.
+        system: Declares the bounds.
     """
     declared = [system.parameter(n) for n in prior.names]
     low, high = (np.array([getattr(p, side) for p in declared]) for side in ("low", "high"))
     if ((prior.centre >= low) & (prior.centre <= high)).all():
         return prior
     scale = np.sqrt(np.diag(prior.covariance))
-    root = np.linalg.cholesky(prior.precision(prior.names) * np.outer(scale, scale)).T
+    # Directions that are hardly known may come out a little negative.
+    weight, ways = np.linalg.eigh(prior.precision(prior.names) * np.outer(scale, scale))
+    root = np.sqrt(np.maximum(weight, 0.0))[:, None] * ways.T
     at = scipy.optimize.lsq_linear(
         root, root @ (prior.centre / scale), (low / scale, high / scale), tol=1e-12
     ).x

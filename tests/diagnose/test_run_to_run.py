@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import Healthy, refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.healthy import Claim, allowed, learn_baseline, run_to_run
+from deepkoco.diagnose.healthy import Claim, allowed, learn_baseline, run_to_run, within_bounds
 from deepkoco.diagnose.run_to_run import RunToRun, Said, posterior, said, sampling_variance
 from deepkoco.diagnose.selection import prior_with
 from deepkoco.diagnose.words import noise_of
@@ -227,3 +227,17 @@ def test_units_of_very_different_size_are_no_obstacle():
     found = runs.of_another(prior)
     np.testing.assert_allclose(found.centre, [0.01, 0.0], atol=1e-9)
     np.testing.assert_allclose(np.diag(found.covariance), [1e-18, 9.0], rtol=1e-6)
+
+
+def test_a_delay_that_is_moved_to_its_bound_takes_the_others_along():
+    """What is known is the sum: 0.8 ms, though one part of it was estimated below 0."""
+    start = start_from(
+        SYSTEM, cut_windows([hidden_log("rod_pendulum", {}, "chirp", SEED, 5.0)], SYSTEM, LENGTH)
+    )
+    names = ("actuation_delay.delay", "lag.time_constant")
+    covariance = 0.04**2 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1e-10 * np.eye(2)
+    moved = within_bounds(Prior(names, np.array([-0.0036, 0.0044]), covariance), start.system)
+    assert moved.centre.min() >= 0.0
+    assert moved.centre.sum() == pytest.approx(0.0008, abs=2e-5)
+    inside = Prior(names, np.array([0.001, 0.002]), covariance)
+    assert within_bounds(inside, start.system) is inside
