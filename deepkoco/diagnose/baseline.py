@@ -149,7 +149,7 @@ def refit(start: Start, windows: Windows, free: tuple[str, ...] | None = None) -
     problem = FitProblem(start.system, windows)
     guess = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
-    return problem.fit([Trial("refit", names, start.prior, first.values, state, first.zero)])[0]
+    return problem.fit([Trial("refit", names, start.prior, first.values, state, first.nuisance)])[0]
 
 
 def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
@@ -157,7 +157,7 @@ def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
     rough = refit(start, windows)
     windows = replace(windows, noise=sharpen_noise(windows, rough))
     problem = FitProblem(start.system, windows)
-    trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.zero)
+    trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.nuisance)
     return windows, problem.fit([trial])[0]
 
 
@@ -177,7 +177,7 @@ def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows,
     windows = noisier(windows, start.floor)
     start = replace(start, floor=1.0, prior=tempered(start.prior, start.correlation))
     first = refit(start, windows)
-    trial = Trial("refit", first.free, start.prior, first.values, first.state, first.zero)
+    trial = Trial("refit", first.free, start.prior, first.values, first.state, first.nuisance)
     return start, windows, FitProblem(start.system, windows).fit([trial])[0]
 
 

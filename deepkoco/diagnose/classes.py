@@ -55,6 +55,6 @@ def expected_gaps(
     for candidate in others:
         fit: Fit = candidate.fit
         prior = prior_with(problem, start, [*accepted, candidate.cause], fit.values)
-        trials.append(Trial(candidate.cause.name, prior.names, prior, fit.values, fit.state, fit.zero))
+        trials.append(Trial(candidate.cause.name, prior.names, prior, fit.values, fit.state, fit.nuisance))
     # Both pay for their distance from the prior; only the difference between them counts.
     return [max(fit.cost - winner.fit.penalty, 0.0) for fit in clean.fit(trials, 10)]

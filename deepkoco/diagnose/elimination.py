@@ -137,4 +137,4 @@ def without(problem: FitProblem, start: Start, kept: Sequence[Cause], cause: Cau
     else:
         values |= {n: v for n, v in start.values.items() if n.startswith(f"{cause.effect}.")}
     prior = prior_with(problem, start, others, values)
-    return Trial(cause.name, prior.names, prior, values, fit.state, fit.zero)
+    return Trial(cause.name, prior.names, prior, values, fit.state, fit.nuisance)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deepkoco.diagnose.allowed import Claim, allowed
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.beyond import at_bound
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
@@ -24,7 +25,6 @@ from deepkoco.diagnose.elimination import (
     without,
     without_kinds,
 )
-from deepkoco.diagnose.healthy import Claim, allowed
 from deepkoco.diagnose.hints import Hints
 from deepkoco.diagnose.losses import best_losses
 from deepkoco.diagnose.noise_left import more_than_noise

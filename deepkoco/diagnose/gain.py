@@ -78,7 +78,7 @@ def held_out_gain(
     distinct = [n for n in models if not any(models[m] == models[n] for m in models if m < n)]
     states = _suited(problem, [models[n] for n in distinct])
     trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
-    found = dict(zip(distinct, problem.fit(trials, 12 if problem.zeros.count else 1), strict=True))
+    found = dict(zip(distinct, problem.fit(trials, 12 if problem.nuisances.count else 1), strict=True))
     fits = {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in models}
     return _measured(system, windows, fits, seed)
 

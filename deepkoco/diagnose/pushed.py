@@ -47,7 +47,7 @@ def train_on_pushed(
     state = torch.cat([reference.state, unfitted.state[torch.from_numpy(np.flatnonzero(pushed))]])
     order = np.lexsort((both.t0, both.log))
     both, state = both.take(order), state[torch.from_numpy(order)]
-    trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.zero)
+    trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.nuisance)
     return both, held.take(~pushed), FitProblem(start.system, both).fit([trial])[0]
 
 
@@ -78,7 +78,7 @@ def refit_elsewhere(start: Start, windows: Windows, reference: Fit, pushed: Fit)
     if keep.sum() < FEWEST_ELSEWHERE:
         return reference
     state = pushed.state[torch.from_numpy(np.flatnonzero(keep))]
-    trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.zero)
+    trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.nuisance)
     return FitProblem(start.system, windows.take(keep)).fit([trial])[0]
 
 

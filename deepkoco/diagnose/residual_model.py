@@ -226,7 +226,7 @@ def _choose(
     system = start.system
     inner, outer = FitProblem(system, train.take(~choose)), FitProblem(system, train.take(choose))
     state = reference.state[torch.from_numpy(~choose)]
-    fit = inner.fit([Trial("refit", reference.free, start.prior, scaled, state, reference.zero)])[0]
+    fit = inner.fit([Trial("refit", reference.free, start.prior, scaled, state, reference.nuisance)])[0]
     errors = [_error(outer, fit)]
     chosen: list[str] = []
     kept, failed = 0, 0
@@ -258,7 +258,7 @@ def _fit(
     state: torch.Tensor,
 ) -> Fit:
     prior = _prior(problem, start, values, names)
-    trial = Trial("learned", prior.names, prior, values, state, before.zero)
+    trial = Trial("learned", prior.names, prior, values, state, before.nuisance)
     return problem.fit([trial], ITERATIONS)[0]
 
 

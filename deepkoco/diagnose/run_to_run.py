@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy.optimize
 import scipy.stats
 
 from deepkoco.identify.fit import Fit
 from deepkoco.identify.prior import Prior
+from deepkoco.systems import System
 
 
 class Said(NamedTuple):
@@ -61,7 +63,7 @@ class RunToRun:
         """
         precision = prior.precision(prior.names)
         times_mean = precision @ prior.centre
-        one, differ = np.eye(len(precision)), self._doubted
+        one, differ = np.eye(len(precision)), self.doubted
         for log, own in self.said.items():
             if log != without:
                 through = np.linalg.inv(one + own.information @ differ)
@@ -71,22 +73,10 @@ class RunToRun:
         return Prior(prior.names, covariance @ times_mean, covariance + differ)
 
     @property
-    def _doubted(self) -> np.ndarray:
+    def doubted(self) -> np.ndarray:
+        """(K, K) covariance by which logs may differ, seeing that it is known from a few only."""
         sure = scipy.stats.t.ppf(0.975, self.degrees) / scipy.stats.norm.ppf(0.975)
         return sure**2 * self.covariance
-
-    def own_ways(self, prior: Prior) -> dict[int, np.ndarray]:
-        """(K,) by which the parameters of each log most probably differ from the mean of all; without noise's share.
-
-        Args:
-            prior: Of the mean, before any log.
-        """
-        mean, differ = self.of_another(prior).centre, self._doubted
-        one, result = np.eye(len(differ)), {}
-        for log, own in self.said.items():
-            beside = own.times_mean - own.information @ mean
-            result[log] = differ @ np.linalg.solve(one + own.information @ differ, beside)
-        return result
 
 
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
@@ -125,6 +115,29 @@ def said(fit: Fit, prior: Prior, deflation: float) -> Said:
     precision, both = prior.precision(prior.names), _inverse(_covariance(fit, prior))
     values = np.array([fit.values[n] for n in prior.names])
     return Said((both - precision) / deflation, (both @ values - precision @ prior.centre) / deflation)
+
+
+def within_bounds(prior: Prior, system: System) -> Prior:
+    """A prior with its mean at the most probable place where the system's parameters may be.
+
+    What is known of a sum of parameters stays so: one that is moved to its bound takes the others along.
+
+    Args:
+        prior: (K,) mean and (K, K) covariance, in the parameters' units; the covariance stays as it is.
+        system: Declares the bounds.
+    """
+    declared = [system.parameter(n) for n in prior.names]
+    low, high = (np.array([getattr(p, side) for p in declared]) for side in ("low", "high"))
+    if ((prior.centre >= low) & (prior.centre <= high)).all():
+        return prior
+    scale = np.sqrt(np.diag(prior.covariance))
+    # Directions that are hardly known may come out a little negative.
+    weight, ways = np.linalg.eigh(prior.precision(prior.names) * np.outer(scale, scale))
+    root = np.sqrt(np.maximum(weight, 0.0))[:, None] * ways.T
+    at = scipy.optimize.lsq_linear(
+        root, root @ (prior.centre / scale), (low / scale, high / scale), tol=1e-12
+    ).x
+    return Prior(prior.names, np.clip(at * scale, low, high), prior.covariance)
 
 
 def _covariance(fit: Fit, prior: Prior) -> np.ndarray:

@@ -98,37 +98,35 @@ class _Tangent:
         self.problem, self.reference = problem, reference
         free = list(reference.free)
         theta = np.array([reference.values[n] for n in problem.names])
-        columns = np.array([problem.names.index(n) for n in free], dtype=int)
+        also = [n for n in problem.nuisances.varies if n not in free]
+        columns = np.array([problem.names.index(n) for n in (*free, *also)], dtype=int)
         steps = PARAMETER_STEP * problem.scale[columns]
         steps = np.where(theta[columns] + steps > problem.high[columns], -steps, steps)
         nudge = state_steps(reference.state.shape[1])
-        lanes = np.repeat(theta[None], 1 + len(free) + len(nudge), axis=0)
-        lanes[1 + np.arange(len(free)), columns] += steps
+        lanes = np.repeat(theta[None], 1 + len(columns) + len(nudge), axis=0)
+        lanes[1 + np.arange(len(columns)), columns] += steps
         states = reference.state[None].repeat(len(lanes), 1, 1)
         for s, size in enumerate(nudge):
-            states[1 + len(free) + s, :, s] += size
-        predicted = problem.predict(lanes, states, reference.zero[None].repeat(len(lanes), 1))
+            states[1 + len(columns) + s, :, s] += size
+        predicted = problem.predict(lanes, states, reference.nuisance[None].repeat(len(lanes), 1))
         size = torch.tensor([*steps, *nudge], dtype=torch.float64)[:, None, None, None]
         slopes = (predicted[1:] - predicted[0]) / size * problem.weight
         precision = torch.from_numpy(prior.precision(free))
-        offset = torch.from_numpy(theta[columns] - prior.mean(free))
+        offset = torch.from_numpy(theta[columns[: len(free)]] - prior.mean(free))
         self.residual = (problem.windows.value - predicted[0]) * problem.weight
-        p = len(free)
+        p, self.states = len(free), slopes[len(columns) :]
+        own = problem.nuisance_slopes(slopes[[(*free, *also).index(n) for n in problem.nuisances.varies]])
         self.normal = NormalEquations.build(
-            problem.windows,
-            problem.weight,
             self.residual,
             slopes[:p],
-            slopes[p:],
+            self.states,
+            own,
             precision,
             offset,
-            reference.zero,
-            problem.zeros,
+            reference.nuisance,
+            problem.nuisances.precision,
         )
-        self.slopes, self.states = slopes[:p], slopes[p:]
-        if problem.zeros.count:
-            own = problem.zeros.slopes(problem.weight, problem.windows.log)
-            self.slopes = torch.cat([self.slopes, own])
+        self.slopes = torch.cat([slopes[:p], own])
 
     def respond(self, doses: Sequence[Mapping[str, float]]) -> Tensor:
         """(D, W, NM) whitened change of the measurements under each dose."""
@@ -139,8 +137,8 @@ class _Tangent:
         for at in range(0, len(theta), LANES):
             chunk = np.concatenate([null, theta[at : at + LANES]])
             states = reference.state[None].expand(len(chunk), -1, -1)
-            zero = reference.zero[None].expand(len(chunk), -1)
-            predicted = problem.predict(chunk, states, zero)
+            nuisance = reference.nuisance[None].expand(len(chunk), -1)
+            predicted = problem.predict(chunk, states, nuisance)
             change = (predicted[1:] - predicted[0]) * problem.weight
             parts.append(change.reshape(len(chunk) - 1, len(problem.windows), -1))
         return torch.cat(parts) if parts else torch.zeros(0, len(problem.windows), 1, dtype=torch.float64)

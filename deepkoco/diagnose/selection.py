@@ -114,6 +114,14 @@ def prior_with(
     return prior
 
 
+def freed(
+    problem: FitProblem, before: Start, causes: Sequence[Cause], fit: Fit, values: Mapping[str, float]
+) -> Trial:
+    """Everything free that a baseline has and these causes free, from a fit of the same windows."""
+    prior = prior_with(problem, before, causes, values)
+    return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
+
+
 def rank(
     problem: FitProblem,
     start: Start,
@@ -174,7 +182,7 @@ def rank(
         # First each cause alone, before the baseline may give way to it as it did in the refit.
         alone = problem.fit([replace(t, free=tuple(free[t.name])) for t in footholds], ITERATIONS, CLOSE)
         footholds = [
-            replace(t, values=fit.values, state=fit.state, zero=fit.zero)
+            replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
             for t, fit in zip(footholds, alone, strict=True)
         ]
         # Each foothold goes its own way to the end: the valley looks better for the first few iterations.
@@ -191,7 +199,7 @@ def rank(
     if unsettled:
         first = {name: next(t for t in trials if t.name == name) for name in unsettled}
         longer = [
-            replace(first[n], values=fits[n].values, state=fits[n].state, zero=fits[n].zero)
+            replace(first[n], values=fits[n].values, state=fits[n].state, nuisance=fits[n].nuisance)
             for n in unsettled
         ]
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
@@ -214,7 +222,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
         # One that is far behind stays where it is: it would not get to the front.
         if not scout.converged and reference.cost - scout.cost > HOPE * won:
             running.append(name)
-            longer.append(replace(trial, values=scout.values, state=scout.state, zero=scout.zero))
+            longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
     longer = problem.fit(longer, ITERATIONS, CLOSE)
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
@@ -276,7 +284,7 @@ def _trial(
     reference: Fit,
 ) -> Trial:
     prior = prior_with(problem, start, [*accepted, cause], values)
-    return Trial(cause.name, prior.names, prior, values, state, reference.zero)
+    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance)
 
 
 def without_events_first(
@@ -308,7 +316,7 @@ def without_events_first(
         prior_with(problem, start, accepted, ranking.reference.values),
         {**winner.fit.values, "event.torque": ranking.reference.values["event.torque"]},
         winner.fit.state[pick],
-        winner.fit.zero,
+        winner.fit.nuisance,
     )
     reference = rest.fit([before])[0]
     lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event"]

@@ -89,7 +89,7 @@ def settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], winner
     prior = prior_with(problem, start, [*accepted, winner.cause], fit.values)
     if not set(fit.free) <= set(prior.names):
         return fit
-    trial = Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.zero)
+    trial = Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.nuisance)
     if winner.cause.valley is None:
         return problem.fit([trial], PATIENCE)[0]
     for _ in range(VALLEYS):
@@ -101,7 +101,10 @@ def settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], winner
         found = min(problem.fit(along, SCOUTING, CLOSE), key=lambda f: f.cost)
         won = fit.cost - found.cost
         if won > 0.0:
-            fit, trial = found, replace(trial, values=found.values, state=found.state, zero=found.zero)
+            fit, trial = (
+                found,
+                replace(trial, values=found.values, state=found.state, nuisance=found.nuisance),
+            )
         if won < CLOSE:
             break
     return fit

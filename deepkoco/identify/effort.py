@@ -9,6 +9,7 @@ import torch
 from scipy.linalg import solve_banded
 from torch import Tensor
 
+from deepkoco.identify.known import of_log
 from deepkoco.identify.windows import CommandSeries, Windows
 from deepkoco.systems import System
 
@@ -26,7 +27,12 @@ def step_efforts(
 
 
 def command_efforts(
-    system: System, windows: Windows, parameters: Mapping[str, Tensor], lanes: int, index: int
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    lanes: int,
+    index: int,
+    differ: Mapping[str, Tensor] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Effort of one command at the start, and its slope, over every integration step of every window.
 
@@ -44,6 +50,7 @@ def command_efforts(
         parameters: Named values, each (L,) or scalar.
         lanes: L.
         index: Which command.
+        differ: Parameter -> (K, 1) or (K, L) amounts by which it differs in each of K logs.
 
     Returns:
         a (n, W, L) in the command's unit and b (n, W, L) per second.
@@ -51,23 +58,16 @@ def command_efforts(
     Raises:
         TooManyLagsError: More than two lags in a row are not 0.
     """
-    timing = system.command_timing(index, parameters)
-    delay, skew = timing.delay.expand(lanes).numpy(), timing.skew.expand(lanes).numpy()
-    lags = [lag.expand(lanes).numpy() for lag in timing.lag]
-    most = np.count_nonzero(np.stack(lags) > 0.0, axis=0).max() if len(lags) > 2 else 0
-    if most > 2:
-        raise TooManyLagsError(
-            f'{system.name}: the command "{system.commands[index].name}" goes through {most} lags in a row; two can be '
-            "fitted: set the time constant of one to 0 s"
-        )
     start = torch.empty(windows.steps, len(windows), lanes, dtype=torch.float64)
     slope = torch.empty_like(start)
     for number, command in enumerate(windows.commands):
         own = np.flatnonzero(windows.log == number)
         if len(own) == 0:
             continue
+        own_values = of_log(parameters, differ or {}, number)
+        delay, skew, lags = _timing(system, index, own_values, lanes)
         given = torch.from_numpy(np.ascontiguousarray(command.column(index)))[:, None]
-        shaped = system.shape_command(index, given, torch.from_numpy(command.t), parameters)
+        shaped = system.shape_command(index, given, torch.from_numpy(command.t), own_values)
         shaped = shaped.expand(len(given), lanes).numpy().T  # (L, n)
         edges = windows.t0[own]
         # Lanes with the same efforts share one series, lanes with the same series and delay one result.
@@ -87,6 +87,22 @@ def command_efforts(
         start[:, where] = torch.from_numpy(a).permute(2, 1, 0)[..., lane]
         slope[:, where] = torch.from_numpy(b).permute(2, 1, 0)[..., lane]
     return start, slope
+
+
+def _timing(
+    system: System, index: int, parameters: Mapping[str, Tensor], lanes: int
+) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """(L,) delay [s], skew of the clocks, and time constant of each lag [s]."""
+    timing = system.command_timing(index, parameters)
+    delay, skew = timing.delay.expand(lanes).numpy(), timing.skew.expand(lanes).numpy()
+    lags = [lag.expand(lanes).numpy() for lag in timing.lag]
+    most = np.count_nonzero(np.stack(lags) > 0.0, axis=0).max() if len(lags) > 2 else 0
+    if most > 2:
+        raise TooManyLagsError(
+            f'{system.name}: the command "{system.commands[index].name}" goes through {most} lags in a row; two can be '
+            "fitted: set the time constant of one to 0 s"
+        )
+    return delay, skew, lags
 
 
 def _probe(command: CommandSeries, index: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from deepkoco.identify.known import effects_in
 from deepkoco.identify.levenberg_marquardt import TOLERANCE, Batch, state_steps
+from deepkoco.identify.nuisances import Nuisances
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push, push_torque
 from deepkoco.identify.simulate import predict
@@ -27,9 +28,9 @@ class FitProblem:
     """Windows of measurements of one system, to which trials are fitted.
 
     The cost of a trial is the squared whitened simulation error over all windows, plus the prior's
-    penalty. Initial states of the windows and the encoder zeros of the logs are free in every trial; the
-    states are eliminated from the normal equations by their Schur complement, so that the cost of a step
-    grows linearly with the number of windows.
+    penalty. Initial states of the windows and the nuisances of the logs (encoder zeros, and differences of
+    parameters that vary from log to log) are free in every trial; the states are eliminated from the normal
+    equations by their Schur complement, so that the cost of a step grows linearly with the number of windows.
 
     Args:
         system: The extended system; trials choose among its parameters.
@@ -61,10 +62,11 @@ class FitProblem:
         sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
         self.weight = windows.valid.to(torch.float64) / sd[None, :, None]
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
+        self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
 
-    def predict(self, theta: np.ndarray, initial: Tensor, zero: Tensor) -> Tensor:
-        """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), zeros (L, count)."""
+    def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
+        """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), nuisances (L, z)."""
         own = len(self.system.parameters)
         nulls = self.null_values()
         values = theta[:, :own].copy()
@@ -77,7 +79,8 @@ class FitProblem:
             acting = np.flatnonzero(given[columns].any(0))
             if len(acting):
                 lanes[effect] = slice(int(acting[0]), int(acting[-1]) + 1)
-        lanes |= {effect: slice(0, len(theta)) for effect in effects_in(self.windows.known)}
+        differing = effects_in((*self.windows.known, self.windows.varies))
+        lanes |= {effect: slice(0, len(theta)) for effect in differing}
         # Effects that no lane uses are left out of the equations: they cost time and change nothing.
         system = self._extended(tuple(lanes))
         same = (values == values[:1]).all(0)
@@ -90,9 +93,14 @@ class FitProblem:
         delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
         # Where an effect acts in all lanes there is nothing to cut.
         some = {effect: part for effect, part in lanes.items() if part.stop - part.start < len(theta)}
-        result = predict(system, self.windows, named, initial, push, delays, some)
-        self.zeros.add(result, zero, self.windows.log)
+        differ = self.nuisances.differ(nuisance)
+        result = predict(system, self.windows, named, initial, push, delays, some, differ)
+        self.zeros.add(result, nuisance, self.windows.log)
         return result
+
+    def nuisance_slopes(self, parameters: Tensor) -> Tensor:
+        """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""
+        return self.nuisances.slopes(self.weight, self.windows.log, parameters)
 
     def null_values(self) -> np.ndarray:
         """Values at which the effects change nothing; NaN for the parameters of the base."""
@@ -123,7 +131,7 @@ class FitProblem:
         return Batch(self, trials, tolerance).run(iterations) if trials else []
 
     def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
-        """Fit initial states and zeros only, with every parameter held at ``values``.
+        """Fit initial states and nuisances only, with every parameter held at ``values``.
 
         Each window takes the best of three starts: its own guess, the fit of its first half (a short
         window has fewer minima), and ``state`` (W, S), where given.
@@ -134,7 +142,7 @@ class FitProblem:
         states, costs = self.fit_states_each([values] * len(starts), torch.stack(starts))
         pick = costs.argmin(0)[None, :, None].expand(1, -1, self.windows.state.shape[1])
         first = states.gather(0, pick)[0]
-        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.zeros.count else 1)[0]
+        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.nuisances.count else 1)[0]
 
     def fit_states(
         self, values: Mapping[str, float], state: Tensor, iterations: int = 15
@@ -148,7 +156,7 @@ class FitProblem:
         values: Sequence[Mapping[str, float]],
         state: Tensor,
         iterations: int = 15,
-        zero: Tensor | None = None,
+        nuisance: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """As :meth:`fit_states` for K sets of parameters and start states (K, W, S) in one batch.
 
@@ -158,7 +166,7 @@ class FitProblem:
             values: Parameters of each set.
             state: (K, W, S) where to start.
             iterations: Simulations at most.
-            zero: (K, count) encoder zeros [rad]; None for zeros.
+            nuisance: (K, z) of the logs; None for nothing.
 
         Returns:
             States (K, W, S), costs (K, W).
@@ -167,8 +175,8 @@ class FitProblem:
         nudge = state_steps(size)
         theta = np.array([[float(v[n]) for n in self.names] for v in values])
         theta = np.tile(theta, (1 + size, 1))
-        zero = self.zeros.none().repeat(sets, 1) if zero is None else zero
-        zero = zero.repeat(1 + size, 1)
+        nuisance = self.nuisances.none().repeat(sets, 1) if nuisance is None else nuisance
+        nuisance = nuisance.repeat(1 + size, 1)
         best, trial = state.clone(), state.clone()
         cost = torch.full((sets, count), torch.inf, dtype=torch.float64)
         damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
@@ -179,7 +187,7 @@ class FitProblem:
             lanes = trial.repeat(1 + size, 1, 1, 1)
             for s in range(size):
                 lanes[1 + s, :, :, s] += nudge[s]
-            predicted = self.predict(theta, lanes.flatten(0, 1), zero).unflatten(0, (1 + size, sets))
+            predicted = self.predict(theta, lanes.flatten(0, 1), nuisance).unflatten(0, (1 + size, sets))
             residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
             slope = ((predicted[1:] - predicted[0]) / step * self.weight).flatten(3)
             now = (residual**2).sum(-1)

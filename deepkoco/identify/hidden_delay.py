@@ -244,7 +244,7 @@ class _Messages:
     def refit(self, values: dict[str, float], shift: np.ndarray, fit: Fit) -> Fit:
         """Parameters under the messages' delays; the fitted delay stays, the messages carry the rest."""
         free = tuple(n for n in self.question.free if n not in self.delays)
-        trial = Trial("delays", free, self.question.prior, values, fit.state, fit.zero)
+        trial = Trial("delays", free, self.question.prior, values, fit.state, fit.nuisance)
         return self.problem(shift).fit([trial], 12, TOLERANCE)[0]
 
     def _predict(
@@ -255,7 +255,7 @@ class _Messages:
         lanes = fit.state[None].repeat(1 + size, 1, 1)
         for s in range(size):
             lanes[1 + s, :, s] += PARAMETER_STEP
-        predicted = problem.predict(theta, lanes, fit.zero[None].repeat(1 + size, 1))
+        predicted = problem.predict(theta, lanes, fit.nuisance[None].repeat(1 + size, 1))
         return predicted[0], predicted[1:]
 
 

@@ -81,7 +81,7 @@ def fit(
             raise FitError(
                 "the simulation diverges at the start values; give others, or shorter windows"
             ) from error
-        before = held(answer.question, question.start, answer.fit.state, answer.fit.zero)
+        before = held(answer.question, question.start, answer.fit.state, answer.fit.nuisance)
     convergence = Convergence(
         method.name,
         answer.converged,
@@ -164,7 +164,7 @@ def _inverted(question: Question, found: Fit) -> tuple[np.ndarray, np.ndarray]:
 def _zeros(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
     result = []
     for k in range(len(covariance)):
-        value, sd = float(answer.fit.zero[k]), float(np.sqrt(covariance[k, k]))
+        value, sd = float(answer.fit.nuisance[k]), float(np.sqrt(covariance[k, k]))
         low, high = interval(value, sd, (-np.inf, np.inf))
         name = answer.question.zeros.name(k, answer.question.system)
         result.append(Estimate(name, value, low, high, sd, "rad", 0.0, (-np.inf, np.inf)))

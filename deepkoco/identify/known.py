@@ -64,14 +64,28 @@ def effects_in(known: Known) -> set[str]:
     return {name.split(".")[0] for own in known for name in own if "." in name}
 
 
-def with_known(parameters: Parameters, known: Known, log: np.ndarray) -> Parameters:
-    """Parameters, scalar or (L,), with what is known of the logs (W,) of the windows added: (W, 1) or (W, L)."""
-    changed = dict(parameters)
-    for name in {name for own in known for name in own}:
-        amount = np.array([own.get(name, 0.0) for own in known])[log]
-        changed[name] = torch.as_tensor(parameters[name], dtype=torch.float64) + _column(amount)
-    return changed
+def amounts(known: Known, fitted: Mapping[str, Tensor] | None = None) -> dict[str, Tensor]:
+    """By how much the parameters of K logs differ: (K, 1) where it is known, (K, L) where it was fitted in L lanes.
+
+    Args:
+        known: What is known of each log.
+        fitted: Parameter -> (K, L) amounts by which each log differs beside that.
+    """
+    names = dict.fromkeys(name for own in known for name in own)
+    result = {
+        n: torch.tensor([own.get(n, 0.0) for own in known], dtype=torch.float64)[:, None] for n in names
+    }
+    for name, amount in (fitted or {}).items():
+        result[name] = result[name] + amount if name in result else amount
+    return result
 
 
-def _column(amount: np.ndarray) -> Tensor:
-    return torch.from_numpy(amount)[:, None]
+def of_windows(parameters: Parameters, differ: Mapping[str, Tensor], log: np.ndarray) -> Parameters:
+    """Parameters, scalar or (L,), as they are in windows of the logs (W,): those that differ are (W, 1) or (W, L)."""
+    which = torch.from_numpy(log)
+    return {**parameters, **{n: torch.as_tensor(parameters[n]) + a[which] for n, a in differ.items()}}
+
+
+def of_log(parameters: Parameters, differ: Mapping[str, Tensor], number: int) -> Parameters:
+    """Parameters, scalar or (L,), as they are in one log: those that differ are (1,) or (L,)."""
+    return {**parameters, **{n: torch.as_tensor(parameters[n]) + a[number] for n, a in differ.items()}}

@@ -36,8 +36,8 @@ class Batch:
         self.width = max((len(c) for c in self.columns), default=0)
         self.theta = np.array([[float(t.values[n]) for n in names] for t in trials])
         self.initial = torch.stack([windows.state if t.state is None else t.state for t in trials]).clone()
-        right = problem.zeros.none()
-        self.zero = torch.stack([right if t.zero is None else t.zero for t in trials]).clone()
+        right = problem.nuisances.none()
+        self.nuisance = torch.stack([right if t.nuisance is None else t.nuisance for t in trials]).clone()
         count = len(trials)
         self.precision = torch.zeros(count, self.width, self.width, dtype=torch.float64)
         self.mean = torch.zeros(count, self.width, dtype=torch.float64)
@@ -53,18 +53,19 @@ class Batch:
         self.normal: list[NormalEquations | None] = [None] * count
 
     def run(self, iterations: int) -> list[Fit]:
-        trial_theta, trial_initial, trial_zero = self.theta.copy(), self.initial.clone(), self.zero.clone()
+        trial_theta, trial_initial = self.theta.copy(), self.initial.clone()
+        trial_nuisance = self.nuisance.clone()
         for iteration in range(iterations):
             active = np.flatnonzero(~self.done)
             if len(active) == 0:
                 break
-            normals = self._linearise(active, trial_theta, trial_initial, trial_zero)
+            normals = self._linearise(active, trial_theta, trial_initial, trial_nuisance)
             for k, normal in zip(active, normals, strict=True):
                 decrease = self.cost[k] - normal.cost
                 if np.isfinite(normal.cost) and decrease >= 0:
                     self.normal[k] = normal
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
-                    self.initial[k], self.zero[k] = trial_initial[k], trial_zero[k]
+                    self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
                     self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
                     self.converged[k] = decrease < self.tolerance
                 else:
@@ -77,13 +78,13 @@ class Batch:
                 )
                 if not self.done[k] and iteration < iterations - 1:
                     step = self._step(int(k))
-                    trial_theta[k], trial_initial[k], trial_zero[k], gain = step
+                    trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
                     if gain < 0.25 * self.tolerance:
                         self.done[k] = self.converged[k] = True
         return [self._result(k) for k in range(len(self.trials))]
 
     def _linearise(
-        self, active: np.ndarray, theta: np.ndarray, initial: Tensor, zero: Tensor
+        self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
     ) -> list[NormalEquations]:
         """Simulate base and perturbed lanes of the active trials at once; form their normal equations."""
         problem = self.problem
@@ -91,8 +92,10 @@ class Batch:
         nudge = state_steps(states)
         lane_theta, lane_initial, lane_trial = [], [], []
         steps: list[np.ndarray] = []
+        varying = np.array([problem.names.index(n) for n in problem.nuisances.varies], dtype=int)
+        moved = {k: np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in active}
         for k in active:
-            columns = self.columns[k]
+            columns = moved[k]
             step = PARAMETER_STEP * problem.scale[columns]
             step = np.where(theta[k, columns] + step > problem.high[columns], -step, step)
             steps.append(step)
@@ -105,28 +108,28 @@ class Batch:
             lane_theta.append(block)
             lane_initial.append(start)
             lane_trial += [k] * count
-        predicted = problem.predict(np.concatenate(lane_theta), torch.cat(lane_initial), zero[lane_trial])
+        predicted = problem.predict(np.concatenate(lane_theta), torch.cat(lane_initial), nuisance[lane_trial])
         result, at = [], 0
         for i, k in enumerate(active):
-            p = len(self.columns[k])
-            lanes = predicted[at : at + 1 + p + states]
-            at += 1 + p + states
+            p, columns = len(self.columns[k]), moved[k]
+            lanes = predicted[at : at + 1 + len(columns) + states]
+            at += len(lanes)
             difference = torch.cat([torch.from_numpy(steps[i]), torch.tensor(nudge, dtype=torch.float64)])
             slopes = (lanes[1:] - lanes[0]) / difference[:, None, None, None] * problem.weight
             residual = (problem.windows.value - lanes[0]) * problem.weight
             prior = self.precision[k, :p, :p]
             offset = torch.from_numpy(theta[k, self.columns[k]]) - self.mean[k, :p]
+            own = problem.nuisance_slopes(slopes[[int(np.flatnonzero(columns == v)[0]) for v in varying]])
             result.append(
                 NormalEquations.build(
-                    problem.windows,
-                    problem.weight,
                     residual,
                     slopes[:p],
-                    slopes[p:],
+                    slopes[len(columns) :],
+                    own,
                     prior,
                     offset,
-                    zero[k],
-                    problem.zeros,
+                    nuisance[k],
+                    problem.nuisances.precision,
                 )
             )
         return result
@@ -150,10 +153,7 @@ class Batch:
             limit = np.where(outside, np.clip(move[:p], low, high), limit)
         theta = self.theta[k].copy()
         theta[columns] = np.clip(at + move[:p], problem.low[columns], problem.high[columns])
-        zero = self.zero[k].clone()
-        if problem.zeros.count:
-            zero += torch.from_numpy(move[p:])
-        return theta, self.initial[k] + states, zero, gain
+        return theta, self.initial[k] + states, self.nuisance[k] + torch.from_numpy(move[p:]), gain
 
     def _result(self, k: int) -> Fit:
         normal, trial = self.normal[k], self.trials[k]
@@ -175,7 +175,7 @@ class Batch:
             covariance,
             data[:p, :p],
             self.initial[k].clone(),
-            self.zero[k].clone(),
+            self.nuisance[k].clone(),
             normal.chi2,
             normal.cost - normal.chi2,
             normal.residual,

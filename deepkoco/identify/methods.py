@@ -85,10 +85,12 @@ class LevenbergMarquardt:
         first = run("half windows", halves, _trial(question, question.start, state))
         problem = question.problem()
         state, _ = problem.fit_states(first.values, first.state[::2])
-        rough = run("whole windows", problem, _trial(question, first.values, state, first.zero))
+        rough = run("whole windows", problem, _trial(question, first.values, state, first.nuisance))
         noise = sharpen_noise(question.windows, rough)
         question = replace(question, windows=replace(question.windows, noise=noise))
-        last = run("noise known", question.problem(), _trial(question, rough.values, rough.state, rough.zero))
+        last = run(
+            "noise known", question.problem(), _trial(question, rough.values, rough.state, rough.nuisance)
+        )
         simulations = lanes * sum(len(costs) for _, costs in stages)
         reason = "no step lowers the cost" if last.converged else "limit of iterations"
         return Answer(last, question, tuple(stages), simulations, last.converged, reason)
@@ -140,7 +142,7 @@ class CmaEs:
         """The linearised fit at a point: states at their best, parameters where they are."""
         at = torch.from_numpy(zero) if len(zero) else None
         both = torch.stack([problem.windows.state])
-        state, _ = problem.fit_states_each([values], both, zero=None if at is None else at[None])
+        state, _ = problem.fit_states_each([values], both, nuisance=None if at is None else at[None])
         return problem.fit([_trial(question, values, state[0], at)], 1)[0]
 
 

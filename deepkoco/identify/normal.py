@@ -8,13 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.identify.windows import Windows
-from deepkoco.identify.zeros import EncoderZeros
-
 
 @dataclass
 class NormalEquations:
-    """Gauss-Newton system of one trial: q parameters (encoder zeros last), S states in each of W windows.
+    """Gauss-Newton system of one trial: q parameters (nuisances of the logs last), S states in each of W windows.
 
     Each window's states couple to the parameters and to nothing else, so they are eliminated window by
     window and the reduced system has the size of the parameters.
@@ -41,36 +38,32 @@ class NormalEquations:
 
     @staticmethod
     def build(
-        windows: Windows,
-        weight: Tensor,
         residual: Tensor,
         slopes: Tensor,
         state_slopes: Tensor,
+        nuisance_slopes: Tensor,
         prior: Tensor,
         offset: Tensor,
-        zero: Tensor,
-        zeros: EncoderZeros,
+        nuisance: Tensor,
+        precision: Tensor,
     ) -> NormalEquations:
         """Form the equations.
 
         Args:
-            windows: W windows.
-            weight: (W, N, M) one over the noise, 0 where padded.
             residual: (W, N, M) whitened.
             slopes: (p, W, N, M) whitened derivatives by the parameters.
             state_slopes: (S, W, N, M) the same by the initial states.
+            nuisance_slopes: (z, W, N, M) the same by the nuisances of the logs.
             prior: (p, p) precision.
             offset: (p,) parameters minus the prior's mean.
-            zero: (z,) encoder zeros of the logs [rad].
-            zeros: Which zeros these are.
+            nuisance: (z,) nuisances.
+            precision: (z,) of their prior around 0.
         """
-        count, p = len(windows), len(slopes)
+        count, p, own = len(residual), len(slopes), len(nuisance)
         r = residual.reshape(count, -1)
         jp = slopes.reshape(p, count, r.shape[1])
         js = state_slopes.reshape(len(state_slopes), count, -1).permute(1, 2, 0)  # (W, NM, S)
-        if zeros.count:
-            own = zeros.slopes(weight, windows.log)
-            jp = torch.cat([jp, own.reshape(zeros.count, count, r.shape[1])])
+        jp = torch.cat([jp, nuisance_slopes.reshape(own, count, r.shape[1])])
         jp = jp.permute(1, 2, 0)  # (W, NM, q)
         chi2 = float((r * r).sum())
         hpp = torch.einsum("wmi,wmj->ij", jp, jp)
@@ -78,11 +71,9 @@ class NormalEquations:
         hpp[:p, :p] += prior
         gp[:p] -= prior @ offset
         penalty = float(offset @ prior @ offset)
-        if zeros.count:
-            precision = zeros.precision
-            hpp[p:, p:] += torch.diag(precision)
-            gp[p:] -= precision * zero
-            penalty += float(precision @ zero**2)
+        hpp[p:, p:] += torch.diag(precision)
+        gp[p:] -= precision * nuisance
+        penalty += float(precision @ nuisance**2)
         hps = torch.einsum("wmi,wms->wis", jp, js)
         hss = torch.einsum("wms,wmt->wst", js, js)
         gs = torch.einsum("wms,wm->ws", js, r)
@@ -106,7 +97,7 @@ class NormalEquations:
             limit: (p,) moves of the held parameters.
 
         Returns:
-            Moves of parameters (and zeros) (q,), of states (W, S), predicted decrease of the cost.
+            Moves of parameters and nuisances (q,), of states (W, S), predicted decrease of the cost.
         """
         matrix, right, inverse = self.reduced(damping)
         free = torch.ones(len(right), dtype=torch.bool)

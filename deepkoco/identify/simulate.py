@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.identify.effort import command_efforts
-from deepkoco.identify.known import with_known
+from deepkoco.identify.known import amounts, of_windows
 from deepkoco.identify.sensor_filter import filtered
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import ExtendedSystem, Motion, System
@@ -69,14 +69,22 @@ def integrate(
     initial: Tensor,
     push: Tensor | None = None,
     lanes: Mapping[str, slice] | None = None,
+    differ: Mapping[str, Tensor] | None = None,
 ) -> Nodes:
-    """As :func:`trajectories`; ``lanes`` says which lanes each effect concerns (None: all)."""
+    """As :func:`trajectories`.
+
+    Args:
+        system, windows, parameters, initial, push: As there.
+        lanes: Effect -> lanes that it concerns; None for all.
+        differ: Parameter -> (K, L) amounts by which it differs in each of K logs, beside what is known.
+    """
     h, joints, count = windows.step, system.joints, initial.shape[0]
-    own = with_known(parameters, windows.known, windows.log)
+    apart = amounts(windows.known, differ)
+    own = of_windows(parameters, apart, windows.log)
     extended = isinstance(system, ExtendedSystem)
     law = system.accelerations(own, lanes) if extended else system.accelerations(own)
     start, slope = zip(
-        *(command_efforts(system, windows, parameters, count, k) for k in range(len(system.commands))),
+        *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
         strict=True,
     )
     pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
@@ -144,6 +152,7 @@ def predict(
     push: Tensor | None = None,
     delays: Mapping[int, Tensor] | None = None,
     lanes: Mapping[str, slice] | None = None,
+    differ: Mapping[str, Tensor] | None = None,
 ) -> Tensor:
     """Noise-free measurements (L, W, N, M) at the windows' own time stamps.
 
@@ -154,9 +163,9 @@ def predict(
         system, windows, parameters, initial, push: As for :func:`trajectories`, with its source.
         delays: Channel -> (L,) time [s] that its measurements lag behind their stamps. Samples stamped
             earlier after the window's start than that are extrapolated: leave them out of the windows.
-        lanes: Effect -> lanes that it concerns; None for all.
+        lanes, differ: As for :func:`integrate`.
     """
-    nodes = integrate(system, windows, parameters, initial, push, lanes)
+    nodes = integrate(system, windows, parameters, initial, push, lanes, differ)
     slow = system.sensor_filter(parameters)
     nodes = nodes if not bool((slow > 0.0).any()) else filtered(nodes, slow, windows.step)
     count, channels, samples = len(windows), windows.t.shape[1], windows.t.shape[2]

@@ -21,7 +21,7 @@ class Trial:
         prior: Prior over (at least) the free parameters.
         values: Values of all parameters at the start; those not free stay there.
         state: (W, S) initial states at the start; None takes the windows' guess.
-        zero: Encoder zeros of the logs at the start [rad]; None for zeros.
+        nuisance: (z,) what each log has of its own at the start (:class:`.nuisances.Nuisances`); None for nothing.
     """
 
     name: str
@@ -29,7 +29,7 @@ class Trial:
     prior: Prior
     values: Mapping[str, float]
     state: Tensor | None = None
-    zero: Tensor | None = None
+    nuisance: Tensor | None = None
 
 
 @dataclass
@@ -43,11 +43,11 @@ class Fit:
         covariance: (p, p) posterior covariance of the free parameters under the assumed noise.
         information: (p, p) what the data alone say: the Schur complement of the initial states.
         state: (W, S) initial states.
-        zero: (logs,) encoder zeros [rad].
+        nuisance: (z,) what each log has of its own: encoder zeros [rad], then how its parameters differ.
         chi2: Sum of squared residuals in noise standard deviations.
         penalty: Prior's share of the cost.
         residual: (W, N, M) measured minus predicted, in noise standard deviations, 0 where padded.
-        curvature: (p + z, p + z) of the cost over free parameters and the z free encoder zeros, priors included.
+        curvature: (p + z, p + z) of the cost over free parameters and the z nuisances, priors included.
         history: Cost after every iteration.
         converged: Whether the last step was below the tolerance.
     """
@@ -58,7 +58,7 @@ class Fit:
     covariance: np.ndarray
     information: np.ndarray
     state: Tensor
-    zero: Tensor
+    nuisance: Tensor
     chi2: float
     penalty: float
     residual: Tensor

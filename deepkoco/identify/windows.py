@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -61,6 +61,8 @@ class Windows:
         rests: (W,) True where the joint rests for a while inside or across an end of the window.
         shows: State that each channel shows.
         known: What is known to differ, of each log; empty where nothing is.
+        varies: Standard deviation by which parameters vary from log to log [their units]; empty where all logs share
+            theirs.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -76,6 +78,7 @@ class Windows:
     rests: np.ndarray
     shows: tuple[int, ...] = (0, 1)
     known: Known = ()
+    varies: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.t0)

@@ -28,9 +28,9 @@ def test_only_the_cause_that_is_not_there_goes():
     known = catalogue(system)
     accepted = [known["torque_bias"], known["lag"], known["asymmetry"]]
     prior = prior_with(problem, start, accepted, start.values)
-    fit = problem.fit([Trial("all", prior.names, prior, reference.values, reference.state, reference.zero)])[
-        0
-    ]
+    fit = problem.fit(
+        [Trial("all", prior.names, prior, reference.values, reference.state, reference.nuisance)]
+    )[0]
     kept, less = eliminated(problem, start, accepted, fit, FURTHER)
     assert [c.name for c in kept] == ["lag", "asymmetry"]
     assert less.values["torque_bias.effort"] == 0.0
@@ -55,7 +55,9 @@ def fitted(log, names):
     problem, known = FitProblem(start.system, windows), catalogue(system)
     causes = [known[n] for n in names]
     prior = prior_with(problem, start, causes, start.values)
-    fit = problem.fit([Trial("all", prior.names, prior, reference.values, reference.state, reference.zero)])
+    fit = problem.fit(
+        [Trial("all", prior.names, prior, reference.values, reference.state, reference.nuisance)]
+    )
     return problem, start, causes, fit[0], reference
 
 

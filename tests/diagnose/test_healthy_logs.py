@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import BaselineError, diagnose, forward
+from deepkoco.diagnose.allowed import Claim, allowed
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.forward import Selected, Selection
-from deepkoco.diagnose.healthy import Claim, allowed, extended, learn_baseline
+from deepkoco.diagnose.healthy import extended, learn_baseline
 from deepkoco.diagnose.residuals import dispersion
 from deepkoco.diagnose.selection import Candidate, Ranking, prior_with
 from deepkoco.identify.fit import FitProblem, Trial
@@ -38,7 +39,7 @@ def claim(start, hidden, name):
     windows, reference = refit_sharply(start, windows.take(moving(windows)))
     problem, cause = FitProblem(start.system, windows), catalogue(SYSTEM)[name]
     prior = prior_with(problem, start, [cause], reference.values)
-    trial = Trial(name, prior.names, prior, reference.values, reference.state, reference.zero)
+    trial = Trial(name, prior.names, prior, reference.values, reference.state, reference.nuisance)
     return problem, Claim(cause, (), problem.fit([trial])[0])
 
 

@@ -83,11 +83,13 @@ def test_a_cause_that_is_of_no_use_to_windows_kept_back_goes():
     problem, known = FitProblem(start.system, train), catalogue(system)
     accepted = [known["coulomb"], known["sensor_drift"]]
     prior = prior_with(problem, start, accepted, start.values)
-    fit = problem.fit([Trial("both", prior.names, prior, reference.values, reference.state, reference.zero)])
+    fit = problem.fit(
+        [Trial("both", prior.names, prior, reference.values, reference.state, reference.nuisance)]
+    )
     # A drift that is not there: it grows where nothing was fitted.
     drifting = {**fit[0].values, "sensor_drift.rate": 0.002}
     wrong = problem.fit(
-        [Trial("wrong", ("coulomb.torque",), prior, drifting, fit[0].state, fit[0].zero)],
+        [Trial("wrong", ("coulomb.torque",), prior, drifting, fit[0].state, fit[0].nuisance)],
     )[0]
     kept, less = carried(problem, start, accepted, wrong, held, 1)
     assert [c.name for c in kept] == ["coulomb"]

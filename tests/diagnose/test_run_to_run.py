@@ -10,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.allowed import Claim, allowed
 from deepkoco.diagnose.baseline import Healthy, refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.healthy import Claim, allowed, learn_baseline, run_to_run, within_bounds
-from deepkoco.diagnose.run_to_run import RunToRun, Said, posterior, said, sampling_variance
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.refits import run_to_run
+from deepkoco.diagnose.run_to_run import RunToRun, Said, posterior, said, sampling_variance, within_bounds
 from deepkoco.diagnose.selection import prior_with
 from deepkoco.diagnose.words import noise_of
 from deepkoco.identify.fit import FitProblem, Trial
@@ -98,7 +100,7 @@ def claimed(start, effort: float):
     windows, reference = refit_sharply(start, windows)
     problem, cause = FitProblem(start.system, windows), catalogue(SYSTEM)["torque_bias"]
     prior = prior_with(problem, start, [cause], reference.values)
-    trial = Trial(cause.name, prior.names, prior, reference.values, reference.state, reference.zero)
+    trial = Trial(cause.name, prior.names, prior, reference.values, reference.state, reference.nuisance)
     return problem, Claim(cause, (), problem.fit([trial])[0])
 
 
@@ -176,8 +178,6 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
     found = runs.of_another(prior)
     np.testing.assert_allclose(found.centre, best[:2], atol=1e-6)
     np.testing.assert_allclose(found.covariance, whole[:2, :2] + runs.covariance, rtol=1e-3)
-    for k, differs in runs.own_ways(prior).items():
-        np.testing.assert_allclose(differs, best[2 + 2 * k : 4 + 2 * k], atol=1e-3)
     fewer = RunToRun(
         {k: own for k, own in runs.said.items() if k != 1}, runs.covariance, 10**9, 1.0, 1.0, 0.0
     )
@@ -207,6 +207,20 @@ def test_logs_that_vary_much_hide_nothing_else():
     assert start.floor < 1.2
     problem, bias = claimed(start, 0.01)
     assert allowed(start, problem, [bias]) == [False]
+
+
+def test_what_all_logs_show_is_learned_beside_what_they_differ_by():
+    hidden = {"torque_bias": {"effort": 0.006}, "load_friction": {"coefficient": 0.025}}
+    logs = [
+        hidden_log("rod_pendulum", hidden, drive, SEED, 12.0, take=k, varies=0.02)
+        for k, drive in enumerate(("chirp", "steps", "closed-loop"), start=1)
+    ]
+    start = learn_baseline(logs, SYSTEM, LENGTH)
+    # Nothing else stands for what the logs differ by.
+    assert sorted(start.effects) == ["load_friction", "torque_bias"]
+    assert start.values["torque_bias.effort"] == pytest.approx(0.006, abs=0.0005)
+    assert start.values["load_friction.coefficient"] == pytest.approx(0.025, abs=0.001)
+    assert start.floor < 1.1
 
 
 def shortened(log, seconds: float):

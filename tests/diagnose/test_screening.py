@@ -31,7 +31,7 @@ def test_a_promise_is_what_the_fit_wins_whatever_else_is_screened_with_it():
     for cause, _ in asked:
         prior = prior_with(problem, start, [cause], reference.values)
         trials.append(
-            Trial(cause.name, prior.names, prior, reference.values, reference.state, reference.zero)
+            Trial(cause.name, prior.names, prior, reference.values, reference.state, reference.nuisance)
         )
     won = [reference.cost - fit.cost for fit in problem.fit(trials, 12)]
     assert np.argmax(won) == np.argmax([p.promise for p in alone])

@@ -1,0 +1,110 @@
+"""Parameters that vary from log to log: every log has its own around a mean of all (random effects)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+
+from deepkoco.diagnose.baseline import start_from
+from deepkoco.identify.fit import FitProblem, Trial
+from deepkoco.identify.prior import Prior
+from deepkoco.identify.windows import cut_windows, window_length
+from deepkoco.systems import make_system
+from experiments.hidden.unit import hidden_log
+
+SYSTEM = make_system("rod_pendulum")
+CHANGES = (0.0, 0.05, 0.03)
+SPREAD = 0.03
+
+
+@pytest.fixture(scope="module")
+def windows():
+    logs = [
+        hidden_log("rod_pendulum", {"viscous": {"change": c}} if c else {}, drive, 9, 5.0)
+        for c, drive in zip(CHANGES, ("chirp", "steps", "chirp"), strict=True)
+    ]
+    return cut_windows(logs, SYSTEM, window_length(SYSTEM))
+
+
+def problem_of(windows, **varies):
+    return FitProblem(start_from(SYSTEM, windows).system, replace(windows, varies=varies))
+
+
+def fitted(problem):
+    start = start_from(SYSTEM, problem.windows)
+    prior = Prior(("viscous",), np.zeros(1), np.array([[0.02**2]]))
+    return problem.fit([Trial("mean", ("viscous",), prior, start.values)], 60, 1e-9)[0]
+
+
+def test_the_optimum_is_that_of_dense_least_squares(windows):
+    """scipy, over the mean, what each log differs by, and all initial states at once."""
+    problem = problem_of(windows, viscous=SPREAD)
+    fit = fitted(problem)
+    column, logs = problem.names.index("viscous"), len(CHANGES)
+    theta = np.array([[fit.values[n] for n in problem.names]])
+
+    def residuals(x):
+        at = theta.copy()
+        at[0, column] = x[0]
+        own, state = torch.from_numpy(x[None, 1 : 1 + logs]), torch.from_numpy(x[1 + logs :])
+        predicted = problem.predict(at, state.view(1, len(windows), -1), own)[0]
+        left = ((windows.value - predicted) * problem.weight).numpy().ravel()
+        return np.concatenate([left, [x[0] / 0.02], x[1 : 1 + logs] / SPREAD])
+
+    begin = np.concatenate([[0.0], np.zeros(logs), windows.state.numpy().ravel()])
+    best = least_squares(residuals, begin, x_scale="jac", xtol=1e-14, ftol=1e-14)
+    assert fit.cost == pytest.approx(2.0 * best.cost, rel=1e-6)
+    assert fit.values["viscous"] == pytest.approx(best.x[0], abs=1e-5)
+    np.testing.assert_allclose(fit.nuisance.numpy(), best.x[1 : 1 + logs], atol=1e-5)
+    dense = np.linalg.inv(best.jac.T @ best.jac)
+    assert fit.covariance[0, 0] == pytest.approx(dense[0, 0], rel=1e-3)
+
+
+def test_each_log_gets_its_own(windows):
+    problem = problem_of(windows, viscous=1.0)
+    fit = fitted(problem)
+    own = fit.values["viscous"] + fit.nuisance.numpy()
+    for k in range(len(CHANGES)):
+        alone = fitted(problem_of(windows.take(windows.log == k)))
+        assert own[k] == pytest.approx(alone.values["viscous"], rel=0.02, abs=2e-4)
+    np.testing.assert_allclose(own - own[0], CHANGES, atol=2e-3)
+    assert fit.chi2 < 0.25 * fitted(problem_of(windows)).chi2
+
+
+def test_logs_that_hardly_vary_share_theirs(windows):
+    shared, tight = fitted(problem_of(windows)), fitted(problem_of(windows, viscous=1e-7))
+    assert tight.values["viscous"] == pytest.approx(shared.values["viscous"], rel=1e-4)
+    assert tight.cost == pytest.approx(shared.cost, rel=1e-5)
+
+
+def test_what_was_fitted_can_be_held_as_known(windows):
+    problem = problem_of(windows, viscous=SPREAD)
+    fit = fitted(problem)
+    known = FitProblem(problem.system, problem.nuisances.known_in(problem.windows, fit.nuisance))
+    assert known.windows.varies == {}
+    theta = np.array([[fit.values[n] for n in problem.names]])
+    held = known.predict(theta, fit.state[None], known.nuisances.none()[None])
+    free = problem.predict(theta, fit.state[None], fit.nuisance[None])
+    torch.testing.assert_close(held, free, rtol=0.0, atol=1e-12)
+
+
+def test_an_actuator_that_varies_acts_on_the_commands_of_its_log():
+    """The lag of a motor is no part of the equations of motion."""
+    system = make_system("quadrotor_height")
+    logs = [hidden_log("quadrotor_height", {}, "steps", seed, 5.0) for seed in (1, 2)]
+    windows = cut_windows(logs, system, 1.0)
+    start = start_from(system, windows)
+    problem = FitProblem(start.system, replace(windows, varies={"motor_lag": 0.01}))
+    theta = np.array([[start.values[n] for n in problem.names]])
+    slower = theta.copy()
+    slower[0, problem.names.index("motor_lag")] += 0.02
+    own = torch.tensor([[0.0, 0.02]], dtype=torch.float64)
+    none, state = torch.zeros_like(own), windows.state[None]
+    given = problem.predict(theta, state, own)[0]
+    second = torch.from_numpy(windows.log == 1)
+    as_all = problem.predict(slower, state, none)[0]
+    torch.testing.assert_close(given[second], as_all[second])
+    torch.testing.assert_close(given[~second], problem.predict(theta, state, none)[0][~second])
+    assert not torch.allclose(given[second], problem.predict(theta, state, none)[0][second])
