@@ -17,6 +17,7 @@ from deepkoco.diagnose.design.hand import LogAtHand
 from deepkoco.diagnose.design.search import Scan, scan
 from deepkoco.diagnose.design.stage import SHORTEST, Stage, feasible_seconds, make_stage
 from deepkoco.diagnose.selection import Ranking
+from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import ExtendedSystem, System
 
@@ -87,7 +88,8 @@ def _advise(
     logs: Sequence[str],
     seed: int,
 ) -> list[str]:
-    reference = ranking.reference
+    problem, reference = FitProblem(start.system, windows).as_fitted(ranking.reference)
+    windows = problem.windows
     doses = _doses(ranking, start, members)
     compared = list(doses)
     result = []

@@ -94,12 +94,11 @@ def _before(
     if runs is None:
         deflation = dispersion(healthy.fit, healthy.windows).deflation
         return healthy.before, healthy.causes, healthy.windows.take(own), deflation
-    windows = noisier(healthy.windows, runs.floor)
+    windows = noisier(healthy.windows, runs.floor, runs.correlation)
     prior = prior_with(FitProblem(start.system, windows), healthy.before, healthy.causes, healthy.fit.values)
     if own.all():
         before = replace(healthy.before, prior=tempered(prior, runs.correlation))
-        varies = {n: sd / runs.correlation**0.5 for n, sd in windows.varies.items()}
-        return before, (), replace(windows, varies=varies), runs.correlation
+        return before, (), windows, runs.correlation
     prior = within_bounds(runs.of_another(prior, int(windows.log[own][0])), start.system)
     before = replace(healthy.before, prior=tempered(prior, runs.correlation))
     return before, (), replace(windows, varies={}).take(own), runs.correlation

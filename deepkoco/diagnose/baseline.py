@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.run_to_run import RunToRun
 from deepkoco.graph.recording import Recording
@@ -174,16 +176,35 @@ def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows,
     Returns:
         The baseline with a floor of 1, the windows with the larger noise, and their refit.
     """
-    windows = noisier(windows, start.floor)
+    windows = noisier(windows, start.floor, start.correlation)
     start = replace(start, floor=1.0, prior=tempered(start.prior, start.correlation))
     first = refit(start, windows)
     trial = Trial("refit", first.free, start.prior, first.values, first.state, first.nuisance)
     return start, windows, FitProblem(start.system, windows).fit([trial])[0]
 
 
-def noisier(windows: Windows, floor: float) -> Windows:
-    """Windows whose noise has this many times its variance."""
-    return replace(windows, noise=tuple(n._replace(sd=math.sqrt(floor) * n.sd) for n in windows.noise))
+def own_parameters(start: Start) -> tuple[Start, dict[str, float]]:
+    """A baseline whose prior is that of the mean of all logs, and the standard deviations by which each differs.
+
+    Args:
+        start: Learned from several healthy logs; its prior is that of one further log.
+    """
+    assert start.healthy is not None
+    assert start.runs is not None
+    prior, varies = start.prior, start.healthy.windows.varies
+    apart = np.diag(start.runs.doubted)
+    shared = np.array([v if n in varies else 0.0 for n, v in zip(prior.names, apart, strict=True)])
+    mean = replace(prior, covariance=prior.covariance - np.diag(shared))
+    return replace(start, prior=mean), dict(varies)
+
+
+def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows:
+    """Windows whose noise has this many times its variance, and whose spread weighs as :func:`tempered` has it."""
+    return replace(
+        windows,
+        noise=tuple(n._replace(sd=math.sqrt(floor) * n.sd) for n in windows.noise),
+        varies={n: sd / math.sqrt(correlation) for n, sd in windows.varies.items()},
+    )
 
 
 def tempered(prior: Prior, correlation: float) -> Prior:

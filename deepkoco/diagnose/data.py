@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,11 @@ class Data:
     held: Windows | None
     resting: int
     own: bool
+
+    def varying(self, varies: Mapping[str, float]) -> Data:
+        """The same, of a unit whose parameters vary from log to log by these standard deviations."""
+        held = None if self.held is None else replace(self.held, varies=varies)
+        return replace(self, train=replace(self.train, varies=varies), held=held)
 
 
 def cut_data(

@@ -13,6 +13,7 @@ from deepkoco.diagnose.baseline import (
     BaselineError,
     Start,
     check_learned,
+    own_parameters,
     refit_sharply,
     start_from,
     with_floor_as_noise,
@@ -150,6 +151,10 @@ class _Study:
         self.progress("refit of the simulation as given")
         self.learned = start
         data = self.given
+        if start.runs is not None and not (data.own and len(data.train.commands) == 1):
+            # Logs of a unit that varies have parameters of their own, those to explain as the healthy ones had.
+            start, varies = own_parameters(start)
+            data = data.varying(varies)
         train, self.reference = refit_sharply(start, data.train)
         if start.least_deflation > 1.0:
             # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.

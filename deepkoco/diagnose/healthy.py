@@ -29,7 +29,7 @@ from deepkoco.diagnose.selection import DETECTION, PATIENCE, freed, prior_with, 
 from deepkoco.diagnose.settling import front_settled
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.dispersion import dispersion
-from deepkoco.identify.fit import Fit, FitProblem
+from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.known import may_differ
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import cut_windows, moving
@@ -71,8 +71,7 @@ def learn_baseline(
     causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
     for _ in range(LARGEST_EXTENSION):
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
-        missing = missing_torque(*differing_as_fitted(problem, fit))
-        hints = Hints(start.system, windows, missing, fit.chi2 / windows.samples)
+        hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         ranking = rank(problem, start, fit, accepted, hints, causes)
         if ranking.best.delta_bic < DETECTION:
             break
@@ -85,8 +84,7 @@ def learn_baseline(
     progress(f"healthy logs: lost commands{in_company_of(c.name for c in accepted)}")
     prior = prior_with(problem, start, accepted, fit.values)
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
-    kept = differing_as_fitted(problem, fit)
-    losing = tuple(c.index for c in lost if best_losses(*kept, prior, [c], 1.0, DETECTION) is not None)
+    losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
     healthy = Healthy(tuple(recordings), windows, start, tuple(accepted), fit)
     # Where the logs do not tell which of several causes it is, a later one may: each is there, as far as they allow.
     catalogued = catalogue(start.system.base)
@@ -158,13 +156,6 @@ def varying(runs: RunToRun, start: Start) -> dict[str, float]:
     declared = np.sqrt(np.diag(prior.covariance))
     sd = {n: float(np.sqrt(v)) for n, v in zip(prior.names, np.diag(runs.doubted), strict=False)}
     return {n: max(sd[n], LEAST * float(d)) for n, d in zip(prior.names, declared, strict=True) if n in may}
-
-
-def differing_as_fitted(problem: FitProblem, fit: Fit) -> tuple[FitProblem, Fit]:
-    """The problem in which each log is known to differ by what a fit says, and the fit of it."""
-    nuisances = problem.nuisances
-    windows = nuisances.known_in(problem.windows, fit.nuisance)
-    return FitProblem(problem.system, windows), replace(fit, nuisance=fit.nuisance[: nuisances.zeros.count])
 
 
 def describe_healthy(start: Start) -> dict[str, Any] | None:

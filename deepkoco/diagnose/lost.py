@@ -276,6 +276,7 @@ def _responses(
     problem: FitProblem, fit: Fit, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
 ) -> Iterator[Responses]:
     """For each window, what its measurements do when a command in one of its ticks is another one."""
+    problem, fit = problem.as_fitted(fit)
     windows, states = problem.windows, fit.state.shape[1]
     system = acting_system(problem, fit)
     theta = np.array([fit.values[n] for n in problem.names])

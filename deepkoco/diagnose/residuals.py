@@ -106,6 +106,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     Returns:
         One for each joint.
     """
+    problem, fit = problem.as_fitted(fit)
     windows, system = problem.windows, problem.system
     joints, states = system.joints, fit.state.shape[1]
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -52,6 +53,7 @@ class FitProblem:
     ) -> None:
         self.system = system
         self.windows = windows
+        self._late, self._zero_sd = late, zero_sd
         delays = channel_delays(late)
         self.late = tuple([c.name for c in system.measurements].index(name) for name in late)
         self.names = tuple(p.name for p in (*system.parameters, *delays)) + Push.NAMES
@@ -101,6 +103,15 @@ class FitProblem:
     def nuisance_slopes(self, parameters: Tensor) -> Tensor:
         """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""
         return self.nuisances.slopes(self.weight, self.windows.log, parameters)
+
+    def as_fitted(self, fit: Fit) -> tuple[FitProblem, Fit]:
+        """The problem in which each log is known to differ by what a fit says, and the fit of it."""
+        if not self.nuisances.varies:
+            return self, fit
+        known = FitProblem(
+            self.system, self.nuisances.known_in(self.windows, fit.nuisance), self._late, self._zero_sd
+        )
+        return known, replace(fit, nuisance=fit.nuisance[: self.zeros.count])
 
     def null_values(self) -> np.ndarray:
         """Values at which the effects change nothing; NaN for the parameters of the base."""

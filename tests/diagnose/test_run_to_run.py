@@ -223,6 +223,27 @@ def test_what_all_logs_show_is_learned_beside_what_they_differ_by():
     assert start.floor < 1.1
 
 
+def test_logs_of_a_unit_that_varies_have_parameters_of_their_own_when_they_are_explained():
+    def logs(changes, hidden, first):
+        return [
+            hidden_log("rod_pendulum", {**hidden, "viscous": {"change": c}}, drive, SEED, SECONDS, take=k)
+            for k, (c, drive) in enumerate(zip(changes, DRIVES, strict=False), start=first)
+        ]
+
+    start = learn_baseline(logs([0.02, 0.06, 0.04], {}, 1), SYSTEM, LENGTH)
+    only = ["gain", "quadratic", "coulomb", "torque_bias"]
+    given = {"baseline": start, "only": only}
+    later = [0.03, 0.08]
+    assert diagnose(logs(later, {}, 5), "rod_pendulum", **given).verdict == "nothing"
+    rubbing = diagnose(logs(later, {"coulomb": {"torque": 0.05}}, 5), "rod_pendulum", **given)
+    assert rubbing.names == ("coulomb",)
+    assert rubbing.causes[0].parameters["coulomb.torque"].value == pytest.approx(0.05, abs=0.005)
+    # So has a log that is kept back.
+    tested = diagnose(logs([0.03], {}, 5), "rod_pendulum", holdout=logs([0.08], {}, 6), **given)
+    assert tested.verdict == "nothing"
+    assert tested.gain.channels[0].refit < 1.2 * tested.data["noise_sd"][0]
+
+
 def shortened(log, seconds: float):
     """The first seconds of a log."""
     channels = {
