@@ -26,7 +26,7 @@ from deepkoco.diagnose.elimination import (
     without_kinds,
 )
 from deepkoco.diagnose.hints import Hints
-from deepkoco.diagnose.losses import best_losses
+from deepkoco.diagnose.losses import best_losses, instead_of_push
 from deepkoco.diagnose.noise_left import more_than_noise
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residual_model import ResidualModel
@@ -115,7 +115,7 @@ class Selection:
         first = forward.steps[0][0] if forward.steps else first
         plain = self._pruned(forward)
         found = self._with_losses(nothing, forward, plain)
-        return first, plain if found is None else found
+        return first, self._or_losses(plain) if found is None else found
 
     def allowed(self, found: Selected) -> list[Cause]:
         """Causes that the unit may have had all the time: for each that was found, what the healthy logs allow of it
@@ -228,8 +228,7 @@ class Selection:
             forward: Every cause in the order in which it was found.
             plain: Those that are left.
         """
-        known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
-        causes = [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
+        causes = self._losing()
         if not causes:
             return None
         best = self._lossy(plain, causes)
@@ -253,6 +252,23 @@ class Selection:
         if self._score(found, reference, everyone) <= self._score(plain, reference, everyone) + wanted:
             return None
         return found
+
+    def _or_losses(self, found: Selected) -> Selected:
+        """With lost commands in the class of a push that they explain as well."""
+        steps = list(found.steps)
+        causes = self._losing()
+        for k, cause in enumerate(found.accepted):
+            if cause.effect == "event" and causes:
+                self.progress(f"lost commands in the place of {cause.name}")
+                ranking, members = steps[k]
+                more = instead_of_push(found.acting, self.start, found.accepted, cause, found.final, causes)
+                steps[k] = (ranking, (*members, *more))
+        return replace(found, steps=tuple(steps))
+
+    def _losing(self) -> list[Cause]:
+        """Commands that are lost, but those of which healthy logs lose some, too."""
+        known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
+        return [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
 
     def _lossy(self, prefix: Selected, causes: Sequence[Cause]) -> Selected | None:
         """Lost commands on top of what is selected, and what else pays then."""

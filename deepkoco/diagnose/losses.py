@@ -7,10 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.classes import APART
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
+from deepkoco.diagnose.elimination import without
 from deepkoco.diagnose.lost import LostCommands, lost_commands
-from deepkoco.diagnose.residuals import dispersion, missing_torque
+from deepkoco.diagnose.residuals import SLOTS, dispersion, missing_torque
+from deepkoco.diagnose.selection import PATIENCE, penalty, prior_with
 from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
 
@@ -61,6 +65,42 @@ def best_losses(
         return None
     needed = (lost.charge + wanted) * deflation
     return Losses(_finding(lost, cause, ratio, score, needed), lost.problem, lost.fit, lost.charge)
+
+
+def instead_of_push(
+    problem: FitProblem,
+    start: Start,
+    accepted: Sequence[Cause],
+    push: Cause,
+    fit: Fit,
+    causes: Sequence[Cause],
+) -> tuple[str, ...]:
+    """Names of lost commands, too few to be named by themselves, that say as much as a push.
+
+    A command that is held over while it should have changed acts as a push does, of a size and a time that are known.
+
+    Args:
+        problem: Windows.
+        start: The baseline.
+        accepted: Causes that were selected.
+        push: The push among them.
+        fit: Model with all of them.
+        causes: Lost commands at every command of the system.
+    """
+    less = problem.fit([without(problem, start, accepted, push, fit)], PATIENCE)[0]
+    prior = prior_with(problem, start, [c for c in accepted if c is not push], less.values)
+    spread = dispersion(fit, problem.windows)
+    deflation = max(spread.deflation, start.least_deflation)
+    samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
+    names = []
+    for cause in causes:
+        lost = lost_commands(problem, less, prior, cause.index)
+        if lost is None:
+            continue
+        behind = (lost.fit.cost - fit.cost) / deflation + lost.charge - penalty(push, samples, places)
+        if behind < APART:
+            names.append(cause.name)
+    return tuple(names)
 
 
 def _by_chance(lost: LostCommands) -> bool:

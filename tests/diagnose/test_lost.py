@@ -42,6 +42,20 @@ def test_losses_explain_what_the_refit_leaves_and_their_share_is_right():
     assert found.found == found.logs[0].lost.sum()
 
 
+def test_a_single_loss_is_told_beside_the_push_that_it_looks_like():
+    """Steps change the command once a second: of all losses one shows."""
+    only = ["event", "lost_commands", "gain", "lag"]
+    lossy = hidden_log("rod_pendulum", {"lost_commands": {"share": 0.03}}, "steps", SEED, 20.0)
+    result = diagnose([lossy], "rod_pendulum", only=only)
+    assert result.causes[0].members == ("event", "lost_commands")
+    assert result.verdict == "ambiguous"
+    assert "Number the commands" in result.advice[0]
+    pushed = hidden_log(
+        "rod_pendulum", {"event": {"torque": 0.5, "start": 7.3, "duration": 0.06}}, "steps", SEED, 20.0
+    )
+    assert diagnose([pushed], "rod_pendulum", only=only).causes[0].members == ("event",)
+
+
 def slow(
     rng, ticks: int, size: float, late: float = 0.0
 ) -> tuple[Responses, np.ndarray, np.ndarray, np.ndarray]:
