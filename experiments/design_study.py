@@ -1,6 +1,6 @@
 """Study of designed experiments: does the log that a design asks for name the cause that a usual log leaves open?
 
-    python -m experiments.design_study --out runs/design_study [--cases 16] [--json]
+    python -m experiments.design_study --out runs/design_study [--cases 16] [--seconds 7] [--strength 0.5] [--json]
 
 A unit of `experiments.hidden` hides a cause; its log under a usual excitation is diagnosed. Where the class of the
 named cause holds several, an experiment is designed for them from that log, the same unit is recorded with it, and
@@ -32,7 +32,7 @@ from experiments.hidden.unit import Hidden, hidden_log
 from experiments.rows import append_row, origin, read_rows, source_digest
 
 USUAL = 12.0  # length of the usual log [s]
-DESIGNED = 12.0  # length of the designed one [s]
+DESIGNED = 12.0  # length of the designed one, unless another is asked for [s]
 AGAIN = 1  # take of the logs after the usual one
 SOURCES = ("diagnose", "graph", "identify", "systems", "unit/excitation.py")  # of which a row depends
 BESIDE = ("design_study.py", "hidden")
@@ -61,20 +61,29 @@ class Case:
     excitation: str
     strength: float
     seed: int
+    seconds: float = DESIGNED
 
     @property
     def name(self) -> str:
         """What tells it from the others."""
-        return f"{self.system}/{self.truth}/{self.excitation}/{self.seed}"
+        return (
+            f"{self.system}/{self.truth}/{self.excitation}/{self.seed}/{self.strength:.3g}/{self.seconds:g}s"
+        )
 
 
-def all_cases(seed: int) -> Iterator[Case]:
-    """Every cause of every pair, hidden in units of further seeds without end."""
+def all_cases(seed: int, seconds: float = DESIGNED, share: float = 1.0) -> Iterator[Case]:
+    """Every cause of every pair, hidden in units of further seeds without end.
+
+    Args:
+        seed: Of the first unit.
+        seconds: Length of the designed experiment and of the usual steps beside it [s].
+        share: Of its strength in `PAIRS` that each cause has.
+    """
     number = seed
     while True:
         for system, causes, excitation, strength in PAIRS:
             for truth in causes:
-                yield Case(system, truth, excitation, strength, number)
+                yield Case(system, truth, excitation, share * strength, number, seconds)
                 number += 1
 
 
@@ -120,7 +129,7 @@ def _settle(case: Case, hidden: Hidden, usual: Recording, members: Sequence[str]
     design = None
     while len(asked) > 1 and design is None:
         try:
-            design = design_experiment(case.system, asked, [usual], seconds=DESIGNED, seed=case.seed)
+            design = design_experiment(case.system, asked, [usual], seconds=case.seconds, seed=case.seed)
         except InseparableError as error:
             alike.append(list(error.pair))
             asked.remove(error.pair[1])
@@ -128,8 +137,8 @@ def _settle(case: Case, hidden: Hidden, usual: Recording, members: Sequence[str]
             return {"asked": asked, "alike": alike, "refused": str(error)}
     if design is None:
         return {"asked": asked, "alike": alike}
-    log = hidden_log(case.system, hidden, play(design), case.seed, DESIGNED, take=AGAIN)
-    plain = hidden_log(case.system, hidden, "steps", case.seed, DESIGNED, take=AGAIN)
+    log = hidden_log(case.system, hidden, play(design), case.seed, case.seconds, take=AGAIN)
+    plain = hidden_log(case.system, hidden, "steps", case.seed, case.seconds, take=AGAIN)
     return {
         "asked": asked,
         "alike": alike,
@@ -206,9 +215,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of rows.jsonl")
     parser.add_argument("--cases", type=int, default=2 * len(PAIRS))
     parser.add_argument("--seed", type=int, default=5000)
+    parser.add_argument("--seconds", type=float, default=DESIGNED, help="length of the designed log [s]")
+    parser.add_argument("--strength", type=float, default=1.0, help="share of the usual strengths of causes")
     parser.add_argument("--json", action="store_true", help="print the rows, too")
     args = parser.parse_args(arguments)
-    rows = run_cases(list(islice(all_cases(args.seed), args.cases)), args.out / "rows.jsonl")
+    if (
+        args.cases < 1
+        or args.seed < 0
+        or not 5.0 <= args.seconds <= 600.0
+        or not 0.1 <= args.strength <= 10.0
+    ):
+        parser.error(
+            "give --cases of 1 or more, --seed of 0 or more, --seconds between 5 and 600 and --strength between 0.1 "
+            "and 10"
+        )
+    asked = islice(all_cases(args.seed, args.seconds, args.strength), args.cases)
+    rows = run_cases(list(asked), args.out / "rows.jsonl")
     result = {"summary": summary(rows)} | ({"rows": rows} if args.json else {})
     print(json.dumps(result, indent=2))
 
