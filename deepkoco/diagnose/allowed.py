@@ -68,9 +68,12 @@ def _asked(
     problem = FitProblem(start.system, windows)
     state = healthy.fit.state[torch.from_numpy(np.flatnonzero(own))]
     nuisance = healthy.fit.nuisance[: problem.nuisances.count]
+    log = None if problem.nuisances.varies else int(windows.log[0])
+    fitted = FitProblem(start.system, healthy.windows)
+    base = healthy.fit.values if log is None else fitted.values_in(healthy.fit, log)
     trials = []
     for cause, _, fit in claims:
-        values = {**healthy.fit.values, **{n: fit.values[n] for n in cause.free}}
+        values = {**base, **{n: fit.values[n] for n in cause.free}}
         for causes in (learned, (*learned, cause)):
             trials.append(
                 replace(freed(problem, before, causes, healthy.fit, values), state=state, nuisance=nuisance)

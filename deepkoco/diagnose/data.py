@@ -25,8 +25,11 @@ class Data:
     own: bool
 
     def varying(self, varies: Mapping[str, float]) -> Data:
-        """The same, of a unit whose parameters vary from log to log by these standard deviations."""
-        held = None if self.held is None else replace(self.held, varies=varies)
+        """The same, of a unit whose parameters vary from log to log by these standard deviations.
+
+        Windows that are kept back of the logs that are fitted have what the fit says of these.
+        """
+        held = None if self.held is None else replace(self.held, varies={} if self.own else varies)
         return replace(self, train=replace(self.train, varies=varies), held=held)
 
 

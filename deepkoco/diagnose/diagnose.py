@@ -159,7 +159,8 @@ class _Study:
         if start.least_deflation > 1.0:
             # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.
             start, train, self.reference = with_floor_as_noise(start, train)
-        held = None if data.held is None else replace(data.held, noise=train.noise)
+        varies = train.varies if data.held is not None and data.held.varies else {}
+        held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
         if held is not None and data.own:
             train, held, self.reference = train_on_pushed(start, train, held, self.reference)
         self.start, self.data = start, replace(data, train=train, held=held)
@@ -321,7 +322,13 @@ class _Study:
             "refit": {**refit.values, **quiet},
             "extended": {**final.values, **quiet},
         }
-        return held_out_gain(self.start.system, self.data.held, models, seed)
+        held, problem = self.data.held, self.problem
+        known = {
+            "baseline": held.known,
+            "refit": problem.elsewhere(held, refit).known,
+            "extended": problem.elsewhere(held, final).known,
+        }
+        return held_out_gain(self.start.system, held, models, seed, known)
 
     def _model(self, final: Fit, learned: ResidualModel | None, gain: Gain | None) -> ExtendedSystem:
         had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()

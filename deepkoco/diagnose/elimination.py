@@ -68,9 +68,10 @@ def carried(
         held: Windows kept back.
         least: Number of causes that stay in any case, pushes counted.
     """
-    kept, unseen = list(accepted), FitProblem(start.system, held)
+    kept = list(accepted)
 
     def errors(found: Fit) -> np.ndarray:
+        unseen = FitProblem(start.system, problem.elsewhere(held, found))
         replayed = unseen.evaluate({**found.values, "event.torque": 0.0}, "held back")
         return (replayed.residual**2).sum((1, 2)).numpy()
 

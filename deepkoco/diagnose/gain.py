@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from deepkoco.identify.fit import Fit, FitProblem, Trial
+from deepkoco.identify.known import Known
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem
@@ -33,8 +34,8 @@ class ChannelGain:
 class Gain:
     """Held-out simulation error of three models.
 
-    The initial state of each window (and each log's encoder zero) is fitted on the window itself, for
-    every model alike; parameters are those of the training windows.
+    The initial state of each window (and what each log has of its own that no fit knows) is fitted on the
+    windows themselves, for every model alike; parameters are those of the training windows.
 
     Attributes:
         channels: Errors by channel.
@@ -64,7 +65,11 @@ class Gain:
 
 
 def held_out_gain(
-    system: ExtendedSystem, windows: Windows, models: Mapping[str, Mapping[str, float]], seed: int
+    system: ExtendedSystem,
+    windows: Windows,
+    models: Mapping[str, Mapping[str, float]],
+    seed: int,
+    known: Mapping[str, Known] | None = None,
 ) -> Gain:
     """Simulate held-out windows with each model.
 
@@ -73,13 +78,21 @@ def held_out_gain(
         windows: Held-out windows.
         models: "baseline", "refit" and "extended" -> parameter values.
         seed: Seed of the bootstrap.
+        known: Model -> by what it knows each log to differ; None where that is the same for all.
     """
-    problem = FitProblem(system, windows)
-    distinct = [n for n in models if not any(models[m] == models[n] for m in models if m < n)]
-    states = _suited(problem, [models[n] for n in distinct])
-    trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
-    found = dict(zip(distinct, problem.fit(trials, 12 if problem.nuisances.count else 1), strict=True))
-    fits = {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in models}
+    told = {n: windows.known if known is None else known[n] for n in models}
+    fits: dict[str, Fit] = {}
+    for one in models:
+        if one in fits:
+            continue
+        # Models of one kind share a batch.
+        alike = [n for n in models if told[n] == told[one]]
+        distinct = [n for n in alike if not any(models[m] == models[n] for m in alike if m < n)]
+        problem = FitProblem(system, replace(windows, known=told[one]))
+        states = _suited(problem, [models[n] for n in distinct])
+        trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
+        found = dict(zip(distinct, problem.fit(trials, 12 if problem.nuisances.count else 1), strict=True))
+        fits |= {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in alike}
     return _measured(system, windows, fits, seed)
 
 

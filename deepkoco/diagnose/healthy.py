@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -37,7 +38,6 @@ from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.
 LARGEST_EXTENSION = 6
-LEAST = 1e-3  # standard deviation from run to run, in declared ones, at least
 
 
 def learn_baseline(
@@ -62,10 +62,9 @@ def learn_baseline(
     windows = windows.take(moving(windows))
     start = start_from(system, windows)
     windows, fit = refit_sharply(start, windows)
-    if (runs := run_to_run(Healthy(tuple(recordings), windows, start, (), fit), start.prior)) is not None:
-        # What the logs differ by would be taken for effects that all of them show, and the other way round.
-        windows, fit = refit_sharply(start, replace(windows, varies=varying(runs, start)))
-    problem = FitProblem(start.system, windows)
+    # What the logs differ by would be taken for effects that all of them show, and the other way round.
+    told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))
+    windows, fit, problem = told.windows, told.fit, FitProblem(start.system, told.windows)
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
@@ -81,6 +80,9 @@ def learn_baseline(
         # A mixture that was found first is superfluous once its parts are there; it must not come back.
         causes = [c for c in causes if c.name != best.cause.name]
         accepted, fit = eliminated(problem, start, [*accepted, best.cause], best.fit, DETECTION)
+        # An effect that was not known yet made logs differ that do not.
+        told, runs = with_spread(Healthy(tuple(recordings), windows, start, tuple(accepted), fit))
+        windows, fit, problem = told.windows, told.fit, FitProblem(start.system, told.windows)
     progress(f"healthy logs: lost commands{in_company_of(c.name for c in accepted)}")
     prior = prior_with(problem, start, accepted, fit.values)
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
@@ -92,7 +94,7 @@ def learn_baseline(
     others = [catalogued[n] for n in members if kind_of(n) not in ("event", *BENDING)]
     if any(c not in accepted for c in others):
         return extended(replace(start, healthy=healthy, losing=losing), others)
-    return replace(_learned(healthy), losing=losing)
+    return replace(_learned(healthy, runs), losing=losing)
 
 
 def extended(start: Start, causes: Sequence[Cause]) -> Start:
@@ -116,14 +118,13 @@ def extended(start: Start, causes: Sequence[Cause]) -> Start:
     fit = problem.fit([freed(problem, healthy.before, together, healthy.fit, healthy.fit.values)], PATIENCE)[
         0
     ]
-    return replace(_learned(replace(healthy, causes=together, fit=fit)), losing=start.losing)
+    return replace(_learned(*with_spread(replace(healthy, causes=together, fit=fit))), losing=start.losing)
 
 
-def _learned(healthy: Healthy) -> Start:
+def _learned(healthy: Healthy, runs: RunToRun | None) -> Start:
     """What a diagnosis may take for granted after these logs."""
     start, fit = healthy.before, healthy.fit
     prior = prior_with(FitProblem(start.system, healthy.windows), start, healthy.causes, fit.values)
-    runs = run_to_run(healthy, prior)
     if runs is None:
         pooled = dispersion(fit, healthy.windows)
         centre = np.array([fit.values[n] for n in prior.names])
@@ -132,7 +133,6 @@ def _learned(healthy: Healthy) -> Start:
     else:
         learned = within_bounds(runs.of_another(prior), start.system)
         floor, correlation = runs.floor, runs.correlation
-        healthy = replace(healthy, windows=replace(healthy.windows, varies=varying(runs, start)))
     return replace(
         start,
         values={**fit.values, **dict(zip(learned.names, learned.centre.tolist(), strict=True))},
@@ -145,17 +145,35 @@ def _learned(healthy: Healthy) -> Start:
     )
 
 
-def varying(runs: RunToRun, start: Start) -> dict[str, float]:
-    """Standard deviation by which parameters vary from log to log, of those that may.
+def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
+    """Healthy logs whose parameters vary by what they show beside these causes, with the fit that this gives.
 
     Args:
-        runs: What the logs show when each has parameters of its own.
-        start: The baseline before it learned from them.
+        healthy: The logs, their causes and a fit.
+
+    Returns:
+        The logs, and what they show when each has parameters of its own; None for less than two.
     """
-    may, prior = may_differ(start.system), start.prior
-    declared = np.sqrt(np.diag(prior.covariance))
-    sd = {n: float(np.sqrt(v)) for n, v in zip(prior.names, np.diag(runs.doubted), strict=False)}
-    return {n: max(sd[n], LEAST * float(d)) for n, d in zip(prior.names, declared, strict=True) if n in may}
+    before, fit = healthy.before, healthy.fit
+    problem = FitProblem(before.system, healthy.windows)
+    prior = prior_with(problem, before, healthy.causes, fit.values)
+    runs = run_to_run(healthy, prior)
+    if runs is None:
+        return healthy, None
+    may = may_differ(before.system)
+    variance = dict(zip(prior.names, np.diag(runs.doubted).tolist(), strict=True))
+    varies = {
+        n: math.sqrt(v) for n, v in variance.items() if n in may and n in before.prior.names and v > 0.0
+    }
+    if varies == healthy.windows.varies:
+        return healthy, runs
+    windows = replace(healthy.windows, varies=varies)
+    # From the mean of these logs: another spread may let it go where the old one did not.
+    trial = freed(problem, before, healthy.causes, fit, problem.values_in(fit))
+    again = FitProblem(before.system, windows)
+    nuisance = again.nuisances.none()
+    nuisance[: again.zeros.count] = fit.nuisance[: again.zeros.count]
+    return replace(healthy, windows=windows, fit=again.fit([replace(trial, nuisance=nuisance)])[0]), runs
 
 
 def describe_healthy(start: Start) -> dict[str, Any] | None:

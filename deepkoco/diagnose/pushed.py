@@ -35,8 +35,9 @@ def train_on_pushed(
     Returns:
         Both sets of windows and the refit, as they were if nothing stands out.
     """
-    seen = _largest(FitProblem(start.system, train), reference)
-    problem = FitProblem(start.system, held)
+    fitted = FitProblem(start.system, train)
+    seen = _largest(fitted, reference)
+    problem = FitProblem(start.system, fitted.elsewhere(held, reference))
     unfitted = problem.evaluate(reference.values, "held back")
     found = _largest(problem, unfitted)
     pushed = found > max(SUSPECT, STAND_OUT * float(np.median(seen)))

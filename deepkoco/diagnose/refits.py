@@ -11,7 +11,7 @@ import numpy as np
 from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
 from deepkoco.diagnose.run_to_run import RunToRun, said, sampling_variance
 from deepkoco.identify.dispersion import Dispersion, dispersion
-from deepkoco.identify.fit import Fit
+from deepkoco.identify.fit import Fit, FitProblem
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import Windows
 
@@ -35,6 +35,8 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     """
     # A log by itself differs from nothing.
     windows, fit = replace(healthy.windows, varies={}), healthy.fit
+    fit = replace(fit, values=FitProblem(healthy.before.system, healthy.windows).values_in(fit))
+    healthy = replace(healthy, fit=fit)
     logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
     long = np.array([len(own) >= FEWEST_OF_A_LOG for own in logs.values()])
     if long.sum() < 2:

@@ -13,7 +13,7 @@ Source: forward selection, Hastie, Tibshirani, Friedman, The Elements of Statist
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -148,7 +148,12 @@ def learn_residual(
         "refit": {**reference.values, **quiet},
         "extended": {**fit.values, **quiet},
     }
-    gain = held_out_gain(system, held, models, seed)
+    known = {
+        "baseline": held.known,
+        "refit": problem.elsewhere(held, reference).known,
+        "extended": problem.elsewhere(held, fit).known,
+    }
+    gain = held_out_gain(system, held, models, seed, known)
     accepted = gain.low > 0.0
     span = f"{100 * gain.reduction:.0f} % ({100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
     text = (
@@ -224,10 +229,10 @@ def _choose(
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Names of the weights that pay on the windows that choose, and the error there after each term."""
     system = start.system
-    inner, outer = FitProblem(system, train.take(~choose)), FitProblem(system, train.take(choose))
+    inner, others = FitProblem(system, train.take(~choose)), replace(train.take(choose), varies={})
     state = reference.state[torch.from_numpy(~choose)]
     fit = inner.fit([Trial("refit", reference.free, start.prior, scaled, state, reference.nuisance)])[0]
-    errors = [_error(outer, fit)]
+    errors = [_error(inner, fit, others)]
     chosen: list[str] = []
     kept, failed = 0, 0
     while len(chosen) < MOST_TERMS and failed < PATIENCE:
@@ -238,7 +243,7 @@ def _choose(
             break
         chosen.append(best.cause.name)
         fit = _fit(inner, start, fit.values, chosen, fit, fit.state)
-        errors.append(_error(outer, fit))
+        errors.append(_error(inner, fit, others))
         better = errors[-1] < BETTER * errors[kept]
         kept, failed = (len(chosen), 0) if better else (kept, failed + 1)
     return tuple(chosen[:kept]), tuple(errors)
@@ -262,9 +267,10 @@ def _fit(
     return problem.fit([trial], ITERATIONS)[0]
 
 
-def _error(problem: FitProblem, fit: Fit) -> float:
-    """chi2 per sample with the parameters of a fit on windows that it has not seen."""
-    return problem.evaluate(fit.values).chi2 / problem.windows.samples
+def _error(problem: FitProblem, fit: Fit, others: Windows) -> float:
+    """chi2 per sample with the parameters of a fit on windows of the same logs that it has not seen."""
+    unseen = FitProblem(problem.system, problem.elsewhere(others, fit))
+    return unseen.evaluate(fit.values).chi2 / others.samples
 
 
 def _without_idle_terms(

@@ -158,8 +158,8 @@ class _Tangent:
         )
         pull = torch.einsum("dwm,wm->d", moved, residual) - torch.einsum("wds,ws->d", through, self.normal.gs)
         # Then of what the parameters can do.
-        solved = torch.from_numpy(np.linalg.pinv(matrix.numpy(), hermitian=True)) if len(matrix) else matrix
-        pull = pull - both @ (solved @ right) if len(matrix) else pull
+        solved = _inverse(matrix)
+        pull = pull - both @ (solved @ right)
         result = np.zeros(len(forward))
         for k in range(len(forward)):
             own = np.flatnonzero(owner == k)
@@ -168,10 +168,16 @@ class _Tangent:
             pick = torch.as_tensor(own)
             gram = torch.einsum("dwm,ewm->de", moved[pick], moved[pick])
             gram = gram - torch.einsum("wds,wes->de", through[:, pick], along[:, pick])
-            if len(matrix):
-                gram = gram - both[pick] @ solved @ both[pick].T
+            gram = gram - both[pick] @ solved @ both[pick].T
             result[k] = _gain(gram.numpy(), pull[pick].numpy())
         return result
+
+
+def _inverse(matrix: Tensor) -> Tensor:
+    """Of a symmetric matrix whose rows have units of their own: none is small beside the others."""
+    scale = torch.sqrt(torch.diagonal(matrix).clamp_min(1e-300))
+    scale = scale[:, None] * scale
+    return torch.from_numpy(np.linalg.pinv((matrix / scale).numpy(), hermitian=True)) / scale
 
 
 def _gain(gram: np.ndarray, pull: np.ndarray) -> float:

@@ -167,7 +167,8 @@ def rank(
     ]
     trials += _slipped(problem, start, accepted, reference, slips)
     fits = _fit_best(problem, trials, reference)
-    if reference.penalty > FAR * start.correlation and promising:
+    away = reference.penalty - problem.nuisances.penalty(reference.nuisance)
+    if away > FAR * start.correlation and promising:
         # A strong cause drives the refit far from the truth, into a valley that leads back slowly. The
         # baseline's values before the refit are a second foothold, with states that suit each start.
         before = {n: start.values[n] for n in start.prior.names}

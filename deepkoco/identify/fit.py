@@ -104,6 +104,18 @@ class FitProblem:
         """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""
         return self.nuisances.slopes(self.weight, self.windows.log, parameters)
 
+    def values_in(self, fit: Fit, log: int | None = None) -> dict[str, float]:
+        """Parameters of one log after a fit; of the mean of these logs (not of all that there could be) without one."""
+        differ = self.nuisances.differ(fit.nuisance[None])
+        own = {n: float(a.mean() if log is None else a[log, 0]) for n, a in differ.items()}
+        return {n: v + own.get(n, 0.0) for n, v in fit.values.items()}
+
+    def elsewhere(self, windows: Windows, fit: Fit) -> Windows:
+        """Other windows of the same logs, each known to differ by what a fit says; those of other logs vary."""
+        if windows.varies or not self.nuisances.varies:
+            return windows
+        return self.nuisances.known_in(windows, fit.nuisance)
+
     def as_fitted(self, fit: Fit) -> tuple[FitProblem, Fit]:
         """The problem in which each log is known to differ by what a fit says, and the fit of it."""
         if not self.nuisances.varies:
@@ -111,7 +123,9 @@ class FitProblem:
         known = FitProblem(
             self.system, self.nuisances.known_in(self.windows, fit.nuisance), self._late, self._zero_sd
         )
-        return known, replace(fit, nuisance=fit.nuisance[: self.zeros.count])
+        count = len(fit.free) + self.zeros.count
+        curvature = fit.curvature[:count, :count]
+        return known, replace(fit, nuisance=fit.nuisance[: self.zeros.count], curvature=curvature)
 
     def null_values(self) -> np.ndarray:
         """Values at which the effects change nothing; NaN for the parameters of the base."""

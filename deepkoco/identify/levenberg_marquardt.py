@@ -161,8 +161,10 @@ class Batch:
             raise FloatingPointError(f"fit of {trial.name}: the simulation diverges at its start values")
         p = len(self.columns[k])
         full = normal.reduced(0.0)[0].numpy()
-        data = full.copy()
-        data[:p, :p] -= self.precision[k, :p, :p].numpy()
+        information = full[:p, :p] - self.precision[k, :p, :p].numpy()
+        if len(full) > p:
+            across = full[:p, p:]
+            information = information - across @ np.linalg.solve(full[p:, p:], across.T)
         # Parameters have units of their own: what is large in one need not be small in another.
         size = np.sqrt(np.diag(full))
         size = np.outer(size, size)
@@ -173,7 +175,7 @@ class Batch:
             trial.free,
             dict(zip(self.problem.names, map(float, self.theta[k]), strict=True)),
             covariance,
-            data[:p, :p],
+            information,
             self.initial[k].clone(),
             self.nuisance[k].clone(),
             normal.chi2,

@@ -20,6 +20,8 @@ class Nuisances:
     A vector of nuisances holds the zeros, then the amounts by which the first parameter that varies differs, one per
     log, then those of the next.
 
+    They are not held within the bounds of their parameters.
+
     Attributes:
         zeros: The zeros.
         varies: Standard deviation of each parameter that varies, in its unit.
@@ -38,6 +40,10 @@ class Nuisances:
         """(count,) of the prior around 0."""
         sd = np.repeat(np.array(list(self.varies.values()), dtype=float), self.zeros.logs)
         return torch.cat([self.zeros.precision, torch.from_numpy(1.0 / sd**2)])
+
+    def penalty(self, nuisance: Tensor) -> float:
+        """The prior's share of the cost at a vector (count,)."""
+        return float(self.precision @ nuisance**2)
 
     def none(self) -> Tensor:
         """A vector in which every sensor is right and all logs share their parameters."""

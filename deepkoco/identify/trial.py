@@ -41,7 +41,7 @@ class Fit:
         free: Names of the freed parameters.
         values: Values of all parameters after the fit.
         covariance: (p, p) posterior covariance of the free parameters under the assumed noise.
-        information: (p, p) what the data alone say: the Schur complement of the initial states.
+        information: (p, p) what the data alone say: the Schur complement of initial states and nuisances.
         state: (W, S) initial states.
         nuisance: (z,) what each log has of its own: encoder zeros [rad], then how its parameters differ.
         chi2: Sum of squared residuals in noise standard deviations.
