@@ -48,7 +48,8 @@ def learn_baseline(
     Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would be taken for
     causes later on. Forward selection on the healthy logs adds them to the baseline; the uncertainty of
     that fit becomes the prior of the diagnosis, and its chi2 per sample the floor. With two or more logs
-    the spread of their separate refits widens the prior: real parameters vary from run to run. Causes that
+    the spread of their separate refits widens the prior: real parameters vary from run to run. Each log then
+    has parameters of its own in every fit, and the spread is estimated anew beside each cause. Causes that
     the logs do not tell from a small effect are in the baseline with it.
 
     Args:

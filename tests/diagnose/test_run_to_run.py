@@ -223,6 +223,21 @@ def test_what_all_logs_show_is_learned_beside_what_they_differ_by():
     assert start.floor < 1.1
 
 
+def test_what_all_logs_show_is_no_spread():
+    """Without it the logs differ: friction is needed more under some commands than under others."""
+    hidden = {"coulomb": {"torque": 0.02}}
+    logs = [
+        hidden_log("rod_pendulum", hidden, drive, SEED, SECONDS, take=k) for k, drive in enumerate(DRIVES[:3])
+    ]
+    start = learn_baseline(logs, SYSTEM, LENGTH)
+    assert start.effects == ("coulomb",)
+    assert start.values["coulomb.torque"] == pytest.approx(0.02, abs=0.002)
+    without = healthy(*(hidden,) * 3)
+    before = run_to_run(without, without.before.prior)
+    at = without.before.prior.names.index("viscous")
+    assert start.runs.covariance[at, at] < 0.5 * before.covariance[at, at]
+
+
 def test_logs_of_a_unit_that_varies_have_parameters_of_their_own_when_they_are_explained():
     def logs(changes, hidden, first):
         return [

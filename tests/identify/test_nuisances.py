@@ -60,6 +60,7 @@ def test_the_optimum_is_that_of_dense_least_squares(windows):
     np.testing.assert_allclose(fit.nuisance.numpy(), best.x[1 : 1 + logs], atol=1e-5)
     dense = np.linalg.inv(best.jac.T @ best.jac)
     assert fit.covariance[0, 0] == pytest.approx(dense[0, 0], rel=1e-3)
+    assert fit.information[0, 0] == pytest.approx(1.0 / dense[0, 0] - 1.0 / 0.02**2, rel=1e-3)
 
 
 def test_each_log_gets_its_own(windows):
@@ -108,3 +109,59 @@ def test_an_actuator_that_varies_acts_on_the_commands_of_its_log():
     torch.testing.assert_close(given[second], as_all[second])
     torch.testing.assert_close(given[~second], problem.predict(theta, state, none)[0][~second])
     assert not torch.allclose(given[second], problem.predict(theta, state, none)[0][second])
+
+
+@pytest.mark.parametrize("free", [(), ("mass_1",), ("viscous_1", "mass_1", "viscous_2")])
+def test_zeros_and_parameters_of_every_log_are_at_the_optimum_whatever_else_is_free(free):
+    """Two joints, two logs, encoder zeros, one difference that is known; by central differences of the cost."""
+    system = make_system("two_link_arm")
+    logs = [hidden_log("two_link_arm", {}, drive, 3, 4.0) for drive in ("chirp", "steps")]
+    windows = cut_windows(logs, system, 1.0)
+    start = start_from(system, windows)
+    varies = {"viscous_1": 0.1, "mass_2": 0.02}
+    windows = replace(windows, varies=varies, known=({}, {"viscous_1": 0.05}))
+    problem = FitProblem(start.system, windows, zero_sd=0.02)
+    declared = [problem.system.parameter(n) for n in free]
+    fit = problem.fit([Trial("all", free, Prior.of(declared), start.values)], 60, 1e-9)[0]
+    assert fit.nuisance.shape == (2 * 2 + 2 * 2,)
+    theta = np.array([[fit.values[n] for n in problem.names]])
+
+    def cost(nuisance):
+        predicted = problem.predict(theta, fit.state[None], nuisance[None])[0]
+        residual = (windows.value - predicted) * problem.weight
+        return float((residual**2).sum()) + problem.nuisances.penalty(nuisance)
+
+    for k, sd in enumerate(1.0 / problem.nuisances.precision.sqrt()):
+        step = torch.zeros_like(fit.nuisance)
+        step[k] = 1e-3 * sd
+        down, up = cost(fit.nuisance - step), cost(fit.nuisance + step)
+        curvature = (down + up - 2.0 * fit.chi2 - 2.0 * problem.nuisances.penalty(fit.nuisance)) / 1e-6
+        # What a step of Newton's would still win.
+        assert ((up - down) / 2e-3) ** 2 / (2.0 * curvature) < 1e-2
+    known, held = problem.as_fitted(fit)
+    assert held.nuisance.shape == (2 * 2,)
+    assert known.windows.known[1]["viscous_1"] == pytest.approx(0.05 + float(fit.nuisance[5]))
+    torch.testing.assert_close(
+        known.predict(theta, held.state[None], held.nuisance[None]),
+        problem.predict(theta, fit.state[None], fit.nuisance[None]),
+    )
+
+
+def test_windows_kept_back_have_what_was_fitted_to_their_log(windows):
+    train, held = (
+        windows.take(np.arange(len(windows)) % 2 == 0),
+        windows.take(np.arange(len(windows)) % 2 == 1),
+    )
+    problem = problem_of(train, viscous=SPREAD)
+    fit = fitted(problem)
+    own = problem.elsewhere(held, fit)
+    assert own.varies == {}
+    assert [k["viscous"] for k in own.known] == pytest.approx(fit.nuisance.tolist())
+    assert problem.values_in(fit, 1)["viscous"] == pytest.approx(
+        fit.values["viscous"] + float(fit.nuisance[1])
+    )
+    # Those of other logs have parameters that nobody knows.
+    others = replace(held, varies={"viscous": SPREAD})
+    assert problem.elsewhere(others, fit) is others
+    told, not_told = (FitProblem(problem.system, w).evaluate(fit.values) for w in (own, held))
+    assert told.chi2 < 0.5 * not_told.chi2
