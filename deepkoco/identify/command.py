@@ -80,6 +80,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--zero-sd", type=float, metavar="RAD", help="spread of the angle sensor's zero from log to log [rad]"
     )
+    parser.add_argument(
+        "--varies",
+        nargs="+",
+        default=[],
+        metavar="NAME=SD",
+        help="parameters that vary from log to log, by this standard deviation: every log has its own, and the mean of "
+        "all is found",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of cma's draws (default 0)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="new folder; default: LOG_identified beside the first log"
@@ -110,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
         "method": _method(args),
         "window": args.window,
         "zero_sd": args.zero_sd,
+        "varies": {name: sd for name, (sd,) in _numbers("--varies", args.varies, 1).items()},
         "seed": args.seed,
     }
     _check(args)

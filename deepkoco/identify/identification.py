@@ -77,6 +77,7 @@ class Identification:
         system: The system with the fitted values: simulate, save or diagnose with it.
         estimates: By name, what was asked for. Intervals are widened by ``dispersion.deflation``.
         zeros: Encoder zero of each log; empty where the sensor's zero is known.
+        of_logs: Parameters that vary, as they are in each log; empty where none does.
         covariance: (p, p) of the free parameters, in the order of ``estimates``, widened.
         unidentified: Combinations about which the data say less than the prior.
         dispersion: How far the residuals are from white noise of the sensors' size.
@@ -91,6 +92,7 @@ class Identification:
     system: ExtendedSystem
     estimates: dict[str, Estimate]
     zeros: tuple[Estimate, ...]
+    of_logs: tuple[Estimate, ...]
     covariance: np.ndarray
     unidentified: tuple[Direction, ...]
     dispersion: Dispersion
@@ -128,6 +130,7 @@ class Identification:
             "logs": list(self.logs),
             "parameters": {e.name: _plain(e) for e in self.estimates.values()},
             "encoder_zeros": [_plain(e) for e in self.zeros],
+            "of_logs": {e.name: _plain(e) for e in self.of_logs},
             "correlation": self.correlation.tolist(),
             "not_identified": [
                 {"text": words, "weights": d.weights, "information": d.information}
@@ -183,7 +186,7 @@ def _plain(estimate: Estimate) -> dict[str, Any]:
         "sd": estimate.sd,
         "unit": estimate.unit,
         "start": estimate.start,
-        "bounds": list(estimate.bounds),
+        "bounds": [b if np.isfinite(b) else None for b in estimate.bounds],  # strict JSON knows no infinity
         "at_bound": estimate.at_bound,
     }
 

@@ -31,6 +31,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     window: float | None = None,
     zero_sd: float | None = None,
+    varies: Mapping[str, float] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Identification:
@@ -53,12 +54,15 @@ def fit(
         window: Length of a window [s]; None takes about one period of the system.
         zero_sd: Spread of the angle sensor's zero from log to log [rad]; None takes the system's, 0 is a known
             zero.
+        varies: Parameter -> standard deviation by which it varies from log to log, in its unit: every log has its
+            own, and what is found is the mean of all (random effects). The system's own parameters and those of
+            effects on its body and joints may vary.
         seed: Seed of the method's draws.
         progress: Called with stage, iteration, most iterations and cost.
 
     Raises:
-        FitError: A parameter is unknown, its bounds or start are wrong, there is too little motion, or the
-            simulation diverges at the start.
+        FitError: A parameter is unknown or cannot vary, its bounds or start are wrong, there is too little motion, or
+            the simulation diverges at the start.
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
     """
@@ -74,6 +78,7 @@ def fit(
             start=start,
             window=window,
             zero_sd=zero_sd,
+            varies=varies,
         )
         try:
             answer = method.answer(question, np.random.default_rng(seed), progress or _quiet)
@@ -124,6 +129,7 @@ def _identification(
         _fitted(question, found.values),
         estimates,
         _zeros(answer, joint[count:, count:]),
+        _own(answer, joint),
         covariance,
         unidentified(replace(found, information=information), question.prior),
         spread,
@@ -143,14 +149,14 @@ def _fitted(question: Question, values: Mapping[str, float]) -> ExtendedSystem:
 
 
 def _inverted(question: Question, found: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of parameters and encoder zeros, and what the data alone say about the parameters.
+    """Covariance of parameters and nuisances, and what the data alone say about the parameters.
 
     In units of the priors' standard deviations: parameters of unlike size are inverted to full precision.
     """
     count, full = len(question.free), found.curvature
     index = [question.prior.names.index(n) for n in question.free]
     sd = np.sqrt(np.diag(question.prior.covariance))[index]
-    sd = np.concatenate([sd, question.zeros.spread])
+    sd = np.concatenate([sd, question.nuisances.spread])
     values, vectors = np.linalg.eigh(full * np.outer(sd, sd))
     # The prior alone gives eigenvalues near 1 or above; less is rounding.
     inverse = (vectors / values.clip(1e-3)) @ vectors.T
@@ -162,10 +168,32 @@ def _inverted(question: Question, found: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _zeros(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
-    result = []
-    for k in range(len(covariance)):
+    result, zeros = [], answer.question.nuisances.zeros
+    for k in range(zeros.count):
         value, sd = float(answer.fit.nuisance[k]), float(np.sqrt(covariance[k, k]))
         low, high = interval(value, sd, (-np.inf, np.inf))
-        name = answer.question.zeros.name(k, answer.question.system)
+        name = zeros.name(k, answer.question.system)
         result.append(Estimate(name, value, low, high, sd, "rad", 0.0, (-np.inf, np.inf)))
+    return tuple(result)
+
+
+def _own(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
+    """Parameters that vary, of every log: the mean, and what the log differs by."""
+    question, fit = answer.question, answer.fit
+    declared = {p.name: p for p in question.system.parameters}
+    result = []
+    for name in question.nuisances.varies:
+        for log in range(question.nuisances.zeros.logs):
+            k = question.nuisances.index(name, log)
+            direction = np.zeros(len(covariance))
+            direction[len(question.free) + k] = 1.0
+            if name in question.free:
+                direction[question.free.index(name)] = 1.0
+            value = fit.values[name] + float(fit.nuisance[k])
+            sd = float(np.sqrt(direction @ covariance @ direction))
+            low, high = interval(value, sd, (-np.inf, np.inf))
+            unit, start = declared[name].unit, question.start[name]
+            result.append(
+                Estimate(f"{name} of log {log + 1}", value, low, high, sd, unit, start, (-np.inf, np.inf))
+            )
     return tuple(result)

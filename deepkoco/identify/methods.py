@@ -98,7 +98,7 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class CmaEs:
-    """CMA-ES over parameters and encoder zeros, a generation in one batch of simulations.
+    """CMA-ES over parameters and nuisances of the logs, a generation in one batch of simulations.
 
     Initial states of the windows are suited to each point by a few Gauss-Newton steps (variable projection), so
     that the search has as many coordinates as there are parameters. For costs with many minima or edges.
@@ -117,12 +117,12 @@ class CmaEs:
         spread = _first_spread(question)
         start = np.array([question.start[n] for n in question.free])
         low, high = (np.array([getattr(p, side) for p in question.declared]) for side in ("low", "high"))
-        zeros, free = problem.zeros.spread, problem.zeros.count
+        own, free = problem.nuisances.spread, problem.nuisances.count
         objective = _Profile(problem, question)
         search = cma_es(
             objective,
             np.concatenate([start, np.zeros(free)]),
-            np.concatenate([spread, zeros]),
+            np.concatenate([spread, own]),
             np.concatenate([low, np.full(free, -np.inf)]),
             np.concatenate([high, np.full(free, np.inf)]),
             generator,
@@ -131,16 +131,16 @@ class CmaEs:
             tolerance=TOLERANCE,
             progress=lambda k, cost: progress("generations", k, self.generations, cost),
         )
-        values, zero = objective.split(search.best)
-        noise = sharpen_noise(question.windows, self._at(problem, question, values, zero))
+        values, nuisance = objective.split(search.best)
+        noise = sharpen_noise(question.windows, self._at(problem, question, values, nuisance))
         question = replace(question, windows=replace(question.windows, noise=noise))
-        fit = self._at(question.problem(), question, values, zero)
+        fit = self._at(question.problem(), question, values, nuisance)
         stages = (("generations", tuple(search.costs[:, 0].tolist())),)
         return Answer(fit, question, stages, objective.simulations, search.converged, search.reason)
 
-    def _at(self, problem: FitProblem, question: Question, values: dict, zero: np.ndarray) -> Fit:
+    def _at(self, problem: FitProblem, question: Question, values: dict, nuisance: np.ndarray) -> Fit:
         """The linearised fit at a point: states at their best, parameters where they are."""
-        at = torch.from_numpy(zero) if len(zero) else None
+        at = torch.from_numpy(nuisance) if len(nuisance) else None
         both = torch.stack([problem.windows.state])
         state, _ = problem.fit_states_each([values], both, nuisance=None if at is None else at[None])
         return problem.fit([_trial(question, values, state[0], at)], 1)[0]
@@ -168,15 +168,15 @@ class _Profile:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         pairs = [self.split(point) for point in points]
-        zero = np.array([z for _, z in pairs])
-        zeros = torch.from_numpy(zero) if zero.shape[1] else None
+        nuisance = np.array([z for _, z in pairs])
+        given = torch.from_numpy(nuisance) if nuisance.shape[1] else None
         start = self.state.expand(len(points), *self.state.shape)
-        states, costs = self.problem.fit_states_each([v for v, _ in pairs], start, STATE_STEPS, zeros)
+        states, costs = self.problem.fit_states_each([v for v, _ in pairs], start, STATE_STEPS, given)
         self.simulations += STATE_STEPS * len(points) * (1 + self.state.shape[1])
         offset = points[:, : len(self.centre)] - self.centre
         total = costs.sum(-1).numpy() + np.einsum("li,ij,lj->l", offset, self.precision, offset)
-        if zero.shape[1]:
-            total = total + (zero**2) @ self.problem.zeros.precision.numpy()
+        if nuisance.shape[1]:
+            total = total + (nuisance**2) @ self.problem.nuisances.precision.numpy()
         k = int(np.nanargmin(np.where(np.isfinite(total), total, np.inf)))
         if total[k] < self.lowest:
             self.lowest, self.state = float(total[k]), states[k]
@@ -184,9 +184,9 @@ class _Profile:
 
 
 def _trial(
-    question: Question, values: dict, state: torch.Tensor | None, zero: torch.Tensor | None = None
+    question: Question, values: dict, state: torch.Tensor | None, nuisance: torch.Tensor | None = None
 ) -> Trial:
-    return Trial("fit", question.free, question.prior, values, state, zero)
+    return Trial("fit", question.free, question.prior, values, state, nuisance)
 
 
 def _first_spread(question: Question) -> np.ndarray:
@@ -198,12 +198,12 @@ def _first_spread(question: Question) -> np.ndarray:
     return np.minimum(np.minimum(sd[index], width), own)
 
 
-def held(question: Question, values: dict[str, float], state: torch.Tensor, zero: torch.Tensor) -> Fit:
+def held(question: Question, values: dict[str, float], state: torch.Tensor, nuisance: torch.Tensor) -> Fit:
     """Fit of the initial states alone, every parameter held: how well given values explain the windows."""
     problem = question.problem()
     starts: Sequence[torch.Tensor] = [problem.windows.state, state]
-    zeros = zero[None].repeat(2, 1)
-    states, costs = problem.fit_states_each([values] * 2, torch.stack(list(starts)), HELD_STEPS, zeros)
+    own = nuisance[None].repeat(2, 1)
+    states, costs = problem.fit_states_each([values] * 2, torch.stack(list(starts)), HELD_STEPS, own)
     pick = costs.argmin(0)[None, :, None].expand(1, -1, states.shape[-1])
-    trial = Trial("held", (), Prior.empty(), values, states.gather(0, pick)[0], zero)
-    return problem.fit([trial], HELD_STEPS if problem.zeros.count else 1)[0]
+    trial = Trial("held", (), Prior.empty(), values, states.gather(0, pick)[0], nuisance)
+    return problem.fit([trial], HELD_STEPS if problem.nuisances.count else 1)[0]

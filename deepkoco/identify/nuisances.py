@@ -36,10 +36,19 @@ class Nuisances:
         return self.zeros.count + len(self.varies) * self.zeros.logs
 
     @property
-    def precision(self) -> Tensor:
-        """(count,) of the prior around 0."""
+    def spread(self) -> np.ndarray:
+        """(count,) prior standard deviations around 0."""
         sd = np.repeat(np.array(list(self.varies.values()), dtype=float), self.zeros.logs)
-        return torch.cat([self.zeros.precision, torch.from_numpy(1.0 / sd**2)])
+        return np.concatenate([self.zeros.spread, sd])
+
+    @property
+    def precision(self) -> Tensor:
+        """(count,) of the prior."""
+        return torch.from_numpy(1.0 / self.spread**2)
+
+    def index(self, name: str, log: int) -> int:
+        """Where a vector holds what a parameter differs by in a log."""
+        return self.zeros.count + list(self.varies).index(name) * self.zeros.logs + log
 
     def penalty(self, nuisance: Tensor) -> float:
         """The prior's share of the cost at a vector (count,)."""

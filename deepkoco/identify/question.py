@@ -11,6 +11,8 @@ import numpy as np
 
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import FitProblem, channel_delays
+from deepkoco.identify.known import may_differ
+from deepkoco.identify.nuisances import Nuisances
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push
 from deepkoco.identify.windows import Windows, cut_windows, moving, window_length
@@ -50,9 +52,10 @@ class Question:
     resting: int
 
     @property
-    def zeros(self) -> EncoderZeros:
-        """The encoder zeros that are found along."""
-        return EncoderZeros.of(self.system, len(self.windows.commands), self.zero_sd)
+    def nuisances(self) -> Nuisances:
+        """What is found of each log along: encoder zeros, and how its parameters differ."""
+        zeros = EncoderZeros.of(self.system, len(self.windows.commands), self.zero_sd)
+        return Nuisances(zeros, self.windows.varies)
 
     @property
     def declared(self) -> tuple[Parameter, ...]:
@@ -91,6 +94,7 @@ def ask(
     start: Mapping[str, float] | None = None,
     window: float | None = None,
     zero_sd: float | None = None,
+    varies: Mapping[str, float] | None = None,
 ) -> Question:
     """Check what a user wants and cut the logs. Args and Raises as :func:`deepkoco.identify.fit`."""
     base = any_system(system)
@@ -98,10 +102,11 @@ def ask(
     free = tuple(dict.fromkeys(parameters))
     if not free:
         raise FitError(f"no parameter to fit; {base.name} has: {', '.join(p.name for p in base.parameters)}")
-    for what in (free, bounds or (), start or (), prior.names if prior else ()):
+    for what in (free, bounds or (), start or (), prior.names if prior else (), varies or ()):
         _check_names(what, known, base)
+    _check_varying(varies or {}, known, base, len(recordings))
     late = tuple(c.name for c in base.measurements if f"{c.name}.delay" in free)
-    extended = _extended(base, (*free, *(start or ())), late)
+    extended = _extended(base, (*free, *(start or ()), *(varies or ())), late)
     extended.parameters = tuple(
         _bounded(p, bounds or {}, start or {}, p.name in free) for p in extended.parameters
     )
@@ -116,7 +121,7 @@ def ask(
             f"only {int(moves.sum())} windows of {windows.length:.2g} s in which the joint moves; at least "
             f"{FEWEST_WINDOWS} are needed: record more motion, or give a shorter window"
         )
-    kept = windows.take(moves)
+    kept = replace(windows.take(moves), varies=dict(varies or {}))
     kept = _without_start(kept, late, base) if late else kept
     values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
     found = {p.name: p for p in (*extended.parameters, *delays.values())}
@@ -157,6 +162,24 @@ def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: S
                 f'{system.name} has no parameter "{name}"{said} Its own are {own}; those of effects are '
                 'listed by "deepkoco systems --effects"'
             )
+
+
+def _check_varying(
+    varies: Mapping[str, float], known: Mapping[str, Parameter], system: System, logs: int
+) -> None:
+    able = may_differ(system)
+    for name, sd in varies.items():
+        if name not in able:
+            raise FitError(
+                f"varies: {name} cannot differ from log to log; what can are parameters of {system.name} itself and of "
+                "effects on its body and joints"
+            )
+        if not 0.0 < sd < np.inf:
+            raise FitError(
+                f"varies: {name}: the standard deviation {sd:g} {known[name].unit} must be above 0, and finite"
+            )
+    if varies and logs < 2:
+        raise FitError(f"varies: {', '.join(varies)}: one log cannot differ from others; give two or more")
 
 
 def _extended(base: System, names: Iterable[str], late: Sequence[str]) -> ExtendedSystem:

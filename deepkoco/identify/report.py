@@ -69,7 +69,7 @@ def terminal_report(found: Identification, hidden: HiddenDelays | None = None) -
     table.add_column("fitted", justify="right", style="bold")
     table.add_column("95 % interval")
     table.add_column("unit")
-    for estimate in (*found.estimates.values(), *found.zeros):
+    for estimate in (*found.estimates.values(), *found.of_logs, *found.zeros):
         table.add_row(*_row(estimate))
     lines = [f"{n}: {b:.4g} {u} before, {a:.4g} {u} after" for n, (b, a, u) in found.rms.items()]
     notes = ["simulation error (rms): " + "; ".join(lines)]

@@ -1,5 +1,6 @@
 """Fits as a user calls them."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -112,6 +113,35 @@ def test_encoder_zeros_are_found_log_by_log():
         assert abs(zero.value - true) < 4.0 * zero.sd
 
 
+def test_what_varies_is_found_log_by_log_with_the_mean_of_all():
+    true = (0.0, 0.06, 0.04)
+    logs = [rod_log(seed=k, viscous=v) for k, v in enumerate(true, start=1)]
+    shared = fit(logs, "rod_pendulum", ["mass", "viscous"])
+    assert shared.of_logs == ()
+    assert shared.dispersion.chi2_per_sample > 5.0
+    result = fit(logs, "rod_pendulum", ["mass", "viscous"], varies={"viscous": 0.03})
+    assert result.dispersion.chi2_per_sample < 1.2
+    assert [e.name for e in result.of_logs] == [f"viscous of log {k}" for k in (1, 2, 3)]
+    for own, value in zip(result.of_logs, true, strict=True):
+        assert own.unit == "N m s/rad"
+        assert abs(own.value - value) < 4.0 * own.sd < 0.01
+    mean = result.estimates["viscous"]
+    # The logs are known well: what is left is how much three of them say of the mean.
+    assert mean.value == pytest.approx(np.mean(true), abs=1e-3)
+    assert mean.sd == pytest.approx(0.03 / np.sqrt(3), rel=0.05)
+    assert result.estimates["mass"].value == pytest.approx(1.0, rel=0.01)
+    said = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert said["of_logs"]["viscous of log 2"]["value"] == result.of_logs[1].value
+
+
+def test_a_parameter_that_is_not_found_may_vary_around_its_start():
+    logs = [rod_log(seed=k, viscous=v) for k, v in enumerate((0.01, 0.05), start=1)]
+    result = fit(logs, "rod_pendulum", ["mass"], start={"viscous": 0.03}, varies={"viscous": 0.03})
+    assert list(result.estimates) == ["mass"]
+    assert result.system.parameter("viscous").value == 0.03
+    assert [e.value for e in result.of_logs] == pytest.approx([0.01, 0.05], abs=1e-3)
+
+
 def test_bounds_hold_and_are_told():
     result = fit([rod_log(mass=1.1)], "rod_pendulum", ["mass"], bounds={"mass": (0.9, 1.05)})
     estimate = result.estimates["mass"]
@@ -138,6 +168,10 @@ def test_the_fitted_system_is_saved_and_fitted_again(found: Identification, tmp_
         (["mass"], {"bounds": {"mass": (0.5, 99.0)}}, "leave what is admissible, 0.1 to 10"),
         (["mass"], {"start": {"mass": 50.0}}, "start 50 kg is outside 0.1 to 10"),
         (["mass"], {"window": 7.0}, "at least 2 are needed"),
+        (["mass"], {"varies": {"mass": 0.1}}, "one log cannot differ from others"),
+        (["mass"], {"varies": {"mass": 0.0}}, "the standard deviation 0 kg must be above 0"),
+        (["mass"], {"varies": {"lag.time_constant": 0.1}}, "cannot differ from log to log"),
+        (["mass"], {"varies": {"mas": 0.1}}, "did you mean mass"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(names, options, message):

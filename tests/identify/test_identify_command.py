@@ -11,7 +11,7 @@ from deepkoco.graph.recording import write_log
 from deepkoco.systems import load_model
 from deepkoco.unit import make_unit
 from deepkoco.unit.record import record
-from tests.identify.identify_logs import DELAY, MASS, TRUE, arm_log, pendulum_log
+from tests.identify.identify_logs import DELAY, MASS, TRUE, arm_log, pendulum_log, rod_log
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,20 @@ def test_a_system_of_two_joints(tmp_path, capsys):
     assert main(["identify", str(log), *arguments, "--out", str(tmp_path / "found")]) == 0
     found = json.loads(capsys.readouterr().out)["parameters"]["mass_2"]
     assert found["value"] == pytest.approx(TRUE["mass_2"], rel=0.02)
+
+
+def test_logs_with_frictions_of_their_own(tmp_path, capsys):
+    logs = [
+        str(write_log(tmp_path / f"{k}.csv", rod_log(5.0, seed=k, viscous=v)))
+        for k, v in enumerate((0.01, 0.05), start=1)
+    ]
+    arguments = ["identify", *logs, "--system", "rod_pendulum", "--parameters", "mass", "viscous"]
+    assert main([*arguments, "--varies", "viscous=0.03", "--out", str(tmp_path / "found")]) == 0
+    assert "viscous of log 2" in capsys.readouterr().out
+    own = json.loads((tmp_path / "found" / "identify.json").read_text())["of_logs"]
+    assert [e["value"] for e in own.values()] == pytest.approx([0.01, 0.05], abs=2e-3)
+    assert main([*arguments, "--varies", "viscous", "--out", str(tmp_path / "none")]) == 2
+    assert "--varies viscous: expected NAME=NUMBER" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

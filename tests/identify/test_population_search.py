@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deepkoco.identify import CmaEs, MissingExtraError, cma_es, fit
 from deepkoco.identify.search import Box
-from tests.identify.identify_logs import DELAY, MASS, pendulum_log
+from tests.identify.identify_logs import DELAY, MASS, pendulum_log, rod_log
 
 cma = pytest.importorskip("cma")
 WIDE = np.full(4, np.inf)
@@ -148,6 +148,17 @@ def test_the_fit_by_populations_ends_where_the_gradient_ends():
         assert estimate.sd == pytest.approx(smooth.estimates[name].sd, rel=0.1)
         assert estimate.value == pytest.approx(true, rel=0.03)
     assert found.convergence.stages[0][1][-1] < found.convergence.stages[0][1][0]
+
+
+def test_populations_find_what_varies_as_well():
+    logs = [rod_log(4.0, seed=k, viscous=v) for k, v in enumerate((0.01, 0.05), start=1)]
+    options = {"varies": {"viscous": 0.03}, "bounds": {"viscous": (0.0, 0.2)}}
+    smooth = fit(logs, "rod_pendulum", ["viscous"], **options)
+    method = CmaEs(population=12, generations=40)
+    found = fit(logs, "rod_pendulum", ["viscous"], method=method, **options)
+    for a, b in zip(found.of_logs, smooth.of_logs, strict=True):
+        assert a.value == pytest.approx(b.value, abs=b.sd)
+        assert a.sd == pytest.approx(b.sd, rel=0.1)
 
 
 def test_the_missing_library_names_its_extra(monkeypatch):
