@@ -61,14 +61,12 @@ class Case:
     excitation: str
     strength: float
     seed: int
-    seconds: float = DESIGNED
+    designed_s: float = DESIGNED
 
     @property
     def name(self) -> str:
         """What tells it from the others."""
-        return (
-            f"{self.system}/{self.truth}/{self.excitation}/{self.seed}/{self.strength:.3g}/{self.seconds:g}s"
-        )
+        return f"{self.system}/{self.truth}/{self.excitation}/{self.seed}/{self.strength:.3g}/{self.designed_s:g}s"
 
 
 def all_cases(seed: int, seconds: float = DESIGNED, share: float = 1.0) -> Iterator[Case]:
@@ -129,7 +127,7 @@ def _settle(case: Case, hidden: Hidden, usual: Recording, members: Sequence[str]
     design = None
     while len(asked) > 1 and design is None:
         try:
-            design = design_experiment(case.system, asked, [usual], seconds=case.seconds, seed=case.seed)
+            design = design_experiment(case.system, asked, [usual], seconds=case.designed_s, seed=case.seed)
         except InseparableError as error:
             alike.append(list(error.pair))
             asked.remove(error.pair[1])
@@ -137,8 +135,8 @@ def _settle(case: Case, hidden: Hidden, usual: Recording, members: Sequence[str]
             return {"asked": asked, "alike": alike, "refused": str(error)}
     if design is None:
         return {"asked": asked, "alike": alike}
-    log = hidden_log(case.system, hidden, play(design), case.seed, case.seconds, take=AGAIN)
-    plain = hidden_log(case.system, hidden, "steps", case.seed, case.seconds, take=AGAIN)
+    log = hidden_log(case.system, hidden, play(design), case.seed, case.designed_s, take=AGAIN)
+    plain = hidden_log(case.system, hidden, "steps", case.seed, case.designed_s, take=AGAIN)
     return {
         "asked": asked,
         "alike": alike,

@@ -88,7 +88,8 @@ def _advise(
     logs: Sequence[str],
     seed: int,
 ) -> list[str]:
-    problem, reference = FitProblem(start.system, windows).as_fitted(ranking.reference)
+    problem = FitProblem(start.system, windows)
+    problem, reference = problem.as_fitted(problem.recentred(ranking.reference))
     windows = problem.windows
     doses = _doses(ranking, start, members)
     compared = list(doses)

@@ -183,7 +183,7 @@ def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows,
     return start, windows, FitProblem(start.system, windows).fit([trial])[0]
 
 
-def own_parameters(start: Start) -> tuple[Start, dict[str, float]]:
+def prior_of_mean(start: Start) -> tuple[Start, dict[str, float]]:
     """A baseline whose prior is that of the mean of all logs, and the standard deviations by which each differs.
 
     Args:

@@ -13,7 +13,7 @@ from deepkoco.diagnose.baseline import (
     BaselineError,
     Start,
     check_learned,
-    own_parameters,
+    prior_of_mean,
     refit_sharply,
     start_from,
     with_floor_as_noise,
@@ -54,7 +54,7 @@ from deepkoco.diagnose.verdict import fitful, rivalled, verdict_of
 from deepkoco.diagnose.versions import versions
 from deepkoco.graph.recording import Recording
 from deepkoco.identify.fit import Fit, FitProblem
-from deepkoco.identify.identifiability import unidentified
+from deepkoco.identify.identifiability import Direction, unidentified
 from deepkoco.identify.threads import one_thread
 from deepkoco.identify.windows import window_length
 from deepkoco.systems import ExtendedSystem, System, any_system
@@ -153,7 +153,7 @@ class _Study:
         data = self.given
         if start.runs is not None and not (data.own and len(data.train.commands) == 1):
             # Logs of a unit that varies have parameters of their own, those to explain as the healthy ones had.
-            start, varies = own_parameters(start)
+            start, varies = prior_of_mean(start)
             data = data.varying(varies)
         train, self.reference = refit_sharply(start, data.train)
         if start.least_deflation > 1.0:
@@ -186,7 +186,10 @@ class _Study:
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
         first, found = self._selected()
         problem, start, data = self.problem, self.start, self.data
+        # Reports and models are about these logs, not about all that there could be.
+        plain, self.reference = found.final is self.reference, problem.recentred(self.reference)
         reference = self.reference
+        found = replace(found, final=reference if plain else found.acting.recentred(found.final))
         final, self.accepted, self.steps = found.final, found.accepted, found.steps
         self.acting, self.lost = found.acting, found.lost
         scattered = scatter_findings(self.start.system, data.train, final, self.detection)
@@ -235,7 +238,7 @@ class _Study:
         candidates = tuple(finding(problem, c, first) for c in first.candidates)
         traced = (*scattered, *([self.lost] if self.lost else []))
         candidates = tuple(sorted((*candidates, *traced), key=lambda c: -c.delta_bic))
-        loose = unidentified(reference, start.prior)
+        loose = self._unidentified()
         return Diagnosis(
             verdict=verdict,
             causes=named,
@@ -269,6 +272,17 @@ class _Study:
             detection=self.detection,
             details=self._details(reference, final, missing),
         )
+
+    def _unidentified(self) -> tuple[Direction, ...]:
+        reference, prior = self.reference, self.start.prior
+        if self.data.train.varies:
+            # What these logs have in common has the prior of a log; the data say what is known beyond it.
+            prior = self.learned.prior
+            order = [reference.free.index(n) for n in prior.names]
+            known = np.linalg.inv(reference.covariance[np.ix_(order, order)]) - prior.precision(prior.names)
+            back = np.argsort(order)
+            reference = replace(reference, information=known[np.ix_(back, back)])
+        return unidentified(reference, prior)
 
     def _details(self, reference: Fit, final: Fit, missing: Sequence[MissingTorque]) -> Details:
         prior = self.learned.prior
@@ -323,19 +337,19 @@ class _Study:
             "extended": {**final.values, **quiet},
         }
         held, problem = self.data.held, self.problem
-        known = {
-            "baseline": held.known,
-            "refit": problem.elsewhere(held, refit).known,
-            "extended": problem.elsewhere(held, final).known,
+        windows = {
+            "baseline": replace(held, varies={}),
+            "refit": problem.elsewhere(held, refit),
+            "extended": problem.elsewhere(held, final),
         }
-        return held_out_gain(self.start.system, held, models, seed, known)
+        return held_out_gain(self.start.system, windows, models, seed)
 
     def _model(self, final: Fit, learned: ResidualModel | None, gain: Gain | None) -> ExtendedSystem:
         had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()
         named = () if final is self.reference else self.accepted
         found = tuple(c.effect for c in named if c.effect != "event")
         if learned is not None:
-            final, found = learned.fit, (*found, *learned.effects)
+            final, found = self.problem.recentred(learned.fit), (*found, *learned.effects)
         effects = tuple(dict.fromkeys((*had, *self.start.effects, *found)))
         values = self.start.values if gain is not None and gain.as_given else final.values
         kept = {

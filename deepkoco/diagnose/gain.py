@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from deepkoco.identify.fit import Fit, FitProblem, Trial
-from deepkoco.identify.known import Known
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import Windows, halved
 from deepkoco.systems import ExtendedSystem
@@ -66,34 +65,32 @@ class Gain:
 
 def held_out_gain(
     system: ExtendedSystem,
-    windows: Windows,
+    windows: Windows | Mapping[str, Windows],
     models: Mapping[str, Mapping[str, float]],
     seed: int,
-    known: Mapping[str, Known] | None = None,
 ) -> Gain:
     """Simulate held-out windows with each model.
 
     Args:
         system: The system with every effect.
-        windows: Held-out windows.
+        windows: Held-out windows, or for each model what it knows of them: how each log differs, or varies.
         models: "baseline", "refit" and "extended" -> parameter values.
         seed: Seed of the bootstrap.
-        known: Model -> by what it knows each log to differ; None where that is the same for all.
     """
-    told = {n: windows.known if known is None else known[n] for n in models}
+    told = windows if isinstance(windows, Mapping) else dict.fromkeys(models, windows)
     fits: dict[str, Fit] = {}
-    for one in models:
+    for one, own in told.items():
         if one in fits:
             continue
-        # Models of one kind share a batch.
-        alike = [n for n in models if told[n] == told[one]]
+        # Models that know the same share a batch.
+        alike = [n for n in models if told[n].known == own.known and told[n].varies == own.varies]
         distinct = [n for n in alike if not any(models[m] == models[n] for m in alike if m < n)]
-        problem = FitProblem(system, replace(windows, known=told[one]))
+        problem = FitProblem(system, own)
         states = _suited(problem, [models[n] for n in distinct])
         trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
         found = dict(zip(distinct, problem.fit(trials, 12 if problem.nuisances.count else 1), strict=True))
         fits |= {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in alike}
-    return _measured(system, windows, fits, seed)
+    return _measured(system, told["baseline"], fits, seed)
 
 
 def kept_as_given(gain: Gain, system: ExtendedSystem, seed: int) -> Gain | None:

@@ -13,6 +13,7 @@ from deepkoco.diagnose.classes import APART
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
 from deepkoco.diagnose.elimination import without
 from deepkoco.diagnose.lost import LostCommands, lost_commands
+from deepkoco.diagnose.pushed import touched
 from deepkoco.diagnose.residuals import SLOTS, dispersion, missing_torque
 from deepkoco.diagnose.selection import PATIENCE, penalty, prior_with
 from deepkoco.identify.fit import Fit, FitProblem
@@ -75,9 +76,10 @@ def instead_of_push(
     fit: Fit,
     causes: Sequence[Cause],
 ) -> tuple[str, ...]:
-    """Names of lost commands, too few to be named by themselves, that say as much as a push.
+    """Names of lost commands, too few to be named by themselves, that say as much as a push, or more.
 
     A command that is held over while it should have changed acts as a push does, of a size and a time that are known.
+    At least one has to be lost where the push is.
 
     Args:
         problem: Windows.
@@ -92,15 +94,27 @@ def instead_of_push(
     spread = dispersion(fit, problem.windows)
     deflation = max(spread.deflation, start.least_deflation)
     samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
+    pushed = touched(problem.windows, fit.values)
     names = []
     for cause in causes:
         lost = lost_commands(problem, less, prior, cause.index)
-        if lost is None:
+        if lost is None or lost.lost >= FEWEST or not _by_chance(lost) or not _inside(lost, pushed):
             continue
         behind = (lost.fit.cost - fit.cost) / deflation + lost.charge - penalty(push, samples, places)
         if behind < APART:
             names.append(cause.name)
     return tuple(names)
+
+
+def _inside(lost: LostCommands, pushed: np.ndarray) -> bool:
+    """Whether a command was lost during the windows (W,) that a push touches."""
+    windows = lost.problem.windows
+    for w in np.flatnonzero(pushed):
+        log, begin = windows.log[w], windows.t0[w]
+        t = windows.commands[log].t[lost.logs[log].lost]
+        if ((t >= begin) & (t < begin + windows.length)).any():
+            return True
+    return False
 
 
 def _by_chance(lost: LostCommands) -> bool:

@@ -148,12 +148,12 @@ def learn_residual(
         "refit": {**reference.values, **quiet},
         "extended": {**fit.values, **quiet},
     }
-    known = {
-        "baseline": held.known,
-        "refit": problem.elsewhere(held, reference).known,
-        "extended": problem.elsewhere(held, fit).known,
+    windows = {
+        "baseline": replace(held, varies={}),
+        "refit": problem.elsewhere(held, reference),
+        "extended": problem.elsewhere(held, fit),
     }
-    gain = held_out_gain(system, held, models, seed, known)
+    gain = held_out_gain(system, windows, models, seed)
     accepted = gain.low > 0.0
     span = f"{100 * gain.reduction:.0f} % ({100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
     text = (

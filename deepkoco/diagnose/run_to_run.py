@@ -57,13 +57,17 @@ class RunToRun:
         differ is known from a few of them only: their spread is widened as Student's t is wider than a normal
         distribution.
 
+        What is declared of a unit's parameters is meant for every log of it. Where these vary by more, their mean is
+        not known that well either.
+
         Args:
-            prior: Of the mean, before any log.
+            prior: Of a log's parameters, before any log.
             without: Number of a log that is left out.
         """
-        precision = prior.precision(prior.names)
+        one, differ = np.eye(len(prior.names)), self.doubted
+        before = Prior(prior.names, prior.centre, prior.covariance + differ)
+        precision = before.precision(prior.names)
         times_mean = precision @ prior.centre
-        one, differ = np.eye(len(precision)), self.doubted
         for log, own in self.said.items():
             if log != without:
                 through = np.linalg.inv(one + own.information @ differ)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.identify.known import effects_in
-from deepkoco.identify.levenberg_marquardt import TOLERANCE, Batch, state_steps
+from deepkoco.identify.levenberg_marquardt import TOLERANCE, Batch, scaled_inverse, state_steps
 from deepkoco.identify.nuisances import Nuisances
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.push import Push, push_torque
@@ -107,8 +107,27 @@ class FitProblem:
     def values_in(self, fit: Fit, log: int | None = None) -> dict[str, float]:
         """Parameters of one log after a fit; of the mean of these logs (not of all that there could be) without one."""
         differ = self.nuisances.differ(fit.nuisance[None])
-        own = {n: float(a.mean() if log is None else a[log, 0]) for n, a in differ.items()}
-        return {n: v + own.get(n, 0.0) for n, v in fit.values.items()}
+        seen = np.unique(self.windows.log) if log is None else [log]
+        return {n: v + float(differ[n][seen].mean()) if n in differ else v for n, v in fit.values.items()}
+
+    def recentred(self, fit: Fit) -> Fit:
+        """The same fit, told as the mean of these logs and what each differs from it by; it predicts the same.
+
+        The mean of all logs that there could be, which a fit is about, need not be where these are.
+        """
+        if not self.nuisances.varies:
+            return fit
+        count, seen = len(fit.free), np.unique(self.windows.log)
+        average = np.eye(count, len(fit.curvature))
+        nuisance = fit.nuisance.clone()
+        for name in self.nuisances.varies:
+            own = [self.nuisances.index(name, log) for log in range(self.zeros.logs)]
+            these = [own[log] for log in seen]
+            if name in fit.free:
+                average[fit.free.index(name), [count + k for k in these]] = 1.0 / len(these)
+            nuisance[own] -= fit.nuisance[these].mean()
+        covariance = average @ scaled_inverse(fit.curvature) @ average.T
+        return replace(fit, values=self.values_in(fit), covariance=covariance, nuisance=nuisance)
 
     def elsewhere(self, windows: Windows, fit: Fit) -> Windows:
         """Other windows of the same logs, each known to differ by what a fit says; those of other logs vary."""

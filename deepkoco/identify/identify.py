@@ -39,7 +39,8 @@ def fit(
 
     The logs are cut into windows, each simulated from an initial state of its own under the logged commands; the
     parameters are those under which the simulations are closest to the measurements, in noise standard
-    deviations. Found besides, per log and window: initial states, and the encoder's zero where it is unknown.
+    deviations. Found besides, per log and window: initial states, the encoder's zero where it is unknown, and what the
+    log has of its own of parameters that vary.
 
     Args:
         recordings: Logs of one unit.
@@ -86,7 +87,13 @@ def fit(
             raise FitError(
                 "the simulation diverges at the start values; give others, or shorter windows"
             ) from error
-        before = held(answer.question, question.start, answer.fit.state, answer.fit.nuisance)
+        # As if nobody knew yet that logs differ.
+        shared = replace(
+            answer.question,
+            windows=replace(answer.question.windows, varies={}),
+        )
+        zero = answer.fit.nuisance[: question.nuisances.zeros.count]
+        before = held(shared, question.start, answer.fit.state, zero)
     convergence = Convergence(
         method.name,
         answer.converged,
@@ -109,8 +116,7 @@ def _identification(
     found, question = answer.fit, answer.question
     spread = dispersion(found, question.windows)
     count = len(question.free)
-    joint, information = _inverted(question, found)
-    joint = joint * spread.deflation
+    joint, information = _inverted(question, found, spread.deflation)
     covariance = joint[:count, :count]
     estimates = {}
     for i, declared in enumerate(question.declared):
@@ -148,16 +154,21 @@ def _fitted(question: Question, values: Mapping[str, float]) -> ExtendedSystem:
     return ExtendedSystem(own.base, names, {p.name: values[p.name] for p in own.parameters})
 
 
-def _inverted(question: Question, found: Fit) -> tuple[np.ndarray, np.ndarray]:
+def _inverted(question: Question, found: Fit, deflation: float) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of parameters and nuisances, and what the data alone say about the parameters.
 
-    In units of the priors' standard deviations: parameters of unlike size are inverted to full precision.
+    In units of the priors' standard deviations: parameters of unlike size are inverted to full precision. What the
+    residuals are short of noise lowers what the data say, not what is known without them.
     """
     count, full = len(question.free), found.curvature
     index = [question.prior.names.index(n) for n in question.free]
     sd = np.sqrt(np.diag(question.prior.covariance))[index]
     sd = np.concatenate([sd, question.nuisances.spread])
-    values, vectors = np.linalg.eigh(full * np.outer(sd, sd))
+    before = np.zeros_like(full)
+    before[:count, :count] = question.prior.precision(question.free)
+    before[count:, count:] = np.diag(1.0 / question.nuisances.spread**2)
+    weighed = before + (full - before) / deflation
+    values, vectors = np.linalg.eigh(weighed * np.outer(sd, sd))
     # The prior alone gives eigenvalues near 1 or above; less is rounding.
     inverse = (vectors / values.clip(1e-3)) @ vectors.T
     information = full[:count, :count] - question.prior.precision(question.free)
@@ -183,7 +194,8 @@ def _own(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
     declared = {p.name: p for p in question.system.parameters}
     result = []
     for name in question.nuisances.varies:
-        for log in range(question.nuisances.zeros.logs):
+        # A log in which nothing moves says nothing.
+        for log in np.unique(question.windows.log).tolist():
             k = question.nuisances.index(name, log)
             direction = np.zeros(len(covariance))
             direction[len(question.free) + k] = 1.0
@@ -191,9 +203,8 @@ def _own(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
                 direction[question.free.index(name)] = 1.0
             value = fit.values[name] + float(fit.nuisance[k])
             sd = float(np.sqrt(direction @ covariance @ direction))
-            low, high = interval(value, sd, (-np.inf, np.inf))
+            bounds = declared[name].low, declared[name].high
+            low, high = interval(value, sd, bounds)
             unit, start = declared[name].unit, question.start[name]
-            result.append(
-                Estimate(f"{name} of log {log + 1}", value, low, high, sd, unit, start, (-np.inf, np.inf))
-            )
+            result.append(Estimate(f"{name} of log {log + 1}", value, low, high, sd, unit, start, bounds))
     return tuple(result)

@@ -26,6 +26,14 @@ def state_steps(states: int) -> tuple[float, ...]:
     return (POSITION_STEP,) * (states // 2) + (SPEED_STEP,) * (states // 2)
 
 
+def scaled_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a symmetric matrix whose rows have units of their own: what is large in one need not be small in another."""
+    size = np.sqrt(np.diag(matrix))
+    size = np.outer(size, size)
+    size[size == 0.0] = 1.0
+    return np.linalg.pinv(matrix / size, hermitian=True) / size
+
+
 class Batch:
     """State of the trials of one call of :meth:`FitProblem.fit`."""
 
@@ -165,11 +173,7 @@ class Batch:
         if len(full) > p:
             across = full[:p, p:]
             information = information - across @ np.linalg.solve(full[p:, p:], across.T)
-        # Parameters have units of their own: what is large in one need not be small in another.
-        size = np.sqrt(np.diag(full))
-        size = np.outer(size, size)
-        size[size == 0.0] = 1.0
-        covariance = (np.linalg.pinv(full / size, hermitian=True) / size)[:p, :p] if len(full) else full
+        covariance = scaled_inverse(full)[:p, :p] if len(full) else full
         return Fit(
             trial.name,
             trial.free,

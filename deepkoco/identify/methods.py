@@ -71,7 +71,8 @@ class LevenbergMarquardt:
 
     def answer(self, question: Question, generator: np.random.Generator, progress: Progress) -> Answer:
         stages: list[tuple[str, tuple[float, ...]]] = []
-        lanes = 1 + len(question.free) + question.windows.state.shape[1]
+        moved = {*question.free, *question.windows.varies}
+        lanes = 1 + len(moved) + question.windows.state.shape[1]
 
         def run(stage: str, problem: FitProblem, trial: Trial) -> Fit:
             fit = problem.fit([trial], self.iterations, TOLERANCE)[0]

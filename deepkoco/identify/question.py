@@ -104,7 +104,7 @@ def ask(
         raise FitError(f"no parameter to fit; {base.name} has: {', '.join(p.name for p in base.parameters)}")
     for what in (free, bounds or (), start or (), prior.names if prior else (), varies or ()):
         _check_names(what, known, base)
-    _check_varying(varies or {}, known, base, len(recordings))
+    _check_varying(varies or {}, known, base, len(recordings), free, prior)
     late = tuple(c.name for c in base.measurements if f"{c.name}.delay" in free)
     extended = _extended(base, (*free, *(start or ()), *(varies or ())), late)
     extended.parameters = tuple(
@@ -122,6 +122,10 @@ def ask(
             f"{FEWEST_WINDOWS} are needed: record more motion, or give a shorter window"
         )
     kept = replace(windows.take(moves), varies=dict(varies or {}))
+    if varies and len(np.unique(kept.log)) < 2:
+        raise FitError(
+            f"varies: {', '.join(varies)}: the joint moves in one log only, which cannot differ from others"
+        )
     kept = _without_start(kept, late, base) if late else kept
     values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
     found = {p.name: p for p in (*extended.parameters, *delays.values())}
@@ -165,7 +169,12 @@ def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: S
 
 
 def _check_varying(
-    varies: Mapping[str, float], known: Mapping[str, Parameter], system: System, logs: int
+    varies: Mapping[str, float],
+    known: Mapping[str, Parameter],
+    system: System,
+    logs: int,
+    free: Sequence[str],
+    prior: Prior | None,
 ) -> None:
     able = may_differ(system)
     for name, sd in varies.items():
@@ -178,6 +187,11 @@ def _check_varying(
             raise FitError(
                 f"varies: {name}: the standard deviation {sd:g} {known[name].unit} must be above 0, and finite"
             )
+    if prior is not None and (lost := [n for n in prior.names if n in varies and n not in free]):
+        raise FitError(
+            f"prior: {', '.join(lost)}: varies, but is not among the parameters to find; find it, or give its mean as "
+            "start"
+        )
     if varies and logs < 2:
         raise FitError(f"varies: {', '.join(varies)}: one log cannot differ from others; give two or more")
 

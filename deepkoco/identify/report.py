@@ -81,9 +81,9 @@ def terminal_report(found: Identification, hidden: HiddenDelays | None = None) -
             '"deepkoco diagnose" looks for what is missing'
         )
     notes += [f"not identified: {text}" for text in found.loose_in_words()]
-    at_bound = [e.name for e in found.estimates.values() if e.at_bound]
+    at_bound = [e.name for e in (*found.estimates.values(), *found.of_logs) if e.at_bound]
     if at_bound:
-        notes.append(f"at a bound: {', '.join(at_bound)}; if that is no physical limit, widen it")
+        notes.append(f"at a bound, or beyond: {', '.join(at_bound)}; if that is no physical limit, widen it")
     if hidden is not None:
         notes += _delay_notes(hidden)
     record = found.convergence

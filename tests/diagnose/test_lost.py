@@ -56,6 +56,18 @@ def test_a_single_loss_is_told_beside_the_push_that_it_looks_like():
     assert diagnose([pushed], "rod_pendulum", only=only).causes[0].members == ("event",)
 
 
+def test_a_loss_elsewhere_is_not_the_push():
+    """The loss, 6 s before the push, wins about as much as it does."""
+    hidden = {
+        "lost_commands": {"share": 0.03},
+        "event": {"torque": 0.108, "start": 14.3, "duration": 0.06},
+    }
+    log = hidden_log("rod_pendulum", hidden, "steps", 300, 20.0)
+    result = diagnose([log], "rod_pendulum", only=["event", "lost_commands"])
+    assert [c.members for c in result.causes] == [("event",)]
+    assert result.causes[0].parameters["event.start"].value == pytest.approx(14.3, abs=0.2)
+
+
 def slow(
     rng, ticks: int, size: float, late: float = 0.0
 ) -> tuple[Responses, np.ndarray, np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ from deepkoco.identify.fit import FitProblem, Trial
 from deepkoco.identify.prior import Prior
 from deepkoco.identify.windows import cut_windows, window_length
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from experiments.hidden.unit import HiddenUnit, hidden_log
 
 SYSTEM = make_system("rod_pendulum")
 LENGTH, SECONDS, SEED = window_length(SYSTEM), 10.0, 77
@@ -166,7 +166,10 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
     # mean, then what each log differs by: each measurement is linear in them
     everything = np.linalg.inv(
         np.block(
-            [[prior.covariance, np.zeros((2, 6))], [np.zeros((6, 2)), np.kron(np.eye(3), runs.covariance)]]
+            [
+                [prior.covariance + runs.covariance, np.zeros((2, 6))],
+                [np.zeros((6, 2)), np.kron(np.eye(3), runs.covariance)],
+            ]
         )
     )
     rows = np.zeros((4 * logs, 2 + 2 * logs))
@@ -250,13 +253,24 @@ def test_logs_of_a_unit_that_varies_have_parameters_of_their_own_when_they_are_e
     given = {"baseline": start, "only": only}
     later = [0.03, 0.08]
     assert diagnose(logs(later, {}, 5), "rod_pendulum", **given).verdict == "nothing"
-    rubbing = diagnose(logs(later, {"coulomb": {"torque": 0.05}}, 5), "rod_pendulum", **given)
+    explained = logs(later, {"coulomb": {"torque": 0.05}}, 5)
+    rubbing = diagnose(explained, "rod_pendulum", **given)
     assert rubbing.names == ("coulomb",)
+    # Reports and models are about these logs, whatever others may be like.
+    own = HiddenUnit("rod_pendulum", {}, SEED).parameters["viscous"]
+    assert rubbing.model.parameter("viscous").value == pytest.approx(own + np.mean(later), abs=0.003)
     assert rubbing.causes[0].parameters["coulomb.torque"].value == pytest.approx(0.05, abs=0.005)
     # So has a log that is kept back.
     tested = diagnose(logs([0.03], {}, 5), "rod_pendulum", holdout=logs([0.08], {}, 6), **given)
     assert tested.verdict == "nothing"
     assert tested.gain.channels[0].refit < 1.2 * tested.data["noise_sd"][0]
+    assert (
+        tested.gain.channels[0].baseline > 3.0 * tested.gain.channels[0].refit
+    )  # as given, nothing is fitted
+    assert tested.model.parameter("viscous").value == pytest.approx(own + 0.03, abs=0.001)
+    low, high = tested.refit["viscous"].low, tested.refit["viscous"].high
+    assert low < own + 0.03 < high
+    assert high - low < 0.01
 
 
 def shortened(log, seconds: float):

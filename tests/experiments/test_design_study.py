@@ -53,6 +53,19 @@ def test_rows_of_other_sources_and_seeds_do_not_count(ran, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["summary"]["cases"] == 1
 
 
+def test_length_and_strength_can_be_asked_for(ran, tmp_path, capsys):
+    case = next(all_cases(10, 7.0, 0.5))
+    assert (case.designed_s, case.strength) == (7.0, 0.5 * next(all_cases(10)).strength)
+    main(["--out", str(tmp_path), "--cases", "1"])
+    main(["--out", str(tmp_path), "--cases", "1", "--seconds", "7"])
+    assert len(ran) == 2  # another length is another case
+    capsys.readouterr()
+    for wrong in (["--seconds", "1"], ["--strength", "0"], ["--cases", "0"]):
+        with pytest.raises(SystemExit):
+            main(["--out", str(tmp_path), *wrong])
+    assert "--seconds between 5 and 600" in capsys.readouterr().err
+
+
 def test_a_further_take_is_the_same_unit_with_other_steps_and_other_noise():
     logs = [hidden_log("rod_pendulum", {}, "steps", 7, 2.0, take=take) for take in (0, 1, 1)]
     command, angle = ([log.channels[name].value for log in logs] for name in ("torque", "theta"))

@@ -140,6 +140,30 @@ def test_a_parameter_that_is_not_found_may_vary_around_its_start():
     assert list(result.estimates) == ["mass"]
     assert result.system.parameter("viscous").value == 0.03
     assert [e.value for e in result.of_logs] == pytest.approx([0.01, 0.05], abs=1e-3)
+    # Before the fit nobody knew that they differ.
+    before, after, _ = result.rms["theta"]
+    assert before > 2.0 * after
+
+
+def test_what_is_short_of_noise_does_not_widen_what_is_known_without_data():
+    logs = [rod_log(seed=k, viscous=v) for k, v in enumerate((0.01, 0.03, 0.05), start=1)]
+    # A length that is wrong leaves far more than noise.
+    result = fit(logs, "rod_pendulum", ["viscous"], start={"length": 1.1}, varies={"viscous": 0.03})
+    assert result.dispersion.deflation > 20.0
+    assert result.estimates["viscous"].sd < 1.5 * 0.03 / np.sqrt(3)
+
+
+def test_a_log_in_which_nothing_moves_has_nothing_of_its_own():
+    still = rod_log(seed=3)
+    resting = {
+        name: replace(c, value=np.zeros_like(c.value) if name != "theta" else np.full_like(c.value, np.pi))
+        for name, c in still.channels.items()
+    }
+    logs = [rod_log(seed=1, viscous=0.01), replace(still, channels=resting), rod_log(seed=2, viscous=0.05)]
+    result = fit(logs, "rod_pendulum", ["viscous"], varies={"viscous": 0.03})
+    assert [e.name for e in result.of_logs] == ["viscous of log 1", "viscous of log 3"]
+    with pytest.raises(FitError, match="moves in one log only"):
+        fit(logs[:2], "rod_pendulum", ["viscous"], varies={"viscous": 0.03})
 
 
 def test_bounds_hold_and_are_told():
@@ -172,6 +196,11 @@ def test_the_fitted_system_is_saved_and_fitted_again(found: Identification, tmp_
         (["mass"], {"varies": {"mass": 0.0}}, "the standard deviation 0 kg must be above 0"),
         (["mass"], {"varies": {"lag.time_constant": 0.1}}, "cannot differ from log to log"),
         (["mass"], {"varies": {"mas": 0.1}}, "did you mean mass"),
+        (
+            ["mass"],
+            {"varies": {"viscous": 0.1}, "prior": Prior(("viscous",), np.zeros(1), np.eye(1))},
+            "viscous: varies, but is not among",
+        ),
     ],
 )
 def test_what_cannot_be_asked_is_refused(names, options, message):
