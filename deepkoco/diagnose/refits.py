@@ -58,7 +58,8 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     between = np.diag(np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0))
     told = {k: said(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)}
     degrees = int(long.sum()) - 1
-    found = RunToRun(told, between, degrees, alone.floor, alone.correlation, alone.lag_one)
+    declared = np.diag(prior.covariance)
+    found = RunToRun(told, between, degrees, declared, alone.floor, alone.correlation, alone.lag_one)
     again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
     return replace(found, floor=again.floor, correlation=again.correlation, lag_one=again.lag_one)
 

@@ -38,6 +38,7 @@ class RunToRun:
         covariance: (K, K) diagonal, by which parameters differ between logs. What moves several of them together is
             spread over them, and comes out low by that.
         degrees: Of freedom of this estimate.
+        declared: (K,) variance of what was declared of a unit's parameters, before any log.
         floor: chi2 per sample that is left in each.
         correlation: Samples per independent sample of what is left.
         lag_one: Correlation of neighbouring residuals.
@@ -46,6 +47,7 @@ class RunToRun:
     said: dict[int, Said]
     covariance: np.ndarray
     degrees: int
+    declared: np.ndarray
     floor: float
     correlation: float
     lag_one: float
@@ -54,8 +56,7 @@ class RunToRun:
         """What these logs say of the parameters of another one.
 
         Each tells of the mean as far as it knows its own parameters and these do not differ from it. How much logs
-        differ is known from a few of them only: their spread is widened as Student's t is wider than a normal
-        distribution.
+        differ is known from a few of them only: their spread is doubted (:attr:`doubted`).
 
         What is declared of a unit's parameters is meant for every log of it. Where these vary by more, their mean is
         not known that well either.
@@ -78,9 +79,13 @@ class RunToRun:
 
     @property
     def doubted(self) -> np.ndarray:
-        """(K, K) covariance by which logs may differ, seeing that it is known from a few only."""
+        """(K, K) diagonal covariance by which logs may differ, seeing that it is known from a few only.
+
+        Doubt goes as far as what was declared: beyond that logs differ by what they show.
+        """
         sure = scipy.stats.t.ppf(0.975, self.degrees) / scipy.stats.norm.ppf(0.975)
-        return sure**2 * self.covariance
+        shown = np.diag(self.covariance)
+        return np.diag(np.minimum(sure**2 * shown, np.maximum(shown, self.declared)))
 
 
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:

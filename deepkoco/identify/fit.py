@@ -108,7 +108,12 @@ class FitProblem:
         """Parameters of one log after a fit; of the mean of these logs (not of all that there could be) without one."""
         differ = self.nuisances.differ(fit.nuisance[None])
         seen = np.unique(self.windows.log) if log is None else [log]
-        return {n: v + float(differ[n][seen].mean()) if n in differ else v for n, v in fit.values.items()}
+        values = dict(fit.values)
+        for name, own in differ.items():
+            j = self.names.index(name)
+            # What a single log has of its own is not held within the bounds.
+            values[name] = float(np.clip(values[name] + float(own[seen].mean()), self.low[j], self.high[j]))
+        return values
 
     def recentred(self, fit: Fit) -> Fit:
         """The same fit, told as the mean of these logs and what each differs from it by; it predicts the same.
@@ -117,7 +122,7 @@ class FitProblem:
         """
         if not self.nuisances.varies:
             return fit
-        count, seen = len(fit.free), np.unique(self.windows.log)
+        count, seen, values = len(fit.free), np.unique(self.windows.log), self.values_in(fit)
         average = np.eye(count, len(fit.curvature))
         nuisance = fit.nuisance.clone()
         for name in self.nuisances.varies:
@@ -125,9 +130,9 @@ class FitProblem:
             these = [own[log] for log in seen]
             if name in fit.free:
                 average[fit.free.index(name), [count + k for k in these]] = 1.0 / len(these)
-            nuisance[own] -= fit.nuisance[these].mean()
+            nuisance[own] += fit.values[name] - values[name]
         covariance = average @ scaled_inverse(fit.curvature) @ average.T
-        return replace(fit, values=self.values_in(fit), covariance=covariance, nuisance=nuisance)
+        return replace(fit, values=values, covariance=covariance, nuisance=nuisance)
 
     def elsewhere(self, windows: Windows, fit: Fit) -> Windows:
         """Other windows of the same logs, each known to differ by what a fit says; those of other logs vary."""

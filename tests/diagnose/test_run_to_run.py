@@ -151,7 +151,9 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
     rng = np.random.default_rng(seed)
     names, logs = ("a", "b"), 3
     prior = Prior(names, rng.normal(size=2), np.diag(rng.uniform(0.5, 2.0, 2)))
-    runs = RunToRun({}, np.diag(rng.uniform(0.01, 1.0, 2)), 10**9, 1.0, 1.0, 0.0)  # so many that t is normal
+    runs = RunToRun(
+        {}, np.diag(rng.uniform(0.01, 1.0, 2)), 10**9, np.ones(2), 1.0, 1.0, 0.0
+    )  # so many that t is normal
     slopes = [rng.normal(size=(4, 2)) for _ in range(logs)]
     if blind:
         slopes[0][:, 1] = 0.0
@@ -182,7 +184,7 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
     np.testing.assert_allclose(found.centre, best[:2], atol=1e-6)
     np.testing.assert_allclose(found.covariance, whole[:2, :2] + runs.covariance, rtol=1e-3)
     fewer = RunToRun(
-        {k: own for k, own in runs.said.items() if k != 1}, runs.covariance, 10**9, 1.0, 1.0, 0.0
+        {k: own for k, own in runs.said.items() if k != 1}, runs.covariance, 10**9, np.ones(2), 1.0, 1.0, 0.0
     )
     np.testing.assert_allclose(runs.of_another(prior, 1).centre, fewer.of_another(prior).centre)
 
@@ -191,11 +193,17 @@ def test_a_spread_of_few_logs_is_doubted():
     prior = Prior(("a",), np.zeros(1), np.eye(1))
     told = {0: Said(np.eye(1) * 1e9, np.zeros(1)), 1: Said(np.eye(1) * 1e9, np.zeros(1))}
     sd = [
-        np.sqrt(RunToRun(told, np.eye(1) * 1e-4, k, 1.0, 1.0, 0.0).of_another(prior).covariance[0, 0])
+        np.sqrt(
+            RunToRun(told, np.eye(1) * 1e-4, k, np.ones(1), 1.0, 1.0, 0.0).of_another(prior).covariance[0, 0]
+        )
         for k in (1, 3, 1000)
     ]
     assert sd[2] == pytest.approx(0.01 * np.sqrt(1.5), rel=0.01)  # its own, and that of a mean of two
     assert sd[0] > 3.0 * sd[1] > 3.0 * sd[2]
+    # But not beyond what was declared, unless they show it.
+    for declared, expected in ((4e-4, 4e-4), (1e-6, 1e-4)):
+        runs = RunToRun(told, np.eye(1) * 1e-4, 1, np.array([declared]), 1.0, 1.0, 0.0)
+        assert runs.doubted[0, 0] == pytest.approx(expected)
 
 
 def test_logs_that_vary_much_hide_nothing_else():
@@ -287,7 +295,7 @@ def test_units_of_very_different_size_are_no_obstacle():
     fit = SimpleNamespace(
         free=prior.names, covariance=np.diag([1e-18, 9.0]), values={"angle": 0.01, "speed": 0.0}
     )
-    runs = RunToRun({0: said(fit, prior, 1.0)}, np.zeros((2, 2)), 1, 1.0, 1.0, 0.0)
+    runs = RunToRun({0: said(fit, prior, 1.0)}, np.zeros((2, 2)), 1, np.ones(2), 1.0, 1.0, 0.0)
     found = runs.of_another(prior)
     np.testing.assert_allclose(found.centre, [0.01, 0.0], atol=1e-9)
     np.testing.assert_allclose(np.diag(found.covariance), [1e-18, 9.0], rtol=1e-6)
