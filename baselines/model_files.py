@@ -16,7 +16,7 @@ from baselines.config import BaselineConfig
 from baselines.critic import Critic
 from baselines.registry import BASELINES, baseline, make_networks
 from deepkoco.agent.stored_controller import MODEL_FOLDER
-from deepkoco.koopman.folder_files import CONFIG_FILE, ModelFolderError, read_files, write_files
+from deepkoco.koopman.files.folder_files import CONFIG_FILE, ModelFolderError, read_files, write_files
 
 Array = NDArray[np.float64]
 

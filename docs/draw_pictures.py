@@ -9,8 +9,8 @@ from torch import Tensor
 
 from deepkoco.graph import Connection, Episode, Gaussian, Graph, Input, Mixture, Node, Supervisor, draw_timing
 from deepkoco.graph.drawing import draw_graph, draw_timeline
-from deepkoco.graph.episode import episode_of_timing
-from deepkoco.graph.node import Parameters, State
+from deepkoco.graph.episodes.episode import episode_of_timing
+from deepkoco.graph.model.node import Parameters, State
 
 IMAGES = Path(__file__).parent / "images"
 

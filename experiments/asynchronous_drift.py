@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph import Graph, Input
-from deepkoco.graph.realtime import ConcurrentRuntime, SimulatedRuntime
+from deepkoco.graph.live import ConcurrentRuntime, SimulatedRuntime
 from experiments.live_study import load, pendulum_loop, run_study
 
 # Tables and figures are imported where they are made: the processes of the nodes import this module, too.

@@ -22,7 +22,7 @@ from deepkoco.agent.buffer import ReplayError
 from deepkoco.agent.checkpoint import CheckpointError
 from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
-from deepkoco.koopman.model_folder import ModelFolderError
+from deepkoco.koopman.files.model_folder import ModelFolderError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
 from experiments.agents import register
 from experiments.settings import ExperimentError

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose
-from deepkoco.diagnose.design import Design, DesignError, InseparableError, design_experiment
-from deepkoco.graph.recording import Recording
+from deepkoco.diagnose.experiment_design import Design, DesignError, InseparableError, design_experiment
+from deepkoco.logs.recording import Recording
 from experiments.hidden.doses import dosed, scaled
 from experiments.hidden.excitations import Drive
 from experiments.hidden.unit import Hidden, hidden_log

@@ -16,7 +16,7 @@ import pandas as pd
 
 from experiments.aggregate import mean_with_band
 
-STYLE = str(files("deepkoco").joinpath("figures.mplstyle"))
+STYLE = str(files("deepkoco.output").joinpath("figures.mplstyle"))
 SAME = "trained at each intensity"
 
 

@@ -1,4 +1,4 @@
-"""Fit of `deepkoco.identify` against `scipy.optimize.least_squares` on the same residuals.
+"""Fit of `deepkoco.fit` against `scipy.optimize.least_squares` on the same residuals.
 
 python -m experiments.fit_benchmark [--seconds 21] [--repeats 3] [--json]
 
@@ -20,12 +20,12 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares
 
-from deepkoco.identify.levenberg_marquardt import PARAMETER_STEP
-from deepkoco.identify.methods import TOLERANCE
-from deepkoco.identify.question import Question, ask
-from deepkoco.identify.threads import one_thread
-from deepkoco.identify.trial import Trial
-from deepkoco.unit.record import record
+from deepkoco.excitation.record import record
+from deepkoco.fit.fit_problem import Question, ask
+from deepkoco.fit.fit_types import Trial
+from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
+from deepkoco.fit.solve.methods import TOLERANCE
+from deepkoco.fit.threads import one_thread
 from deepkoco.unit.unit_file import make_unit
 
 ASKED = ("mass", "viscous", "coulomb", "actuation_delay.delay")

@@ -26,12 +26,12 @@ import numpy as np
 import pandas as pd
 
 from deepkoco.diagnose import diagnose
-from deepkoco.graph.log_files import open_log
-from deepkoco.graph.recording import LogError, Recording, read_log
-from deepkoco.inspection import NoProposalError, doubts_of, propose, survey_log
+from deepkoco.excitation.record import record
+from deepkoco.logs.formats import open_log
+from deepkoco.logs.inspect import NoProposalError, doubts_of, propose, survey_log
+from deepkoco.logs.recording import LogError, Recording, read_log
 from deepkoco.systems import one_joint
 from deepkoco.unit import make_unit
-from deepkoco.unit.record import record
 from experiments.log_faults import FAULTS, FORMS, DamagedLog, clean_mapping
 from experiments.rows import append_row, origin, read_rows, source_digest
 

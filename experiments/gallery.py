@@ -17,9 +17,9 @@ from pathlib import Path
 from rich.console import Console
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
-from deepkoco.diagnose.words import terminal_table
-from deepkoco.graph.recording import LogError
-from deepkoco.new_folder import new_folder
+from deepkoco.diagnose.report.text import terminal_table
+from deepkoco.logs.recording import LogError
+from deepkoco.output.new_folder import new_folder
 from experiments.hidden.unit import Hidden, hidden_log
 from experiments.provenance import as_markdown
 from experiments.real_log_studies import study_of

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from deepkoco.identify.threads import one_thread
+from deepkoco.fit.threads import one_thread
 from experiments.hidden.cases import CONDITIONS, make_case, run_case
 from experiments.hidden.machines import MACHINES
 from experiments.hidden.measures import measures

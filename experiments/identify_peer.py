@@ -27,6 +27,8 @@ import numpy as np
 import pandas as pd
 import torch
 
+from deepkoco.fit import GraphMisfit, fit_graph, seen_by_supervisor
+from deepkoco.fit.threads import one_thread
 from deepkoco.graph import (
     BatchedRuntime,
     Connection,
@@ -37,9 +39,7 @@ from deepkoco.graph import (
     draw_timing,
     record_episodes,
 )
-from deepkoco.graph.node import Parameters, State
-from deepkoco.identify import GraphMisfit, fit_graph, seen_by_supervisor
-from deepkoco.identify.threads import one_thread
+from deepkoco.graph.model.node import Parameters, State
 from experiments import rollout_work
 from experiments.provenance import as_markdown
 from experiments.rollout_speed import PEER, ROOT, actions

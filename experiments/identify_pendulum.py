@@ -26,8 +26,8 @@ import numpy as np
 import pandas as pd
 import torch
 
-from deepkoco.graph.recording import Recording, Series
-from deepkoco.identify import (
+from deepkoco.excitation.record import record
+from deepkoco.fit import (
     Belief,
     DelayedEstimator,
     Identification,
@@ -35,11 +35,11 @@ from deepkoco.identify import (
     fit,
     system_derivative,
 )
-from deepkoco.identify.fit import FitProblem
-from deepkoco.identify.threads import one_thread
-from deepkoco.picture import house_style
+from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.threads import one_thread
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.output.picture import house_style
 from deepkoco.systems import make_system
-from deepkoco.unit.record import record
 from deepkoco.unit.unit_file import make_unit
 
 SECONDS = 21.0

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph import Connection, Graph, Input, Node, Supervisor
-from deepkoco.graph.node import Parameters, State
+from deepkoco.graph.model.node import Parameters, State
 from deepkoco.systems import make_system, rk4_step
 from experiments.provenance import as_markdown
 

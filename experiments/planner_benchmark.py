@@ -23,8 +23,8 @@ from scipy import sparse
 from deepkoco.agent.policy import KoopmanPolicy, load_model
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.exported import Array, ExportedModel
-from deepkoco.koopman.model import KoopmanModel, ModelConfig
-from deepkoco.koopman.model_folder import ModelFolderError
+from deepkoco.koopman.files.model_folder import ModelFolderError
+from deepkoco.koopman.model.model import KoopmanModel, ModelConfig
 from deepkoco.planning.condensed import CondensedProgram
 from deepkoco.planning.config import PlannerConfig, PlanningProblem
 from deepkoco.planning.solvers import solver_names

@@ -19,9 +19,9 @@ import torch
 from scipy.stats import anderson_ksamp, kstwobign, spearmanr
 
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timing
-from deepkoco.graph.fitting import DelayModel, find_stalls, fit_delays
-from deepkoco.graph.fitting.mixture_fit import fit_mixture
-from deepkoco.graph.fitting.model import normal_scores
+from deepkoco.graph.episodes.fitting import DelayModel, find_stalls, fit_delays
+from deepkoco.graph.episodes.fitting.mixture_fit import fit_mixture
+from deepkoco.graph.episodes.fitting.model import normal_scores
 from experiments.real_delays_report import draw_distances, draw_distributions, draw_stalls, report
 
 WARM_UP = 1.0  # [s]; the first samples of most channels are several times as long

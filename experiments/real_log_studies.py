@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepkoco.graph.recording import LogError, Recording, read_log
-from deepkoco.identify.known import KEY
+from deepkoco.fit.solve.per_log_differences import KEY
+from deepkoco.logs.recording import LogError, Recording, read_log
 from deepkoco.systems import any_system
 
 HELD_OUT = 4  # of further logs, one in four is only tested

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
-from deepkoco.graph.recording import LogError
+from deepkoco.logs.recording import LogError
 from experiments.real_log_studies import Question, Study, parse_piece, study_of
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from deepkoco.graph import Connection, Graph, Supervisor
-from deepkoco.graph.realtime import ConcurrentRuntime
+from deepkoco.graph.live import ConcurrentRuntime
 from experiments.live_study import Relay, load, run_study
 
 # Tables and figures are imported where they are made: the processes of the nodes import this module, too.

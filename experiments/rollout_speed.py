@@ -22,7 +22,7 @@ import numpy as np
 import torch
 
 from deepkoco.graph import BatchedRuntime, draw_timing
-from deepkoco.graph.runtime import EXECUTORS
+from deepkoco.graph.execution.runtime import EXECUTORS
 from experiments import rollout_work
 
 STEPS = 200

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from deepkoco.graph import Connection, Gaussian, Graph, Input, Node, Supervisor
-from deepkoco.graph.node import Parameters, State
+from deepkoco.graph.model.node import Parameters, State
 from deepkoco.systems import rk4_step
-from deepkoco.systems.pendulum import Pendulum
+from deepkoco.systems.bodies.pendulum import Pendulum
 
 WORLD_RATE, AGENT_RATE = 100, 50
 SENSING, ACTUATION = Gaussian(0.012, 0.003), Gaussian(0.008, 0.002)  # [s]

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from deepkoco.graph import Connection, Episode, Graph, Supervisor
-from deepkoco.graph.realtime import WallClockRuntime, message_times, node_times
+from deepkoco.graph.live import WallClockRuntime, message_times, node_times
 from experiments.live_study import PendulumWorld, Relay, load, run_study
 
 # Tables and figures are imported where they are made: the processes of the nodes import this module, too.

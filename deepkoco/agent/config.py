@@ -9,8 +9,8 @@ from typing import Any
 import torch
 
 from deepkoco.agent.kept_weights import KEPT
-from deepkoco.koopman.model import ModelConfig
-from deepkoco.koopman.rollout import ROLLOUTS
+from deepkoco.koopman.model.model import ModelConfig
+from deepkoco.koopman.model.rollout import ROLLOUTS
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.errors import PlannerConfigError
 

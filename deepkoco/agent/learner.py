@@ -11,8 +11,8 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.koopman.losses import ChunkBatch, Losses, chunk_losses
-from deepkoco.koopman.model import KoopmanModel
-from deepkoco.koopman.rollout import ROLLOUTS
+from deepkoco.koopman.model.model import KoopmanModel
+from deepkoco.koopman.model.rollout import ROLLOUTS
 
 
 class Learner:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from deepkoco.agent.stored_controller import read_controller
 from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.files.model_folder import ModelFolderError
 from deepkoco.koopman.latent_model import LatentModel
-from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.methods import make_planner
 from deepkoco.planning.statistics import PlannerStatistics

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from deepkoco.koopman.exported import Array
-from deepkoco.koopman.folder_files import CONFIG_FILE, ModelFolderError
+from deepkoco.koopman.files.folder_files import CONFIG_FILE, ModelFolderError
+from deepkoco.koopman.files.model_folder import read_model_folder, write_model_folder
+from deepkoco.koopman.files.stored_values import number_above, text, whole_number
 from deepkoco.koopman.latent_model import LatentModel
-from deepkoco.koopman.model_folder import read_model_folder, write_model_folder
-from deepkoco.koopman.stored_values import number_above, text, whole_number
 from deepkoco.planning.config import PlannerConfig
 
 MODEL_FOLDER = "model"

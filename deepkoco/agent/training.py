@@ -41,7 +41,7 @@ from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
 from deepkoco.koopman.export import export_model
-from deepkoco.koopman.model import KoopmanModel
+from deepkoco.koopman.model.model import KoopmanModel
 
 CHECKPOINT_FILE = "checkpoint.pt"
 LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale", "inverse")

@@ -4,8 +4,8 @@ from deepkoco.diagnose.baseline import BaselineError
 from deepkoco.diagnose.causes import CAUSES, Cause
 from deepkoco.diagnose.diagnose import diagnose
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Evidence, Finding
-from deepkoco.diagnose.report import write_report
-from deepkoco.new_folder import FolderExistsError
+from deepkoco.diagnose.report.folder import write_report
+from deepkoco.output.new_folder import FolderExistsError
 
 __all__ = [
     "CAUSES",

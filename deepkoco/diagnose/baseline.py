@@ -9,13 +9,13 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.run_to_run import RunToRun
-from deepkoco.graph.recording import Recording
-from deepkoco.identify.dispersion import dispersion
-from deepkoco.identify.fit import Fit, FitProblem, Trial
-from deepkoco.identify.prior import Prior
-from deepkoco.identify.push import Push
-from deepkoco.identify.sharpen import sharpen_noise
-from deepkoco.identify.windows import Windows, halved
+from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.simulate.push import Push
+from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.residual_noise import sharpen_noise
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.effects.learned import is_weight

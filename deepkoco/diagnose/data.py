@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepkoco.graph.recording import Recording
-from deepkoco.identify.windows import Windows, cut_windows, estimate_channels, moving
+from deepkoco.fit.data.windows import Windows, cut_windows, estimate_channels, moving
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
 FEWEST_WINDOWS = 4

@@ -8,9 +8,9 @@ from typing import Any, Literal
 import numpy as np
 
 from deepkoco.diagnose.gain import Gain, note_on_gain
-from deepkoco.diagnose.residuals import MissingTorque
-from deepkoco.identify.fit import Fit
-from deepkoco.identify.windows import Windows
+from deepkoco.diagnose.residuals.residuals import MissingTorque
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit
 from deepkoco.systems import ExtendedSystem, System
 
 SCHEMA = 1

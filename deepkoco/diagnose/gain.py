@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from deepkoco.identify.fit import Fit, FitProblem, Trial
-from deepkoco.identify.prior import Prior
-from deepkoco.identify.windows import Windows, halved
+from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import ExtendedSystem
 
 RESAMPLES = 2000

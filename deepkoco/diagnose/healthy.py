@@ -18,22 +18,22 @@ from deepkoco.diagnose.baseline import (
 )
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
-from deepkoco.diagnose.classes import equivalent
-from deepkoco.diagnose.elimination import BENDING, eliminated
-from deepkoco.diagnose.hints import Hints
-from deepkoco.diagnose.losses import best_losses
+from deepkoco.diagnose.evidence.classes import equivalent
+from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
+from deepkoco.diagnose.evidence.refine_ranking import front_settled
+from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, freed, prior_with, rank
+from deepkoco.diagnose.evidence.start_values import Hints
+from deepkoco.diagnose.lost_commands.report import best_losses
+from deepkoco.diagnose.per_log_refits import run_to_run
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
-from deepkoco.diagnose.refits import run_to_run
-from deepkoco.diagnose.residuals import missing_torque
+from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, within_bounds
-from deepkoco.diagnose.selection import DETECTION, PATIENCE, freed, prior_with, rank
-from deepkoco.diagnose.settling import front_settled
-from deepkoco.graph.recording import Recording
-from deepkoco.identify.dispersion import dispersion
-from deepkoco.identify.fit import FitProblem
-from deepkoco.identify.known import may_differ
-from deepkoco.identify.prior import Prior
-from deepkoco.identify.windows import cut_windows, moving
+from deepkoco.fit.data.windows import cut_windows, moving
+from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.per_log_differences import may_differ
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
 # A healthy unit may need several small extensions before only noise is left.

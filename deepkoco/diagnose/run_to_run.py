@@ -12,8 +12,8 @@ import numpy as np
 import scipy.optimize
 import scipy.stats
 
-from deepkoco.identify.fit import Fit
-from deepkoco.identify.prior import Prior
+from deepkoco.fit.fit import Fit
+from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import System
 
 

@@ -14,7 +14,7 @@ from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.mjcf import HingedBody, model_xml
 from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System, rk4_step
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from deepkoco.engines.engine import EngineError
 from deepkoco.engines.mjcf import HingedBody
 from deepkoco.systems import Channel, JointSystem, make_system
-from deepkoco.systems.pendulum import COULOMB_SMOOTHING
-from deepkoco.systems.pendulum import GRAVITY as STANDARD_GRAVITY
+from deepkoco.systems.bodies.pendulum import COULOMB_SMOOTHING
+from deepkoco.systems.bodies.pendulum import GRAVITY as STANDARD_GRAVITY
 
 Values = Mapping[str, float]
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from deepkoco.engines.noise import draw_keys, normal
 from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System
 
 

@@ -13,7 +13,7 @@ from deepkoco.engines.engine import Engine, EngineError
 from deepkoco.engines.reset import ResetNode, Teleport
 from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters
 from deepkoco.unit import SensorMessage, SimulatedUnit, Unit, UnitSpec, load_unit, make_unit
 

@@ -23,7 +23,7 @@ from deepkoco.envs.nodes import TaskAgent
 from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
 from deepkoco.graph import Connection, Graph
 from deepkoco.graph.delay import Delay, Deterministic, make_delay
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 
 EDGES = {"actuation_delay": "agent->world", "sensing_delay": "sensor->agent"}
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepkoco.envs.delay_arguments import DelayWrapperError
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timing
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 
 
 class DelayLine:

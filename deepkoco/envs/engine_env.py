@@ -14,7 +14,7 @@ from deepkoco.envs.nodes import TaskAgent
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import SWING_UPS
 from deepkoco.graph import draw_timing
-from deepkoco.graph.realtime import SimulatedRuntime, WallClockRuntime
+from deepkoco.graph.live import SimulatedRuntime, WallClockRuntime
 
 
 class EngineEnv(gymnasium.Env):

@@ -19,7 +19,7 @@ from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
 from deepkoco.graph.delay import RecordedDelays
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 
 READINGS = ("observation", "reward", "terminated")
 Values = Mapping[str, Mapping[str, Tensor | float]]

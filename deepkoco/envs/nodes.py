@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepkoco.envs.tasks import Task
 from deepkoco.graph import Input, Supervisor
-from deepkoco.graph.node import State
+from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System
 
 

@@ -3,9 +3,6 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from deepkoco.graph.computation_graph import ComputationGraph
-from deepkoco.graph.connection import Connection
-from deepkoco.graph.contract import StepError
 from deepkoco.graph.delay import (
     Autoregressive,
     Delay,
@@ -25,23 +22,26 @@ from deepkoco.graph.delay import (
     Uniform,
     make_delay,
 )
-from deepkoco.graph.episode import Episode, Note, common_part, record_episodes, replay_episode
-from deepkoco.graph.graph import Graph
-from deepkoco.graph.node import GraphError, Input, Node, Supervisor
-from deepkoco.graph.replay import MeasuredTiming, replay_timing
-from deepkoco.graph.runtime import BatchedRuntime, HorizonError, RuntimeState
-from deepkoco.graph.timing import TimingError, draw_timing, extend_timing
+from deepkoco.graph.episodes.episode import Episode, Note, common_part, record_episodes, replay_episode
+from deepkoco.graph.execution.runtime import BatchedRuntime, HorizonError, RuntimeState
+from deepkoco.graph.model.connection import Connection
+from deepkoco.graph.model.contract import StepError
+from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.model.node import GraphError, Input, Node, Supervisor
+from deepkoco.graph.timing.computation_graph import ComputationGraph
+from deepkoco.graph.timing.draw import TimingError, draw_timing, extend_timing
+from deepkoco.graph.timing.replay import MeasuredTiming, replay_timing
 
 if TYPE_CHECKING:
-    from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, SimulatedRuntime, WallClockRuntime
-    from deepkoco.graph.recording import LogError, Recording, Series, read_log, write_log
-    from deepkoco.graph.storage import (
+    from deepkoco.graph.episodes.storage import (
         EpisodeFileError,
         EpisodeWriter,
         RecordedRun,
         read_episodes,
         write_episodes,
     )
+    from deepkoco.graph.live import ConcurrentRuntime, NodeFailure, SimulatedRuntime, WallClockRuntime
+    from deepkoco.logs.recording import LogError, Recording, Series, read_log, write_log
 
 # Imported when they are asked for: recordings need pandas, which takes longer to import than a graph to start,
 # and a batch of environments needs none of the runtimes for one.

@@ -6,7 +6,7 @@ import numpy as np
 
 from deepkoco.interchange.loaded_model import LoadedModel
 from deepkoco.koopman.exported import Array, ExportedModel
-from deepkoco.koopman.lifted_linear import LiftedLinearModel
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
 
 
 def controller_constants(model: LoadedModel) -> dict[str, Array]:

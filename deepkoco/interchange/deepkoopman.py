@@ -13,10 +13,10 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file
 from scipy.linalg import block_diag
 
-from deepkoco.koopman.edmdc import TargetCost
-from deepkoco.koopman.lifted_linear import LiftedCost, LiftedLinearModel, target_cost
-from deepkoco.koopman.lifting import Array, LiftingError
-from deepkoco.koopman.network import Network
+from deepkoco.koopman.lifting.edmdc import TargetCost
+from deepkoco.koopman.lifting.lifted_linear import LiftedCost, LiftedLinearModel, target_cost
+from deepkoco.koopman.lifting.lifting import Array, LiftingError
+from deepkoco.koopman.lifting.network import Network
 
 _FILE = re.compile(r"(?:^|.*[_-])([Wb](?:E|D|O[CR]\d+_)\d+)\.csv")
 

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepkoco.koopman.folder_files import CONFIG_FILE, WEIGHTS_FILE
+from deepkoco.koopman.files.folder_files import CONFIG_FILE, WEIGHTS_FILE
 
 PREFIX = "hf://"
 _NAME = re.compile(r"(?P<repository>[\w.-]+/[\w.-]+)(@(?P<revision>[\w./-]+))?")

@@ -7,9 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deepkoco.koopman.edmdc import TargetCost
-from deepkoco.koopman.lifted_linear import LiftedCost, LiftedLinearModel, LiftedModelError, target_cost
-from deepkoco.koopman.lifting import (
+from deepkoco.koopman.lifting.edmdc import TargetCost
+from deepkoco.koopman.lifting.lifted_linear import (
+    LiftedCost,
+    LiftedLinearModel,
+    LiftedModelError,
+    target_cost,
+)
+from deepkoco.koopman.lifting.lifting import (
     Array,
     FunctionLifting,
     Identity,

@@ -7,12 +7,12 @@ if TYPE_CHECKING:
     from deepkoco.koopman.export import export_model
     from deepkoco.koopman.exported import ExportedModel
     from deepkoco.koopman.losses import chunk_losses
-    from deepkoco.koopman.model import KoopmanModel, ModelConfig
+    from deepkoco.koopman.model.model import KoopmanModel, ModelConfig
 
 _HOMES = {
     "ExportedModel": "deepkoco.koopman.exported",
-    "KoopmanModel": "deepkoco.koopman.model",
-    "ModelConfig": "deepkoco.koopman.model",
+    "KoopmanModel": "deepkoco.koopman.model.model",
+    "ModelConfig": "deepkoco.koopman.model.model",
     "chunk_losses": "deepkoco.koopman.losses",
     "export_model": "deepkoco.koopman.export",
 }

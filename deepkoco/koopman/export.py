@@ -9,9 +9,9 @@ from torch import Tensor
 
 from deepkoco.koopman.exported import Array, ExportedModel
 from deepkoco.koopman.exported_frames import ExportedFrameEncoder
-from deepkoco.koopman.frame_encoder import FrameEncoder
-from deepkoco.koopman.mlp import ReluNetwork
-from deepkoco.koopman.model import KoopmanModel
+from deepkoco.koopman.model.frame_encoder import FrameEncoder
+from deepkoco.koopman.model.mlp import ReluNetwork
+from deepkoco.koopman.model.model import KoopmanModel
 
 
 def export_model(model: KoopmanModel) -> ExportedModel:

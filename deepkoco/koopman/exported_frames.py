@@ -152,7 +152,7 @@ class FeatureHistory:
         Returns:
             The observation (..., d F): z_k, then g (z_k - z_{k-1}), g (z_{k-1} - z_{k-2}) and so on.
 
-        Source: DeepKoCo, Eq. 5.11; see `deepkoco.koopman.frame_encoder.stack_features`.
+        Source: DeepKoCo, Eq. 5.11; see `deepkoco.koopman.model.frame_encoder.stack_features`.
         """
         newest = self._encoder.encode(frames)
         if self._features is None:

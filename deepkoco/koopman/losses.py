@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepkoco.koopman.cost import quadratic_cost
-from deepkoco.koopman.model import KoopmanModel
-from deepkoco.koopman.rollout import Rollout, frozen_rollout
+from deepkoco.koopman.model.cost import quadratic_cost
+from deepkoco.koopman.model.model import KoopmanModel
+from deepkoco.koopman.model.rollout import Rollout, frozen_rollout
 
 
 @dataclass
@@ -83,7 +83,7 @@ def chunk_losses(
         batch: The chunks.
         horizon: T, predicted steps per window.
         cost_weight: alpha_1.
-        rollout: One of `deepkoco.koopman.rollout.ROLLOUTS`.
+        rollout: One of `deepkoco.koopman.model.rollout.ROLLOUTS`.
 
     Returns:
         The losses, averaged over the valid windows, time and components.

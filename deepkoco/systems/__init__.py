@@ -1,6 +1,8 @@
 """Dynamical systems with named parameters, and the effects that extend them."""
 
-from deepkoco.systems.circling_target import CirclingTarget
+from deepkoco.systems.bodies.circling_target import CirclingTarget
+from deepkoco.systems.bodies.quadrotor_height import QuadrotorHeight
+from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
 from deepkoco.systems.extended import (
     ExtendedSystem,
     MemoryEffectError,
@@ -9,7 +11,6 @@ from deepkoco.systems.extended import (
     save_model,
 )
 from deepkoco.systems.joint import JointSystem
-from deepkoco.systems.quadrotor_height import QuadrotorHeight
 from deepkoco.systems.registry import (
     JOINT_SYSTEMS,
     SYSTEMS,
@@ -30,7 +31,6 @@ from deepkoco.systems.system import (
     Timing,
     rk4_step,
 )
-from deepkoco.systems.two_link_arm import TwoLinkArm
 
 __all__ = [
     "JOINT_SYSTEMS",

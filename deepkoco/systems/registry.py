@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from deepkoco.systems.double_pendulum import DoublePendulum
-from deepkoco.systems.furuta_pendulum import FurutaPendulum
+from deepkoco.systems.bodies.double_pendulum import DoublePendulum
+from deepkoco.systems.bodies.furuta_pendulum import FurutaPendulum
+from deepkoco.systems.bodies.pendulum import Pendulum
+from deepkoco.systems.bodies.quadrotor_height import QuadrotorHeight
+from deepkoco.systems.bodies.rod_pendulum import RodPendulum
+from deepkoco.systems.bodies.servo_pendulum import ServoPendulum
+from deepkoco.systems.bodies.torque_pendulum import TorquePendulum
+from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
 from deepkoco.systems.joint import JointSystem
-from deepkoco.systems.pendulum import Pendulum
-from deepkoco.systems.quadrotor_height import QuadrotorHeight
-from deepkoco.systems.rod_pendulum import RodPendulum
-from deepkoco.systems.servo_pendulum import ServoPendulum
 from deepkoco.systems.system import System
-from deepkoco.systems.torque_pendulum import TorquePendulum
-from deepkoco.systems.two_link_arm import TwoLinkArm
 
 JOINT_SYSTEMS: dict[str, type[JointSystem]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
 SYSTEMS: dict[str, type[System]] = {

@@ -26,14 +26,14 @@ _HOME = {
 }
 
 if TYPE_CHECKING:
-    from deepkoco.unit.control import ControlLoop, ControlStats
-    from deepkoco.unit.excitation import (
+    from deepkoco.excitation.excitation import (
         EXCITATIONS,
         Excitation,
         ExcitationError,
         make_excitation,
         policy_excitation,
     )
+    from deepkoco.unit.control import ControlLoop, ControlStats
     from deepkoco.unit.messages import SensorMessage, UnitError
     from deepkoco.unit.process import Unit
     from deepkoco.unit.simulated import SimulatedUnit

@@ -17,7 +17,7 @@ from typing import Any
 
 import pandas as pd
 
-from deepkoco.graph.recording import LogError
+from deepkoco.logs.recording import LogError
 from deepkoco.unit import UnitError, UnitSpecError
 from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, STRENGTHS, Case, cases
 from experiments.closing_the_loop.steps import (

@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
-from deepkoco.graph.contract import StepError
-from deepkoco.graph.recording import read_log, write_log
+from deepkoco.excitation.record import record
+from deepkoco.graph.model.contract import StepError
+from deepkoco.logs.recording import read_log, write_log
 from deepkoco.systems import ExtendedSystem, MemoryEffectError, make_system, save_model
 from deepkoco.unit import load_unit
-from deepkoco.unit.record import record
 from experiments.closing_the_loop.hidden import SYSTEM, Case
 from experiments.settings import ExperimentError
 from experiments.train import is_finished

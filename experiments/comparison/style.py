@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
-STYLE = str(files("deepkoco").joinpath("figures.mplstyle"))
+STYLE = str(files("deepkoco.output").joinpath("figures.mplstyle"))
 REFERENCE_COLOUR = "#555555"
 LINES = ("-", "--", ":", "-.")
 

@@ -16,9 +16,9 @@ import pandas as pd
 from rich.console import Console
 
 from deepkoco.diagnose import Diagnosis, diagnose
-from deepkoco.diagnose.report import write_report
+from deepkoco.diagnose.report.folder import write_report
 from deepkoco.envs.film import write_clip
-from deepkoco.graph.recording import LogError, read_log
+from deepkoco.logs.recording import LogError, read_log
 from deepkoco.unit import UnitError, UnitSpecError, load_unit
 from experiments.commands import BAD_INPUT
 from experiments.demo.page import Outcome, terminal_table, write_page

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from deepkoco.diagnose import Diagnosis
-from deepkoco.diagnose.words import headline, lead
+from deepkoco.diagnose.report.text import headline, lead
 from deepkoco.envs.film import film_strip
 from experiments.unit_trials import Trial
 

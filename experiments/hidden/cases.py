@@ -14,9 +14,9 @@ import numpy as np
 from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.baseline import Start
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.graph.recording import Recording
-from deepkoco.identify import window_length
-from deepkoco.identify.threads import one_thread
+from deepkoco.fit import window_length
+from deepkoco.fit.threads import one_thread
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
 from experiments.hidden.doses import FLOOR, dosed, effect_names, outside, outside_names, scaled
 from experiments.hidden.unit import Hidden, hidden_log

@@ -9,8 +9,8 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import refit, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.graph.recording import Recording
-from deepkoco.identify import Noise, cut_windows, moving, window_length
+from deepkoco.fit import Noise, cut_windows, moving, window_length
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import System, make_system
 from experiments.hidden.unit import Hidden, hidden_log
 

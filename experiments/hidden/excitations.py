@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from deepkoco.excitation.excitation import make_excitation, natural_frequency
 from deepkoco.systems import JOINT_SYSTEMS, System
-from deepkoco.unit.excitation import make_excitation, natural_frequency
 
 EXCITATIONS = ("steps", "chirp", "closed-loop", "bang-bang")
 Wanted = Callable[[float, Sequence[float]], list[float]]

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from experiments.hidden.power import HITS, NOTHING, UNKNOWN
 
-STYLE = str(files("deepkoco").joinpath("figures.mplstyle"))
+STYLE = str(files("deepkoco.output").joinpath("figures.mplstyle"))
 Line = dict[str, Any]
 
 

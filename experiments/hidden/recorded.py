@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.graph.recording import Recording
+from deepkoco.excitation.record import record
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import one_joint
 from deepkoco.unit import make_unit
-from deepkoco.unit.record import record
 from experiments.hidden.doses import unexplained
 from experiments.hidden.unit import Hidden
 

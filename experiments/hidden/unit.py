@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.graph.recording import Recording, Series
+from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import make_system
 from experiments.hidden.excitations import Drive, make_drive
 from experiments.hidden.machines import MACHINES, Body, soft_sign

@@ -9,7 +9,7 @@ from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
 from deepkoco.agent.policy import ObservationError
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
-from deepkoco.koopman.model_folder import write_model_folder
+from deepkoco.koopman.files.model_folder import write_model_folder
 from deepkoco.planning import PlannerConfig, make_planner
 
 LOW, HIGH = np.array([-2.0]), np.array([2.0])

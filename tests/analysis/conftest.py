@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepkoco.analysis.steps import Steps, join_steps
+from deepkoco.analysis.measures.steps import Steps, join_steps
 from deepkoco.koopman.exported import ExportedModel
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepkoco.analysis.comparison import (
+from deepkoco.analysis.measures.comparison import (
     COMPONENTS,
     ReferenceCostError,
     ScaledRadialBasis,
@@ -12,7 +12,7 @@ from deepkoco.analysis.comparison import (
     fit_comparison,
     read_reference,
 )
-from deepkoco.analysis.rollout import roll_out
+from deepkoco.analysis.measures.rollout import roll_out
 
 
 def test_edmdc_finds_a_linear_system(exact):

@@ -8,14 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.analyse import pruned_well
-from deepkoco.analysis.contribution import cost_contribution, draw_contribution
-from deepkoco.analysis.eigenvalues import draw_eigenvalues, draw_history, eigenvalue_table, spread_labels
-from deepkoco.analysis.modes import find_modes
-from deepkoco.analysis.pruning import PrunedModel, control_pruned, draw_pruning, prune
-from deepkoco.analysis.rollout import roll_out
-from deepkoco.analysis.steps import join_steps
-from deepkoco.picture import Picture
+from deepkoco.analysis.measures.contribution import cost_contribution, draw_contribution
+from deepkoco.analysis.measures.eigenvalues import (
+    draw_eigenvalues,
+    draw_history,
+    eigenvalue_table,
+    spread_labels,
+)
+from deepkoco.analysis.measures.modes import find_modes
+from deepkoco.analysis.measures.pruning import PrunedModel, control_pruned, draw_pruning, prune
+from deepkoco.analysis.measures.rollout import roll_out
+from deepkoco.analysis.measures.steps import join_steps
+from deepkoco.analysis.page.analyse import pruned_well
+from deepkoco.output.picture import Picture
 
 
 def modes_of(model):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from handmade_models import linear_model
 
-from deepkoco.analysis.input_maps import draw_input_maps, input_maps
-from deepkoco.analysis.inputs import Inputs
-from deepkoco.analysis.points import Points
-from deepkoco.analysis.sensitivity import draw_sensitivity, input_sensitivity
+from deepkoco.analysis.measures.input_maps import draw_input_maps, input_maps
+from deepkoco.analysis.measures.inputs import Inputs
+from deepkoco.analysis.measures.points import Points
+from deepkoco.analysis.measures.sensitivity import draw_sensitivity, input_sensitivity
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 
 NAMES = ("a", "b", "c")

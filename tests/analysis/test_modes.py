@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepkoco.analysis.modes import ModesError, find_modes
+from deepkoco.analysis.measures.modes import ModesError, find_modes
 from deepkoco.koopman.latent_model import DenseTransition, JordanBlocks
 
 

@@ -7,9 +7,9 @@ import torch
 
 import deepkoco.envs  # noqa: F401 - registers the tasks
 from deepkoco.agent.policy import KoopmanPolicy
-from deepkoco.analysis.plan_film import draw_shadows, make_film, shadow_steps, still_background
-from deepkoco.analysis.plans import draw_planned_costs, make_plan, planned_costs
-from deepkoco.analysis.replays import Future, ReplayError, film_episode, follow_plan
+from deepkoco.analysis.measures.plans import draw_planned_costs, make_plan, planned_costs
+from deepkoco.analysis.measures.replays import Future, ReplayError, film_episode, follow_plan
+from deepkoco.analysis.page.plan_film import draw_shadows, make_film, shadow_steps, still_background
 from deepkoco.envs.film import write_clip
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.planning import PlannerConfig, make_planner

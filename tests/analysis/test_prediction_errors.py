@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepkoco.analysis.horizon import draw_horizon, horizon_errors
-from deepkoco.analysis.linearity import draw_linearity, linearity_residual
-from deepkoco.analysis.rollout import roll_out
+from deepkoco.analysis.measures.horizon import draw_horizon, horizon_errors
+from deepkoco.analysis.measures.linearity import draw_linearity, linearity_residual
+from deepkoco.analysis.measures.rollout import roll_out
 
 
 def windows(steps, horizon):

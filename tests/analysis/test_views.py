@@ -4,10 +4,10 @@ import gymnasium
 import numpy as np
 
 import deepkoco.envs  # noqa: F401 - registers the tasks
-from deepkoco.analysis.inputs import describe_inputs
-from deepkoco.analysis.points import Points
-from deepkoco.analysis.steps import join_steps
-from deepkoco.analysis.view import EntriesView, PlaneView, choose_axes, choose_view
+from deepkoco.analysis.measures.inputs import describe_inputs
+from deepkoco.analysis.measures.points import Points
+from deepkoco.analysis.measures.steps import join_steps
+from deepkoco.analysis.measures.view import EntriesView, PlaneView, choose_axes, choose_view
 from deepkoco.envs.distractors import DistractorOptions, VectorStateDistractors
 
 

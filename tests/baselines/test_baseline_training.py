@@ -18,7 +18,7 @@ from baselines.model_files import read_networks
 from baselines.policy import load_policy
 from baselines.training import BaselineTrainer
 from deepkoco.agent.checkpoint import CheckpointError, load_checkpoint
-from deepkoco.koopman.folder_files import ModelFolderError
+from deepkoco.koopman.files.folder_files import ModelFolderError
 
 HERE = Path(__file__).parent
 

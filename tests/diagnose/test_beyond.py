@@ -8,19 +8,19 @@ import pytest
 import torch
 
 from deepkoco.diagnose.baseline import Healthy, start_from
-from deepkoco.diagnose.beyond import (
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.data import cut_data
+from deepkoco.diagnose.evidence.sanity_checks import (
     at_bound,
     doubts_of_bending,
     doubts_of_commands,
     doubts_of_estimates,
     doubts_of_friction,
 )
-from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.data import cut_data
-from deepkoco.diagnose.residuals import white_limit
-from deepkoco.graph.recording import LogError, read_log
-from deepkoco.identify.fit import FitProblem
-from deepkoco.identify.windows import CommandSeries
+from deepkoco.diagnose.residuals.residuals import white_limit
+from deepkoco.fit.data.windows import CommandSeries
+from deepkoco.fit.fit import FitProblem
+from deepkoco.logs.recording import LogError, read_log
 from deepkoco.systems import make_system
 from experiments.hidden.unit import hidden_log
 

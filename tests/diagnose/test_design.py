@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 import yaml
 
-from deepkoco.cli import main
+from deepkoco.cli.command_line import main
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.design import DesignError, InseparableError, design_experiment, write_design
-from deepkoco.diagnose.design import choose as choosing
-from deepkoco.diagnose.design.choose import choose
-from deepkoco.diagnose.design.confirm import confirm
-from deepkoco.diagnose.design.design import chance_of, check_separable, known_causes
-from deepkoco.diagnose.design.design_files import describe
-from deepkoco.diagnose.design.doses import unit_dose
-from deepkoco.diagnose.design.families import FAMILIES, Frame
-from deepkoco.diagnose.design.rehearsal import rehearse
-from deepkoco.diagnose.design.search import judge, scan, sequences
-from deepkoco.diagnose.design.separation import smallest_pair
-from deepkoco.diagnose.design.stage import make_stage
+from deepkoco.diagnose.experiment_design import DesignError, InseparableError, design_experiment, write_design
+from deepkoco.diagnose.experiment_design import choose as choosing
+from deepkoco.diagnose.experiment_design.choose import choose
+from deepkoco.diagnose.experiment_design.confirm import confirm
+from deepkoco.diagnose.experiment_design.design import chance_of, check_separable, known_causes
+from deepkoco.diagnose.experiment_design.design_files import describe
+from deepkoco.diagnose.experiment_design.doses import unit_dose
+from deepkoco.diagnose.experiment_design.experiment_setup import make_stage
+from deepkoco.diagnose.experiment_design.families import FAMILIES, Frame
+from deepkoco.diagnose.experiment_design.rehearsal import rehearse
+from deepkoco.diagnose.experiment_design.search import judge, scan, sequences
+from deepkoco.diagnose.experiment_design.separation import smallest_pair
 from deepkoco.systems import make_system
 
 QUICK = {"scanned": 5, "generations": 1, "seconds": 7.0}

@@ -13,11 +13,11 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from deepkoco.cli import main
+from deepkoco.cli.command_line import main
 from deepkoco.diagnose import FolderExistsError, diagnose, write_report
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.words import headline, lead, terminal_table
-from deepkoco.graph.recording import Series, write_log
+from deepkoco.diagnose.report.text import headline, lead, terminal_table
+from deepkoco.logs.recording import Series, write_log
 from deepkoco.systems import load_model, make_system
 from experiments.hidden.recorded import unit_log
 
@@ -209,8 +209,8 @@ class Terminal(io.StringIO):
 def test_a_terminal_is_told_what_is_being_done(log, tmp_path, monkeypatch, stream, options):
     path = write_log(tmp_path / "log.csv", log)
     monkeypatch.setattr("sys.stderr", stream())
-    monkeypatch.setattr("deepkoco.diagnose.report.write_report", lambda result, out: out)
-    monkeypatch.setattr("deepkoco.diagnose.words.terminal_table", lambda result: result.verdict)
+    monkeypatch.setattr("deepkoco.diagnose.report.folder.write_report", lambda result, out: out)
+    monkeypatch.setattr("deepkoco.diagnose.report.text.terminal_table", lambda result: result.verdict)
     monkeypatch.setattr(import_module("deepkoco.diagnose.diagnose"), "diagnose", told)
     assert (
         main(["diagnose", str(path), "--system", "rod_pendulum", "--out", str(tmp_path / "o"), *options]) == 3

@@ -5,12 +5,12 @@ import pytest
 
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
-from deepkoco.diagnose.forward import Selected, Selection
-from deepkoco.diagnose.residuals import missing_torque
-from deepkoco.diagnose.selection import FURTHER, prior_with, rank
-from deepkoco.identify.fit import FitProblem, Trial
-from deepkoco.identify.windows import cut_windows, moving, window_length
+from deepkoco.diagnose.evidence.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
+from deepkoco.diagnose.evidence.forward import Selected, Selection
+from deepkoco.diagnose.evidence.selection import FURTHER, prior_with, rank
+from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.fit.data.windows import cut_windows, moving, window_length
+from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import make_system
 from experiments.hidden.unit import hidden_log
 

@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepkoco.diagnose import BaselineError, diagnose, forward
-from deepkoco.diagnose.allowed import Claim, allowed
+from deepkoco.diagnose import BaselineError, diagnose
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.forward import Selected, Selection
+from deepkoco.diagnose.evidence import forward
+from deepkoco.diagnose.evidence.forward import Selected, Selection
+from deepkoco.diagnose.evidence.seen_when_healthy import Claim, allowed
+from deepkoco.diagnose.evidence.selection import Candidate, Ranking, prior_with
 from deepkoco.diagnose.healthy import extended, learn_baseline
-from deepkoco.diagnose.residuals import dispersion
-from deepkoco.diagnose.selection import Candidate, Ranking, prior_with
-from deepkoco.identify.fit import FitProblem, Trial
-from deepkoco.identify.windows import cut_windows, moving, window_length
+from deepkoco.diagnose.residuals.residuals import dispersion
+from deepkoco.fit.data.windows import cut_windows, moving, window_length
+from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import ExtendedSystem, make_system
 from experiments.hidden.unit import hidden_log
 

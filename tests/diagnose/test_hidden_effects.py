@@ -3,8 +3,8 @@
 import pytest
 
 from deepkoco.diagnose import diagnose
+from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
-from deepkoco.unit.record import record
 from experiments.hidden.recorded import strength, unit_log
 from experiments.hidden.unit import hidden_log
 

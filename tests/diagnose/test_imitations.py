@@ -9,11 +9,11 @@ from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.causes import CAUSES, catalogue
 from deepkoco.diagnose.causes.cause import Hint
-from deepkoco.diagnose.elimination import carried
+from deepkoco.diagnose.evidence.elimination import carried
+from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.diagnose.selection import prior_with
-from deepkoco.identify.fit import FitProblem, Trial
-from deepkoco.identify.windows import cut_windows, moving, window_length
+from deepkoco.fit.data.windows import cut_windows, moving, window_length
+from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import make_system
 from experiments.hidden.cases import small_effects
 from experiments.hidden.unit import hidden_log

@@ -3,8 +3,8 @@
 import pytest
 
 from deepkoco.diagnose import diagnose
+from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
-from deepkoco.unit.record import record
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.diagnose import diagnose, loss_pattern
+from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import refit_sharply, start_from
 from deepkoco.diagnose.data import cut_data
-from deepkoco.diagnose.loss_pattern import Responses, held_over, innovations, offset_of, pattern
-from deepkoco.diagnose.lost import LostCommands, lost_commands
-from deepkoco.graph.recording import Recording
-from deepkoco.identify.fit import FitProblem
+from deepkoco.diagnose.lost_commands import sequence as loss_pattern
+from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
+from deepkoco.diagnose.lost_commands.sequence import Responses, held_over, innovations, offset_of, pattern
+from deepkoco.fit.fit import FitProblem
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
 from experiments.hidden.excitations import Drive
 from experiments.hidden.unit import hidden_log

@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.error_map import _by_slot
-from deepkoco.diagnose.figures import draw_all
-from deepkoco.diagnose.layout import DESKTOP, PHONE, held_out_models, shown_models
-from deepkoco.diagnose.page import render
-from deepkoco.diagnose.remains import remains
-from deepkoco.diagnose.timing_figure import timing
-from deepkoco.identify.windows import CommandSeries
+from deepkoco.diagnose.report.figures.all_figures import draw_all
+from deepkoco.diagnose.report.figures.error_map import _by_slot
+from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE, held_out_models, shown_models
+from deepkoco.diagnose.report.figures.timing_figure import timing
+from deepkoco.diagnose.report.page import render
+from deepkoco.diagnose.report.unexplained_text import remains
+from deepkoco.fit.data.windows import CommandSeries
 from experiments.hidden.recorded import unit_log
 
 LEARNED = {

@@ -7,11 +7,12 @@ import pytest
 import torch
 import yaml
 
-from deepkoco.diagnose import diagnose, residual_model
+from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import refit, start_from
-from deepkoco.diagnose.residuals import missing_torque
-from deepkoco.identify.fit import FitProblem
-from deepkoco.identify.windows import cut_windows, estimate_channels, window_length
+from deepkoco.diagnose.residuals import residual_model
+from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.fit.data.windows import cut_windows, estimate_channels, window_length
+from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import ExtendedSystem, load_model, make_system, rk4_step, save_model
 from deepkoco.systems.effects.learned import SCALES, terms_at
 from experiments.hidden.unit import hidden_log

@@ -10,17 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.allowed import Claim, allowed
 from deepkoco.diagnose.baseline import Healthy, refit_sharply, start_from
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.seen_when_healthy import Claim, allowed
+from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.diagnose.refits import run_to_run
+from deepkoco.diagnose.per_log_refits import run_to_run
+from deepkoco.diagnose.report.text import noise_of
 from deepkoco.diagnose.run_to_run import RunToRun, Said, posterior, said, sampling_variance, within_bounds
-from deepkoco.diagnose.selection import prior_with
-from deepkoco.diagnose.words import noise_of
-from deepkoco.identify.fit import FitProblem, Trial
-from deepkoco.identify.prior import Prior
-from deepkoco.identify.windows import cut_windows, window_length
+from deepkoco.fit.data.windows import cut_windows, window_length
+from deepkoco.fit.fit import FitProblem, Trial
+from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import make_system
 from experiments.hidden.unit import HiddenUnit, hidden_log
 

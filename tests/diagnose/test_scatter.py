@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.diagnose.scatter import Scatter, jitter, noise_level, quantisation
-from deepkoco.identify import Fit, Noise, cut_windows
+from deepkoco.diagnose.residuals.scatter import Scatter, jitter, noise_level, quantisation
+from deepkoco.fit import Fit, Noise, cut_windows
 from deepkoco.systems import make_system
 from experiments.hidden.unit import hidden_log
 

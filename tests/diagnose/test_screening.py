@@ -5,9 +5,9 @@ import pytest
 
 from deepkoco.diagnose.baseline import refit, start_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.screening import screen
-from deepkoco.diagnose.selection import prior_with
-from deepkoco.identify import FitProblem, Trial, cut_windows, moving
+from deepkoco.diagnose.evidence.screening import screen
+from deepkoco.diagnose.evidence.selection import prior_with
+from deepkoco.fit import FitProblem, Trial, cut_windows, moving
 from deepkoco.systems import make_system
 from experiments.hidden.unit import hidden_log
 

@@ -8,9 +8,9 @@ import pytest
 from deepkoco.diagnose import BaselineError, diagnose
 from deepkoco.diagnose.baseline import start_from
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.identify import cut_windows
-from deepkoco.identify.threads import one_thread
-from deepkoco.identify.windows import window_length
+from deepkoco.fit import cut_windows
+from deepkoco.fit.data.windows import window_length
+from deepkoco.fit.threads import one_thread
 from deepkoco.systems import ExtendedSystem, make_system
 from experiments.hidden.unit import hidden_log
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose.baseline import refit_sharply, start_from
-from deepkoco.diagnose.signatures import signatures
-from deepkoco.graph.recording import Recording
-from deepkoco.identify import cut_windows, moving
+from deepkoco.diagnose.residuals.signatures import signatures
+from deepkoco.fit import cut_windows, moving
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
 from experiments.hidden.unit import hidden_log
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.residuals import MissingTorque
-from deepkoco.diagnose.spectrum import spectrum_of
+from deepkoco.diagnose.residuals.residuals import MissingTorque
+from deepkoco.diagnose.residuals.spectrum import spectrum_of
 
 
 def missing(load) -> tuple[MissingTorque]:

@@ -6,10 +6,10 @@ import torch
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.causes import CAUSES
-from deepkoco.diagnose.remains import remains
-from deepkoco.diagnose.unknown import carries_over
-from deepkoco.diagnose.words import lead
-from deepkoco.identify.fit import Fit
+from deepkoco.diagnose.report.text import lead
+from deepkoco.diagnose.report.unexplained_text import remains
+from deepkoco.diagnose.verdict.unknown import carries_over
+from deepkoco.fit.fit import Fit
 from experiments.hidden.unit import hidden_log
 
 

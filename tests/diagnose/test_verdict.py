@@ -8,9 +8,9 @@ import pytest
 from deepkoco.diagnose.baseline import Healthy, start_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
-from deepkoco.diagnose.forward import Selected
-from deepkoco.diagnose.verdict import verdict_of
-from deepkoco.identify.fit import FitProblem
+from deepkoco.diagnose.evidence.forward import Selected
+from deepkoco.diagnose.verdict.verdict import verdict_of
+from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import make_system
 from experiments.hidden.unit import hidden_log
 

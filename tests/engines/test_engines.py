@@ -21,7 +21,7 @@ from deepkoco.engines import (
     make_graph,
 )
 from deepkoco.graph import BatchedRuntime, draw_timing
-from deepkoco.graph.realtime import SimulatedRuntime, WallClockRuntime
+from deepkoco.graph.live import SimulatedRuntime, WallClockRuntime
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
 

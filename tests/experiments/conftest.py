@@ -11,7 +11,7 @@ import torch
 from omegaconf import OmegaConf
 
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
-from deepkoco.koopman.model_folder import write_model_folder
+from deepkoco.koopman.files.model_folder import write_model_folder
 from deepkoco.planning import PlannerConfig
 from experiments.settings import TaskConfig, TrainRunConfig
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.graph.recording import LogError
+from deepkoco.logs.recording import LogError
 from experiments import gallery
 from experiments.gallery import EXHIBITS, Exhibit, index, main, make
 from experiments.hidden.recorded import unit_log

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
-from deepkoco.unit.record import record
 from experiments.real_log_studies import STUDIES, Piece, parse_piece, split, study_of
 from experiments.real_logs import main
 

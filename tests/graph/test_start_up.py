@@ -50,9 +50,9 @@ assert not hasattr(graph, "cameras")
 """
 
 EXPORT = """
-import deepkoco.graph.storage as storage
+import deepkoco.graph.episodes.storage as storage
 assert {"episode_table", "export", "export_episodes"} <= set(dir(storage)), dir(storage)
-assert storage.export.__name__ == "deepkoco.graph.storage.export"
+assert storage.export.__name__ == "deepkoco.graph.episodes.export"
 assert storage.export_episodes is storage.export.export_episodes
 assert not hasattr(storage, "exports")
 """

@@ -96,8 +96,8 @@ def check_import(model, case, x) -> None:
     """Import the fitted object itself, where this repository can be imported too."""
     try:
         from deepkoco.interchange.pykoopman import from_pykoopman
-        from deepkoco.koopman.edmdc import TargetCost
-        from deepkoco.koopman.lifting import stack_history
+        from deepkoco.koopman.lifting.edmdc import TargetCost
+        from deepkoco.koopman.lifting.lifting import stack_history
     except ImportError as error:
         print(f"not imported into deepkoco: {error}")
         return

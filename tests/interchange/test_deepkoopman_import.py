@@ -8,7 +8,7 @@ from safetensors.numpy import save_file
 from scipy.linalg import expm
 
 from deepkoco.interchange.deepkoopman import DeepKoopmanError, read_deepkoopman
-from deepkoco.koopman.edmdc import TargetCost
+from deepkoco.koopman.lifting.edmdc import TargetCost
 from deepkoco.planning import PlannerConfig
 from deepkoco.planning.methods import make_planner
 

@@ -9,13 +9,13 @@ import torch
 from scipy.io import loadmat
 
 from deepkoco.agent.stored_controller import StoredController
-from deepkoco.cli import main
+from deepkoco.cli.command_line import main
 from deepkoco.interchange.exporters import ExportError, description, export
 from deepkoco.interchange.loaded_model import LoadedModel, load
 from deepkoco.interchange.torch_module import LinearisedModel
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
-from deepkoco.koopman.lifted_linear import LiftedLinearModel, target_cost
-from deepkoco.koopman.lifting import Polynomial
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, target_cost
+from deepkoco.koopman.lifting.lifting import Polynomial
 from deepkoco.planning import PlannerConfig
 
 RNG = np.random.default_rng(0)

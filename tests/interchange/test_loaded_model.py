@@ -16,10 +16,10 @@ from deepkoco.agent.stored_controller import StoredController, write_controller
 from deepkoco.interchange import LoadedModel, hub
 from deepkoco.interchange.hub import HubError, HubFolder, parse_hub_name
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
-from deepkoco.koopman.cost import quadratic_cost
-from deepkoco.koopman.lifted_linear import LiftedLinearModel, target_cost
-from deepkoco.koopman.lifting import FunctionLifting, LiftingError, TimeDelays
-from deepkoco.koopman.model_folder import ModelFolderError
+from deepkoco.koopman.files.model_folder import ModelFolderError
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, target_cost
+from deepkoco.koopman.lifting.lifting import FunctionLifting, LiftingError, TimeDelays
+from deepkoco.koopman.model.cost import quadratic_cost
 from deepkoco.planning import PlannerConfig
 
 POINT, A = np.array([0.3, -0.5, 0.8]), np.array([0.2, -0.1])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from deepkoco.interchange import from_matrices, from_pykoopman
-from deepkoco.koopman.edmdc import TargetCost, fit_edmdc
-from deepkoco.koopman.lifted_linear import LiftedModelError
-from deepkoco.koopman.lifting import FunctionLifting, Identity, stack_history
-from deepkoco.koopman.model_folder import read_model_folder, write_model_folder
+from deepkoco.koopman.files.model_folder import read_model_folder, write_model_folder
+from deepkoco.koopman.lifting.edmdc import TargetCost, fit_edmdc
+from deepkoco.koopman.lifting.lifted_linear import LiftedModelError
+from deepkoco.koopman.lifting.lifting import FunctionLifting, Identity, stack_history
 
 REFERENCE = json.loads((Path(__file__).parent / "pykoopman_reference.json").read_text())
 X, U = np.array(REFERENCE["x"]), np.array(REFERENCE["u"])

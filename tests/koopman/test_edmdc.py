@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from deepkoco.koopman.edmdc import TargetCost, fit_edmdc, fit_lifted_cost
-from deepkoco.koopman.lifted_linear import LiftedLinearModel, LiftedModelError, target_cost
-from deepkoco.koopman.lifting import FunctionLifting, Identity, Polynomial, TimeDelays
+from deepkoco.koopman.lifting.edmdc import TargetCost, fit_edmdc, fit_lifted_cost
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, LiftedModelError, target_cost
+from deepkoco.koopman.lifting.lifting import FunctionLifting, Identity, Polynomial, TimeDelays
 from deepkoco.planning import PlannerConfig, make_planner
 
 MATRIX = np.array([[1.0, 0.1], [0.3, 1.02]])  # unstable

@@ -9,7 +9,7 @@ import torch
 
 from deepkoco.agent import load_policy
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
-from deepkoco.koopman.model_folder import ModelFolderError, read_model_folder, write_model_folder
+from deepkoco.koopman.files.model_folder import ModelFolderError, read_model_folder, write_model_folder
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from deepkoco.koopman import ExportedModel, KoopmanModel, ModelConfig, chunk_losses, export_model
 from deepkoco.koopman.exported_frames import Convolution, ExportedFrameEncoder, FeatureHistory
-from deepkoco.koopman.frame_arrays import frame_arrays, frame_settings, read_frame_encoder
-from deepkoco.koopman.frame_encoder import FrameEncoder, FrameShapeError, stack_features
+from deepkoco.koopman.files.frame_arrays import frame_arrays, frame_settings, read_frame_encoder
+from deepkoco.koopman.files.model_folder import ModelFolderError, read_model_folder, write_model_folder
 from deepkoco.koopman.losses import ChunkBatch
-from deepkoco.koopman.model_folder import ModelFolderError, read_model_folder, write_model_folder
+from deepkoco.koopman.model.frame_encoder import FrameEncoder, FrameShapeError, stack_features
 
 CONFIG = ModelConfig(3, 0.05, (12, 9), (7,), frame_features=5, frame_channels=(4, 6))
 

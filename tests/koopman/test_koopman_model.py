@@ -2,7 +2,7 @@
 
 import torch
 
-from deepkoco.koopman.model import KoopmanModel, ModelConfig
+from deepkoco.koopman.model.model import KoopmanModel, ModelConfig
 
 
 def test_predicted_root_cost_starts_with_one_sign_over_the_state_space():

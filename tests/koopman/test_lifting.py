@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RBFInterpolator
 from sklearn.preprocessing import PolynomialFeatures
 
-from deepkoco.koopman.lifting import (
+from deepkoco.koopman.lifting.lifting import (
     FunctionLifting,
     LiftingError,
     Polynomial,

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from deepkoco.koopman.losses import ChunkBatch, chunk_losses
-from deepkoco.koopman.model import KoopmanModel, ModelConfig
+from deepkoco.koopman.model.model import KoopmanModel, ModelConfig
 
 
 def identity_model() -> KoopmanModel:

@@ -4,7 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.koopman.mlp import ReluNetwork
+from deepkoco.koopman.model.mlp import ReluNetwork
 
 
 @settings(max_examples=20, deadline=None)

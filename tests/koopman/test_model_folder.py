@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from deepkoco.koopman import ExportedModel, KoopmanModel, ModelConfig, export_model
-from deepkoco.koopman.lifted_linear import LiftedLinearModel, target_cost
-from deepkoco.koopman.lifting import (
+from deepkoco.koopman.files.model_folder import ModelFolderError, read_model_folder, write_model_folder
+from deepkoco.koopman.files.network_arrays import network_parts
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, target_cost
+from deepkoco.koopman.lifting.lifting import (
     FunctionLifting,
     Identity,
     LiftingError,
@@ -26,9 +28,7 @@ from deepkoco.koopman.lifting import (
     RandomFourier,
     TimeDelays,
 )
-from deepkoco.koopman.model_folder import ModelFolderError, read_model_folder, write_model_folder
-from deepkoco.koopman.network import Network
-from deepkoco.koopman.network_arrays import network_parts
+from deepkoco.koopman.lifting.network import Network
 
 RNG = np.random.default_rng(0)
 LIFTINGS = [

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from deepkoco.koopman import KoopmanModel, ModelConfig, chunk_losses, export_model
 from deepkoco.koopman.exported import NoDecoderError
+from deepkoco.koopman.files.model_folder import read_model_folder, write_model_folder
 from deepkoco.koopman.losses import ChunkBatch
-from deepkoco.koopman.model_folder import read_model_folder, write_model_folder
-from deepkoco.koopman.rollout import frozen_rollout, updated_rollout
+from deepkoco.koopman.model.rollout import frozen_rollout, updated_rollout
 
 
 def bent_model() -> KoopmanModel:

@@ -12,8 +12,8 @@ from deepkoco.systems import System
 from deepkoco.systems.effects import PlacedEffect
 
 if TYPE_CHECKING:
-    from deepkoco.diagnose.residuals import MissingTorque
-    from deepkoco.diagnose.scatter import Scatter, Verdict
+    from deepkoco.diagnose.residuals.residuals import MissingTorque
+    from deepkoco.diagnose.residuals.scatter import Scatter, Verdict
 
 
 class Motion(NamedTuple):
@@ -67,7 +67,7 @@ class Cause:
         choices: Number of discrete values that were tried, which the penalty must pay for.
         valley: Values, by full names, along a valley of the cost through given ones; None where there is none.
         scatter: For a cause that changes how measurements scatter: its test; None for the others.
-        traced: Whether it is searched for in the data itself (deepkoco.diagnose.lost) and not by fits of parameters.
+        traced: Whether it is searched for in the data itself (deepkoco.diagnose.lost_commands.search) and not by fits of parameters.
         effect: Name of the placed effect that carries it (or "event").
         joint: Joint that it acts on; None for the whole system.
         index: Which command or channel, where it belongs to one.

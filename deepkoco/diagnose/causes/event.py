@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
-from deepkoco.identify.push import LONGEST, SHORTEST
+from deepkoco.fit.simulate.push import LONGEST, SHORTEST
 
 STRETCHES = (0.4, 0.6, 0.8, 0.9, 1.1, 1.25, 1.6, 2.5)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
 from deepkoco.diagnose.causes.units import LOUD, UNIT_CONSTANTS
-from deepkoco.diagnose.scatter import noise_level, quantisation
+from deepkoco.diagnose.residuals.scatter import noise_level, quantisation
 
 SENSOR_BIAS = Cause(
     "sensor_bias",

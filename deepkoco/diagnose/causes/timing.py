@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
-from deepkoco.diagnose.scatter import jitter
+from deepkoco.diagnose.residuals.scatter import jitter
 
 # A long delay hides behind local minima of the fit: start also from further away [s].
 STARTS = (0.0, 0.03, 0.08)

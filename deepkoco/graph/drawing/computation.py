@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.drawing.style import INK, PALETTE, QUIET, DrawingError, Picture, figure_style
 from deepkoco.graph.supergraph import MergedSlots
+from deepkoco.graph.timing.computation_graph import ComputationGraph
 
 _SHOWN = 4  # supervisor steps that are shown unless asked otherwise
 

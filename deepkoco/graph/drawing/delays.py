@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from deepkoco.graph.delay import Delay, DelayError
 from deepkoco.graph.drawing.style import ALARM, INK, DrawingError, Picture, colours, figure_style
-from deepkoco.graph.episode import Episode
-from deepkoco.graph.episode_tables import measured_delays
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.episodes.episode import Episode
+from deepkoco.graph.episodes.tables import measured_delays
+from deepkoco.graph.model.graph import Graph
 
 _BINS = 31  # odd: a constant delay lies in the middle of a bin
 _TAIL = 0.002  # share of the longest delays that is counted in the last bin only

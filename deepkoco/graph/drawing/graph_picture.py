@@ -13,11 +13,11 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path as Curve
 from matplotlib.textpath import TextPath
 
-from deepkoco.graph.connection import Connection
 from deepkoco.graph.drawing.layers import Box, Placement, Size, place
 from deepkoco.graph.drawing.style import INK, QUIET, Picture, colours, figure_style
 from deepkoco.graph.drawing.words import connection_words, loop_words, node_words
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.model.connection import Connection
+from deepkoco.graph.model.graph import Graph
 
 _NAME, _SMALL = 10.0, 7.5  # font sizes [pt]
 _LINE = 1.35  # height of a line in font sizes

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.model.graph import Graph
 
 _SWEEPS = 24
 _STRAIGHT = 8.0

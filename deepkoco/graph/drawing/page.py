@@ -8,13 +8,13 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from deepkoco.graph.connection import Connection
 from deepkoco.graph.drawing.layers import Placement, Size, place
 from deepkoco.graph.drawing.style import PALETTE, DrawingError, write_whole
 from deepkoco.graph.drawing.words import connection_words, delay_words, graph_words, loop_words, node_words
-from deepkoco.graph.episode import Episode
-from deepkoco.graph.episode_tables import steps_table
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.episodes.episode import Episode
+from deepkoco.graph.episodes.tables import steps_table
+from deepkoco.graph.model.connection import Connection
+from deepkoco.graph.model.graph import Graph
 
 MOST_STEPS = 20_000
 """Steps of an episode that a page holds; a longer one is cut."""

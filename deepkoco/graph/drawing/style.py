@@ -13,7 +13,7 @@ import matplotlib
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.model.graph import Graph
 
 # Told apart by people who do not see all colours: Okabe and Ito's set, the light yellow darkened; then Tol's.
 PALETTE = (
@@ -79,7 +79,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 @contextmanager
 def figure_style() -> Iterator[None]:
     """Draw in the style of all figures of the package."""
-    with matplotlib.rc_context(fname=str(files("deepkoco").joinpath("figures.mplstyle"))):
+    with matplotlib.rc_context(fname=str(files("deepkoco.output").joinpath("figures.mplstyle"))):
         yield
 
 

@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from deepkoco.graph.drawing.style import ALARM, INK, QUIET, DrawingError, Picture, colours, figure_style
-from deepkoco.graph.episode import Episode
-from deepkoco.graph.episode_tables import messages_table, steps_table
-from deepkoco.graph.graph import Graph
+from deepkoco.graph.episodes.episode import Episode
+from deepkoco.graph.episodes.tables import messages_table, steps_table
+from deepkoco.graph.model.graph import Graph
 
 _HALF = 0.15  # half the height of a bar, in lanes
 _NEAR, _FAR = 0.20, 0.42  # where the queues of the inputs lie beside a bar, in lanes

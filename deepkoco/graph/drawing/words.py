@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from deepkoco.graph.connection import Connection
 from deepkoco.graph.delay import Delay, DelayError
-from deepkoco.graph.graph import Graph
-from deepkoco.graph.node import Node
+from deepkoco.graph.model.connection import Connection
+from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.model.node import Node
 
 
 def milliseconds(seconds: float) -> str:

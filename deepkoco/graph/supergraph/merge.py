@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deepkoco.graph.computation_graph import ComputationGraph
 from deepkoco.graph.supergraph.embedding import grow
 from deepkoco.graph.supergraph.partition import AHEAD, GraphCycleError, partition_timing
 from deepkoco.graph.supergraph.search import find_slots
+from deepkoco.graph.timing.computation_graph import ComputationGraph
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
 COMPILED_WITH = "bc5581d9d1eff557"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deepkoco.graph.computation_graph import ComputationGraph
+from deepkoco.graph.timing.computation_graph import ComputationGraph
 
 AHEAD = 1
 

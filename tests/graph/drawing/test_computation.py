@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection, PatchCollection
 from deepkoco.graph import Connection, Graph, Supervisor, draw_timing
 from deepkoco.graph.drawing import draw_computation_graph, draw_supergraph
 from deepkoco.graph.drawing.computation import slot_table
-from deepkoco.graph.storage import RecordedNode
+from deepkoco.graph.episodes.storage import RecordedNode
 from deepkoco.graph.supergraph import MergedSlots, merge_slots
 
 GRAPH = Graph(

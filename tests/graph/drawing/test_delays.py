@@ -6,8 +6,8 @@ import torch
 
 from deepkoco.graph import Connection, Episode, Gaussian, Graph, Supervisor
 from deepkoco.graph.drawing import DrawingError, draw_delays
-from deepkoco.graph.episode_tables import measured_delays
-from deepkoco.graph.storage import RecordedNode
+from deepkoco.graph.episodes.storage import RecordedNode
+from deepkoco.graph.episodes.tables import measured_delays
 
 LAW = Gaussian(0.02, 0.004)
 GRAPH = Graph(

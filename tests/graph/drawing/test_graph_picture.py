@@ -13,7 +13,7 @@ from deepkoco.graph import Connection, Gaussian, Graph, Mixture, Supervisor
 from deepkoco.graph.drawing import DrawingError, draw_graph
 from deepkoco.graph.drawing.layers import Size, assign_layers, place
 from deepkoco.graph.drawing.words import delay_words
-from deepkoco.graph.storage import RecordedNode
+from deepkoco.graph.episodes.storage import RecordedNode
 
 
 def node(name, rate=100, delay=0.0, **options):

@@ -10,8 +10,8 @@ import torch
 
 from deepkoco.graph import Connection, Gaussian, Graph, Supervisor, draw_timing
 from deepkoco.graph.drawing import DrawingError, make_page, page, write_page
-from deepkoco.graph.episode import episode_of_timing
-from deepkoco.graph.storage import RecordedNode
+from deepkoco.graph.episodes.episode import episode_of_timing
+from deepkoco.graph.episodes.storage import RecordedNode
 
 GRAPH = Graph(
     [

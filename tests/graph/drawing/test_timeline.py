@@ -7,9 +7,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 from deepkoco.graph import Connection, Episode, Graph, Supervisor, draw_timing
 from deepkoco.graph.drawing import DrawingError, draw_timeline
-from deepkoco.graph.episode import episode_of_timing
-from deepkoco.graph.episode_tables import messages_table, steps_table
-from deepkoco.graph.storage import RecordedNode
+from deepkoco.graph.episodes.episode import episode_of_timing
+from deepkoco.graph.episodes.storage import RecordedNode
+from deepkoco.graph.episodes.tables import messages_table, steps_table
 
 GRAPH = Graph(
     [RecordedNode("sensor", 10, kind="X"), Supervisor(rate=5, initial_action=torch.zeros(1))],

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from deepkoco.graph import Connection, Gaussian, Graph, Mixture, Node, Supervisor, draw_timing
-from deepkoco.graph.computation_graph import ComputationGraph
+from deepkoco.graph.timing.computation_graph import ComputationGraph
 
 
 class Plain(Node):

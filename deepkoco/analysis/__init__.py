@@ -1,0 +1,1 @@
+"""What a trained latent model has learned: measures with figures, and their page."""

@@ -1,0 +1,138 @@
+"""Write the page of an analysis and its tables, whole or not at all."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+
+import jinja2
+import pandas as pd
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from deepkoco.analysis.page.plan_film import PlanFilm
+from deepkoco.envs.film import write_clip
+from deepkoco.output.picture import Picture, house_style
+
+
+class PageExistsError(FileExistsError):
+    """The page, or the folder of its tables, is there already."""
+
+
+@dataclass
+class Page:
+    """Everything on the page.
+
+    Attributes:
+        title, lead: Heading, and one or two sentences below it.
+        tiles: Numbers to see first: value and text.
+        pictures: In the order of the page.
+        film: The clip with its caption; None leaves it out.
+        notes: What is left out and why.
+        facts: Name to value of the last section.
+        settings: All settings as text.
+    """
+
+    title: str
+    lead: str
+    tiles: Sequence[tuple[str, str]]
+    pictures: Sequence[Picture]
+    film: tuple[PlanFilm, str] | None
+    facts: Mapping[str, str]
+    settings: str
+    notes: Sequence[str] = field(default_factory=tuple)
+
+
+def data_folder(page: Path) -> Path:
+    """Folder of the tables and pictures of a page: beside it, named after it."""
+    return page.with_name(f"{page.stem}_data")
+
+
+def check_free(page: Path) -> None:
+    """Refuse to overwrite.
+
+    Raises:
+        PageExistsError: The page or its folder exists, or something on the path is a file.
+    """
+    for target in (page, data_folder(page)):
+        if target.exists():
+            raise PageExistsError(f"{target}: exists; choose another name with --out or move it away")
+    blocked = next((parent for parent in page.parents if parent.exists() and not parent.is_dir()), None)
+    if blocked is not None:
+        raise PageExistsError(f"{page}: {blocked} is no folder; choose another place with --out")
+
+
+def write_page(page: Page, path: Path) -> None:
+    """Write PAGE.html, self-contained, and PAGE_data/ with every picture, its table and the clip.
+
+    Args:
+        page: The content.
+        path: File that does not exist yet.
+
+    Raises:
+        PageExistsError: It exists.
+        FilmError: The clip could not be written.
+    """
+    check_free(path)
+    folder = data_folder(path)
+    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    partial.mkdir(parents=True)
+    written = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        pictures = []
+        for picture in page.pictures:
+            png = as_png(picture.figure)
+            (partial / f"{picture.name}.png").write_bytes(png)
+            _write_table(picture.table, partial / f"{picture.name}.csv")
+            pictures.append({**picture._asdict(), "png": base64.b64encode(png).decode()})
+        film = None
+        if page.film is not None:
+            clip, caption = page.film
+            write_clip(partial / "plan.webm", clip.frames, clip.rate)
+            _write_table(clip.table, partial / "plan.csv")
+            film = {
+                "clip": base64.b64encode((partial / "plan.webm").read_bytes()).decode(),
+                "caption": caption,
+            }
+        source = files("deepkoco.analysis.page").joinpath("page.html").read_text(encoding="utf-8")
+        html = (
+            jinja2.Environment(autoescape=True)
+            .from_string(source)
+            .render(
+                title=page.title,
+                lead=page.lead,
+                tiles=[{"value": value, "text": text} for value, text in page.tiles],
+                pictures=pictures,
+                film=film,
+                notes=page.notes,
+                facts=page.facts,
+                settings=page.settings,
+                folder=folder.name,
+            )
+        )
+        written.write_text(html, encoding="utf-8")
+        os.rename(partial, folder)
+        os.rename(written, path)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        written.unlink(missing_ok=True)
+        raise
+
+
+def as_png(figure: Figure) -> bytes:
+    """A figure as PNG; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    with house_style():  # constrained layout is worked out when drawn
+        figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _write_table(table: pd.DataFrame, path: Path) -> None:
+    table.to_csv(path, index=False, lineterminator="\n", float_format="%.6g")

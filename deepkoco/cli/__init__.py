@@ -1,0 +1,1 @@
+"""The command line `deepkoco`: one file for each subcommand."""

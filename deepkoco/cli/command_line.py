@@ -1,0 +1,111 @@
+"""`deepkoco`: one command with subcommands; the work is done in the packages that own it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from deepkoco import __version__
+from deepkoco.cli.input_error import InputError
+from deepkoco.unit.messages import UnitError
+
+DESCRIPTION = "Record a robot, show what its simulation gets wrong, and list what can be simulated."
+EXAMPLE = """\
+example, from a unit to a diagnosis:
+  deepkoco record --unit configs/units/rod_pendulum_coulomb.yaml --seconds 30 --out logs/coulomb.csv
+  deepkoco inspect logs/coulomb.csv
+  deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out logs/coulomb_report
+
+"deepkoco COMMAND --help" says more about each."""
+# subcommand: (module with add_arguments, run, DESCRIPTION and EXAMPLE, one line for the list)
+COMMANDS = {
+    "record": ("deepkoco.cli.record", "drive a unit with an excitation and write a measured log"),
+    "inspect": (
+        "deepkoco.cli.inspect",
+        "show what a log holds (CSV, Parquet, MCAP, ROS bags) and propose what its columns mean",
+    ),
+    "identify": (
+        "deepkoco.cli.identify",
+        "find parameters and delays of a system from logs, with intervals",
+    ),
+    "diagnose": (
+        "deepkoco.cli.diagnose",
+        "name what the simulation of a logged robot gets wrong, and extend it",
+    ),
+    "design-experiment": (
+        "deepkoco.cli.design_experiment",
+        "find the commands that tell causes apart best, to be played by record",
+    ),
+    "show": (
+        "deepkoco.cli.show",
+        "show what a recording of a graph holds, or what a trained model has learned",
+    ),
+    "export": ("deepkoco.cli.export", "write a recording of a graph as CSV or Parquet"),
+    "export-model": (
+        "deepkoco.cli.export_model",
+        "write a trained or imported model as ONNX, torch.export or plain arrays",
+    ),
+    "systems": ("deepkoco.cli.systems", "list the systems with parameters, units and bounds"),
+}
+
+
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """Parser of the command line.
+
+    Args:
+        command: Subcommand to declare in full; the others are only listed, so that no subcommand waits
+            for another one's imports.
+    """
+    parser = argparse.ArgumentParser(
+        prog="deepkoco",
+        description=DESCRIPTION,
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"deepkoco {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, title="commands")
+    for name, (module_name, summary) in COMMANDS.items():
+        if name != command:
+            subparsers.add_parser(name, help=summary, add_help=False)
+            continue
+        module = import_module(module_name)
+        subparser = subparsers.add_parser(
+            name,
+            help=summary,
+            description=getattr(module, "DESCRIPTION", summary),
+            epilog=getattr(module, "EXAMPLE", None),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(subparser)
+        subparser.set_defaults(run=module.run)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a subcommand.
+
+    Args:
+        arguments: Command line without the program's name; None takes the process's.
+
+    Returns:
+        Exit status: 0 done, 1 the unit failed, 2 bad input, 130 interrupted; `diagnose` adds its own.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    command = next((a for a in arguments if not a.startswith("-")), None)
+    args = build_parser(command).parse_args(arguments)
+    try:
+        return args.run(args)
+    except InputError as error:
+        status, text = 2, str(error)
+    except UnitError as error:
+        status, text = 1, str(error)
+    except KeyboardInterrupt as interrupt:
+        status, text = 130, "; ".join(("interrupted", *map(str, interrupt.args)))
+    sys.stderr.write(f"deepkoco {args.command}: {' '.join(text.split())}\n")
+    return status
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

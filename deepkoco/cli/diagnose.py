@@ -1,0 +1,187 @@
+"""`deepkoco diagnose`: name what the simulation of a logged robot gets wrong, and extend it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepkoco.cli.input_error import InputError
+
+if TYPE_CHECKING:
+    from deepkoco.diagnose.progress import Progress
+    from deepkoco.logs.recording import Recording
+    from deepkoco.systems import System
+
+DESCRIPTION = """\
+Compare logs of a robot with its simulation, name what the simulation gets wrong, and write a report, the
+extended simulation (model.yaml) and what it is worth on data kept away from every fit.
+
+Exit status: 0 diagnosed (also when nothing is wrong), 2 bad input, 3 the data do not suffice."""
+EXAMPLE = """\
+example:
+  deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out coulomb_report
+  deepkoco diagnose logs/monday.csv --system model.yaml --healthy logs/sunday.csv"""
+INSUFFICIENT = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `deepkoco diagnose`."""
+    parser.add_argument(
+        "recording",
+        type=Path,
+        nargs="+",
+        metavar="LOG",
+        help="log to explain (CSV, Parquet, MCAP or a ROS bag)",
+    )
+    parser.add_argument(
+        "--system", metavar="SYSTEM", help="name of the system, or a model.yaml; default: as the log says"
+    )
+    parser.add_argument(
+        "--healthy",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="logs of the same unit in which nothing is wrong",
+    )
+    parser.add_argument(
+        "--holdout",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="logs that are never fitted; default: keep one window in four",
+    )
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs, where it is not LOG.yaml"
+    )
+    parser.add_argument(
+        "--fill", choices=("drop", "hold"), help="what to do with missing values; default: refuse them"
+    )
+    parser.add_argument(
+        "--window", type=float, metavar="S", help="length of a window [s]; default: about one period"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap (default 0)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for the report; must not exist; default: LOG_diagnosis beside the first log",
+    )
+    parser.add_argument("--json", action="store_true", help="print report.json instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose, write the report and print the verdict.
+
+    Raises:
+        InputError: A log, the system or the output folder cannot be used.
+    """
+    from deepkoco.diagnose.diagnose import diagnose
+    from deepkoco.diagnose.report.folder import write_report
+    from deepkoco.diagnose.report.text import terminal_table
+    from deepkoco.logs.recording import LogError
+    from deepkoco.output.new_folder import FolderExistsError, check_new
+
+    first = args.recording[0]
+    out = args.out or first.with_name(f"{first.stem}_diagnosis")
+    if args.window is not None and not 0.05 <= args.window <= 60.0:
+        raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
+    try:
+        check_new(out)
+        with _Doing(args.json) as say:
+            say("reading the logs")
+            system, logs = read_logs(args, args.recording, None)
+            healthy, holdout = (read_logs(args, paths, system)[1] for paths in (args.healthy, args.holdout))
+            result = diagnose(logs, system, healthy, holdout, args.seed, args.window, progress=say)
+            say("drawing the report")
+            page = write_report(result, out)
+    except (LogError, FolderExistsError) as error:
+        raise InputError(str(error)) from error
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    if args.json:
+        sys.stdout.write(json.dumps(result.to_json(), indent=2) + "\n")
+    else:
+        from rich.console import Console
+
+        console = Console()
+        console.print(terminal_table(result))
+        console.print(f"report: {page}", highlight=False)
+    return INSUFFICIENT if result.verdict == "insufficient" else 0
+
+
+class _Doing:
+    """What is being done and for how long, on a terminal's stderr."""
+
+    def __init__(self, quiet: bool) -> None:
+        from rich.console import Console
+        from rich.progress import Progress as Line
+        from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        self.line = Line(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+            disable=quiet or not sys.stderr.isatty(),
+        )
+        self.task = self.line.add_task("", total=None)
+
+    def __enter__(self) -> Progress:
+        self.line.start()
+        return lambda doing: self.line.update(self.task, description=doing)
+
+    def __exit__(self, *_: object) -> None:
+        self.line.stop()
+
+
+def read_logs(
+    args: argparse.Namespace, paths: Sequence[Path], system: System | None
+) -> tuple[System, list[Recording]]:
+    """Read logs of one system; where none is given yet, the one that the arguments or the first log name.
+
+    Raises:
+        InputError: The system is unknown, or none is named.
+        LogError: A log cannot be read.
+    """
+    from deepkoco.logs.recording import read_log
+    from deepkoco.systems import SYSTEMS
+
+    name = args.system
+    if system is None and name is not None:
+        system = named_system(name)
+    recordings = []
+    for path in paths:
+        if system is None:
+            said = read_log(path, args.map, systems=tuple(SYSTEMS), fill=args.fill).system
+            if said is None:
+                raise InputError(
+                    f"{path}: the sidecar names no system; give --system, one of {', '.join(SYSTEMS)}"
+                )
+            system = named_system(said)
+        channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
+        recordings.append(
+            read_log(path, args.map, system.name, channels=channels, systems=tuple(SYSTEMS), fill=args.fill)
+        )
+    assert system is not None or not paths
+    return system, recordings  # type: ignore[return-value]
+
+
+def named_system(name: str) -> System:
+    """System of a name, or of a model.yaml.
+
+    Raises:
+        InputError: There is none.
+    """
+    from deepkoco.systems import ModelFileError, UnknownSystemError, load_model, make_system
+
+    try:
+        return load_model(name) if name.endswith((".yaml", ".yml")) else make_system(name)
+    except (ModelFileError, UnknownSystemError) as error:
+        raise InputError(f"--system: {error}") from error

@@ -1,0 +1,207 @@
+"""`deepkoco inspect`: show what a log holds and propose what it means."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepkoco.cli.input_error import InputError
+
+if TYPE_CHECKING:
+    from deepkoco.logs.inspect.fitting import Fitting
+    from deepkoco.logs.inspect.proposal import Proposal
+    from deepkoco.logs.inspect.survey import Survey
+    from deepkoco.logs.recording import Recording
+
+DESCRIPTION = """\
+Look at a log (CSV, Parquet, MCAP, a bag of ROS 1 or ROS 2): its columns with types, ranges and gaps, its
+clocks with rate, jitter and resets, and whatever asks for a second look. With a sidecar beside it (or --map)
+its channels are shown in SI units. Without one a mapping is proposed: which column is which channel of the
+system, in which unit, how sure that is and why; --out writes it as a sidecar.
+
+Exit status: 0 shown, 2 the log or its sidecar cannot be used."""
+EXAMPLE = """\
+example:
+  deepkoco inspect logs/coulomb.csv
+  deepkoco inspect bag/ --system torque_pendulum --out bag.yaml --plot bag.png
+  deepkoco inspect logs/coulomb.csv --json"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `deepkoco inspect`."""
+    parser.add_argument(
+        "log", type=Path, metavar="LOG", help="log to read, a file or the folder of a ROS 2 bag"
+    )
+    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar, where it is not LOG.yaml")
+    parser.add_argument(
+        "--system", metavar="SYSTEM", help="system to propose a mapping for; default: the one that fits best"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="MAP.yaml", help="write the proposed mapping as a sidecar; must not exist"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw all channels over time (.png, .svg, .pdf)"
+    )
+    parser.add_argument(
+        "--fill", choices=("drop", "hold"), help="what to do with missing values of a mapped log"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what a log holds.
+
+    Raises:
+        InputError: The log cannot be used, or an output file exists.
+    """
+    from deepkoco.logs.formats import open_log
+    from deepkoco.logs.inspect.survey import survey_log
+    from deepkoco.logs.recording import LogError
+    from deepkoco.logs.sidecar import sidecar_path
+
+    for target in (args.out, args.plot):
+        if target is not None and target.exists():
+            raise InputError(f"{target}: exists; choose another name or move it away")
+        if target is not None and not target.parent.is_dir():
+            raise InputError(f"{target}: there is no folder {target.parent}; make it first")
+    try:
+        found = survey_log(open_log(args.log))
+    except LogError as error:
+        raise InputError(str(error)) from error
+    mapped = args.map is not None or sidecar_path(args.log).is_file()
+    propose = not mapped or args.system is not None or args.out is not None
+    fitting, refusal = _fitting(found, args.system, args.out) if propose else (None, None)
+    proposal = None if fitting is None else fitting.proposal
+    recording, problem = _read(args) if mapped else (None, None)
+    if args.out is not None:
+        assert fitting is not None
+        _write_mapping(args.out, found, fitting, args.system)
+    if args.plot is not None:
+        _plot(args.plot, found, proposal)
+    if args.json:
+        from deepkoco.logs.inspect.as_json import content
+
+        described = content(found, fitting, recording, refusal or problem)
+        sys.stdout.write(json.dumps(described, indent=2, default=str, allow_nan=False) + "\n")
+    else:
+        _print(args, found, fitting, recording, refusal)
+    if problem is not None:
+        raise InputError(problem)
+    return 0
+
+
+def _fitting(found: Survey, system: str | None, out: Path | None) -> tuple[Fitting | None, str | None]:
+    from deepkoco.logs.inspect.fitting import NoProposalError, propose
+    from deepkoco.systems import UnknownSystemError
+
+    try:
+        return propose(found, system), None
+    except UnknownSystemError as error:
+        raise InputError(f"--system: {error}") from error
+    except NoProposalError as error:
+        if out is not None:
+            raise InputError(str(error)) from error
+        return None, str(error)
+
+
+def _read(args: argparse.Namespace) -> tuple[Recording | None, str | None]:
+    """The mapped log, and what speaks against using it."""
+    from deepkoco.logs.recording import LogError, read_log
+
+    def read(implausible: bool) -> Recording:
+        return read_log(
+            args.log,
+            args.map,
+            fill=args.fill,
+            min_samples=2,
+            min_seconds=0.0,
+            allow_constant_command=True,
+            allow_implausible=implausible,
+        )
+
+    try:
+        recording = read(implausible=True)
+    except LogError as error:
+        return None, str(error)
+    try:
+        read(implausible=False)
+    except LogError as error:
+        return recording, str(error)
+    return recording, None
+
+
+def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | None) -> None:
+    from deepkoco.graph.drawing.style import write_whole
+    from deepkoco.logs.inspect.proposal import mapping_of
+    from deepkoco.logs.sidecar import dump_sidecar
+
+    if fitting.alike and system is None:
+        raise InputError(
+            f"{path}: the log fits {', '.join((fitting.proposal.system, *fitting.alike))} alike; choose with --system"
+        )
+    sure = {c.channel.name: c.sureness for c in fitting.proposal.choices if c.column is not None}
+    meta = {"proposed by": "deepkoco inspect", "how sure": sure}
+    text = dump_sidecar(fitting.proposal.system, mapping_of(found, fitting.proposal), meta, found.where)
+    try:
+        write_whole(path, lambda file: file.write(text.encode()))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _plot(path: Path, found: Survey, proposal: Proposal | None) -> None:
+    from deepkoco.logs.inspect.picture import draw_overview, save_picture
+
+    try:
+        save_picture(draw_overview(found, proposal), path)
+    except FileExistsError as error:
+        raise InputError(str(error)) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be drawn: {' '.join(str(error).split())}") from error
+
+
+def _print(
+    args: argparse.Namespace,
+    found: Survey,
+    fitting: Fitting | None,
+    recording: Recording | None,
+    refusal: str | None,
+) -> None:
+    from rich.console import Console
+
+    from deepkoco.logs.inspect.doubts import doubts_of
+    from deepkoco.logs.inspect.log_summary import summary_table
+    from deepkoco.logs.inspect.tables import clock_table, column_table, proposal_table
+
+    console = Console()
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, markup=False)
+
+    if recording is not None:
+        console.print(summary_table(args.log, recording))
+        if recording.meta:
+            say(", ".join(f"{key}: {value}" for key, value in recording.meta.items()))
+        for warning in recording.warnings:
+            say(f"! {warning}")
+    if recording is None or args.system is not None or args.out is not None:
+        if recording is None:
+            say(f"{found.log.path} · {found.log.form}")
+        console.print(clock_table(found))
+        console.print(column_table(found, None if fitting is None else fitting.proposal))
+    if fitting is not None:
+        console.print(proposal_table(fitting))
+    proposal = None if fitting is None else fitting.proposal
+    if recording is None:
+        for doubt in doubts_of(found, proposal):
+            say(f"! {doubt}")
+    if refusal is not None:
+        say(f"! {refusal}")
+    if fitting is not None and args.out is None:
+        names = " or ".join((fitting.proposal.system, *(fitting.alike if args.system is None else ())))
+        say(f"write this mapping with --system {names} --out {args.log.with_suffix('.yaml')}")
+    for target in (args.out, args.plot):
+        if target is not None:
+            say(f"written: {target}")

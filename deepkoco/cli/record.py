@@ -1,0 +1,172 @@
+"""`deepkoco record`: arguments, progress and errors of recording a unit."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import TYPE_CHECKING
+
+from deepkoco.cli.input_error import InputError
+
+if TYPE_CHECKING:
+    from deepkoco.logs.recording import Recording
+
+DESCRIPTION = """\
+Drive a unit, a stand-in for a real robot, with an excitation and write what was measured as LOG.csv with
+LOG.yaml beside it. The unit runs in a process of its own, in wall-clock time, and is reached only through
+its command and its sensor channel; time stamps are those of real sending and receiving."""
+EXAMPLE = """\
+example:
+  deepkoco record --system rod_pendulum --unit configs/units/rod_pendulum_coulomb.yaml \\
+      --seconds 30 --excitation chirp --out logs/coulomb.csv"""
+EXCITATIONS = ("chirp", "steps", "prbs", "bang-bang", "policy")
+BETWEEN_UPDATES = 0.5  # of the progress bar [s]: drawing delays the stamps of the next message
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `deepkoco record`."""
+    parser.add_argument("--system", help="system of the unit (default: the one UNIT.yaml names)")
+    parser.add_argument(
+        "--unit", required=True, type=Path, metavar="UNIT.yaml", help="what the unit really is"
+    )
+    parser.add_argument(
+        "--seconds", type=float, help="length of the log [s] (default: 30, or that of --commands)"
+    )
+    parser.add_argument("--excitation", choices=EXCITATIONS, help="what drives it (default: chirp)")
+    parser.add_argument(
+        "--commands",
+        type=Path,
+        metavar="FILE.csv",
+        help="play these commands instead, as `deepkoco design-experiment` writes them",
+    )
+    parser.add_argument("--policy", type=Path, metavar="DIR", help="folder of a trained policy")
+    parser.add_argument("--amplitude", type=float, help="largest command (default: the system's limit)")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="commands per second (default: 50)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the excitation (default: 0)")
+    parser.add_argument(
+        "--simulated", action="store_true", help="virtual instead of wall-clock time: exact, and done at once"
+    )
+    parser.add_argument("--out", required=True, type=Path, metavar="LOG.csv", help="log to write")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record and write the log.
+
+    Raises:
+        InputError: An argument or a file is wrong.
+        UnitError: The unit died on the way.
+    """
+    if args.out.name in ("", ".."):
+        raise InputError(f'--out "{args.out}": names no file; give one that ends in .csv')
+    out: Path = args.out if args.out.suffix else args.out.with_suffix(".csv")
+    if out.suffix != ".csv":
+        raise InputError(f"{out}: logs are written as CSV; give a name that ends in .csv")
+    for target in (out, out.with_suffix(".yaml")):
+        if target.exists():
+            raise InputError(f"{target}: exists; choose another name or move it away")
+    if args.commands is not None and (args.excitation or args.policy or args.amplitude):
+        raise InputError(
+            "--commands: says what drives the unit; leave --excitation, --policy and --amplitude out"
+        )
+    if (args.policy is None) != (args.excitation != "policy"):
+        raise InputError("--policy: goes with --excitation policy; give both, or neither")
+    if args.policy is not None and args.amplitude is not None:
+        raise InputError("--amplitude: a policy chooses its own commands; leave it out")
+
+    from deepkoco.excitation.excitation import ExcitationError, load_policy_excitation
+    from deepkoco.excitation.played import CommandFileError, load_commands
+    from deepkoco.excitation.record import RecordError, record
+    from deepkoco.logs.recording import LogError, write_log
+    from deepkoco.systems import one_joint
+    from deepkoco.unit.unit_file import UnitSpecError, load_unit
+
+    clock = "simulated" if args.simulated else "wall"
+    try:
+        spec = load_unit(args.unit, args.system)
+        excitation, rate = args.excitation or "chirp", args.rate
+        named, seconds = excitation, 30.0 if args.seconds is None else args.seconds
+        if args.commands is not None:
+            played = load_commands(args.commands, one_joint(spec.system))
+            excitation, named = played.excitation(), args.commands.name
+            rate = played.rate_on(spec.sensor.rate_hz) if rate is None else rate
+            seconds = played.seconds if args.seconds is None else args.seconds
+        elif args.policy is not None:
+            excitation, trained_rate = load_policy_excitation(args.policy, spec.system)
+            rate = trained_rate if rate is None else rate
+        _probe(out)
+        with _progress(seconds, wanted=clock == "wall") as progress:
+            recording = record(
+                spec,
+                excitation,
+                seconds,
+                control_rate=rate,
+                clock=clock,
+                seed=args.seed,
+                amplitude=args.amplitude,
+                meta={"excitation": named},
+                progress=progress,
+            )
+        write_log(out, recording)
+    except (UnitSpecError, ExcitationError, CommandFileError, RecordError, LogError) as error:
+        raise InputError(str(error)) from error
+    except KeyboardInterrupt as interrupt:
+        raise KeyboardInterrupt(f"{out} is written" if out.exists() else "nothing is written") from interrupt
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    _report(out, recording)
+    return 0
+
+
+def _probe(out: Path) -> None:
+    """Write and remove a file where the log is to be, so that no recording is made in vain.
+
+    Raises:
+        OSError: The folder cannot be made or takes no file.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}."):
+        pass
+
+
+def _report(out: Path, recording: Recording) -> None:
+    from rich.console import Console
+
+    from deepkoco.logs.inspect.log_summary import summary_table
+
+    console = Console()
+    console.print(summary_table(out, recording))
+    lost = recording.meta["samples_lost"]
+    if lost:
+        console.print(f"[yellow]{lost} samples of the sensor were lost[/yellow]: the machine was busy")
+
+
+@contextmanager
+def _progress(seconds: float, wanted: bool) -> Iterator[Callable[[float], None] | None]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not (wanted and console.is_terminal):
+        yield None
+        return
+    columns = (
+        TextColumn("recording"),
+        BarColumn(),
+        TextColumn("{task.completed:.1f} s"),
+        TimeRemainingColumn(),
+    )
+    # Drawn from the recorder's own loop: a drawing thread would hold up the time stamps at random.
+    with Progress(*columns, console=console, auto_refresh=False, transient=True) as bar:
+        task = bar.add_task("recording", total=seconds)
+        shown = 0.0
+
+        def update(t: float) -> None:
+            nonlocal shown
+            if t - shown >= BETWEEN_UPDATES:
+                shown = t
+                bar.update(task, completed=t, refresh=True)
+
+        yield update

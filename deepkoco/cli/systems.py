@@ -1,0 +1,86 @@
+"""`deepkoco systems`: list the systems with their channels, parameters and hidden effects."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+from deepkoco.cli.input_error import InputError
+
+if TYPE_CHECKING:
+    from deepkoco.systems import System
+
+DESCRIPTION = "List the systems that the package knows: channels, parameters, units and bounds."
+EXAMPLE = """\
+example:
+  deepkoco systems
+  deepkoco systems rod_pendulum --effects"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `deepkoco systems`."""
+    parser.add_argument("system", nargs="?", help="show this one only")
+    parser.add_argument("--effects", action="store_true", help="also the parameters of the effects")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the systems.
+
+    Raises:
+        InputError: There is no such system.
+    """
+    from deepkoco.systems import SYSTEMS, ExtendedSystem, UnknownSystemError, make_system
+    from deepkoco.systems.effects import effects_of
+
+    try:
+        systems = [make_system(name) for name in ([args.system] if args.system else sorted(SYSTEMS))]
+    except UnknownSystemError as error:
+        raise InputError(str(error)) from error
+    if args.effects:
+        systems = [ExtendedSystem(s, tuple(effects_of(s))) for s in systems]
+    described = [_describe(system) for system in systems]
+    if args.json:
+        sys.stdout.write(json.dumps(described, indent=2) + "\n")
+        return 0
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    for system in described:
+        console.print(f"[bold]{system['name']}[/bold]")
+        for channel in system["channels"]:
+            limits = f", {channel['low']:g} to {channel['high']:g}" if channel["kind"] == "command" else ""
+            signal = f"{channel['name']} ({channel['unit']}{limits})"
+            console.print(f"  {channel['kind']:<12}{signal}: {channel['description']}", highlight=False)
+        table = Table()
+        # Names are what users copy: only the meaning may be folded.
+        table.add_column("parameter", no_wrap=True)
+        table.add_column("value, bounds", no_wrap=True)
+        table.add_column("meaning", overflow="fold")
+        for p in system["parameters"]:
+            value = f"{p['value']:g} \\[{p['low']:g}, {p['high']:g}] {p['unit']}"
+            table.add_row(p["name"], value, p["description"])
+        console.print(table)
+    return 0
+
+
+def _describe(system: System) -> dict[str, Any]:
+    limited = {"low", "high"}
+    return {
+        "name": system.name,
+        "channels": [
+            {
+                key: getattr(channel, key)
+                for key in ("name", "kind", "unit", "low", "high", "description")
+                if key not in limited or channel.kind == "command"
+            }
+            for channel in (*system.commands, *system.measurements)
+        ],
+        "parameters": [
+            {key: getattr(p, key) for key in ("name", "value", "unit", "low", "high", "description")}
+            for p in system.parameters
+        ],
+    }

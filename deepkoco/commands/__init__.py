@@ -1,1 +1,0 @@
-"""Subcommands of `deepkoco` for recordings of graphs; the work is done in `deepkoco.graph`."""

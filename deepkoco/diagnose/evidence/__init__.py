@@ -1,0 +1,1 @@
+"""Which causes explain the data: screened, fitted, ranked and selected."""

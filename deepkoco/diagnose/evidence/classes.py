@@ -1,0 +1,60 @@
+"""Which causes the data at hand cannot tell apart."""
+
+from __future__ import annotations
+
+import torch
+
+from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.selection import Candidate, Ranking, penalty, prior_with
+from deepkoco.diagnose.residuals.residuals import SLOTS
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+
+APART = 6.0  # difference of BIC from which two causes are told apart ("strong evidence")
+NEAR = 40.0  # candidates further behind than that are not worth a fit to the winner's data
+
+# Source of the scale: Kass and Raftery, Bayes factors, JASA 90 (1995).
+
+
+def equivalent(
+    problem: FitProblem, start: Start, ranking: Ranking, accepted: tuple[Cause, ...] = ()
+) -> tuple[str, ...]:
+    """Names that these data do not tell apart from the winner, the winner first.
+
+    A cause is in the class if its BIC is within ``APART`` of the winner's, or if it would be on average:
+    fitted to noise-free measurements simulated from the winner it falls behind by less, and noise alone
+    explains that it does worse here. Nothing is looked up in a table of known equivalences.
+    """
+    winner = ranking.best
+    close = [c for c in ranking.candidates[1:] if winner.delta_bic - c.delta_bic < NEAR]
+    class_names = [winner.cause.name]
+    if not close:
+        return (winner.cause.name,)
+    expected = expected_gaps(problem, start, winner, close, accepted)
+    places = SLOTS * len(problem.windows)
+    own = penalty(winner.cause, ranking.samples, places)
+    for candidate, gap in zip(close, expected, strict=True):
+        behind = winner.delta_bic - candidate.delta_bic
+        mean = gap / ranking.deflation + penalty(candidate.cause, ranking.samples, places) - own
+        # The observed gap scatters around the expected one by 2 sqrt(gap).
+        chance = 2.0 * 2.0 * max(gap / ranking.deflation, 1.0) ** 0.5
+        if behind < APART or (mean < APART and behind < APART + chance):
+            class_names.append(candidate.cause.name)
+    return tuple(class_names)
+
+
+def expected_gaps(
+    problem: FitProblem, start: Start, winner: Candidate, others: list[Candidate], accepted: tuple[Cause, ...]
+) -> list[float]:
+    """chi2 that each candidate leaves on noise-free measurements simulated from the winner."""
+    shown = problem.windows.value - winner.fit.residual / problem.weight.clamp_min(1e-300)
+    clean = FitProblem(
+        problem.system, problem.windows.with_value(torch.where(problem.windows.valid, shown, 0.0))
+    )
+    trials = []
+    for candidate in others:
+        fit: Fit = candidate.fit
+        prior = prior_with(problem, start, [*accepted, candidate.cause], fit.values)
+        trials.append(Trial(candidate.cause.name, prior.names, prior, fit.values, fit.state, fit.nuisance))
+    # Both pay for their distance from the prior; only the difference between them counts.
+    return [max(fit.cost - winner.fit.penalty, 0.0) for fit in clean.fit(trials, 10)]

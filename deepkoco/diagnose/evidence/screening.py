@@ -1,0 +1,189 @@
+"""How much each cause could win, to first order, from one batch of simulations.
+
+A full fit of every cause simulates each of them with perturbed parameters and states over and over. Most
+have nothing to offer, and that shows already in the direction in which their first dose moves the measurements:
+the residuals' share along it, after everything that the baseline's parameters and the windows' states can do,
+is the fall of chi2 that the linearised fit would reach.
+
+Source: the score test; Rao, Linear Statistical Inference and its Applications, 6e.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.diagnose.causes import Cause
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.simulate.push import Push
+from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP, state_steps
+from deepkoco.fit.solve.normal_equations import NormalEquations
+from deepkoco.fit.solve.prior import Prior
+
+LANES = 160  # simulated at once
+RIDGE = 1e-8  # relative; two doses may move the measurements alike
+
+
+class Start(NamedTuple):
+    """One start of a cause, and the fall of the cost that it promises."""
+
+    cause: Cause
+    values: Mapping[str, float]
+    promise: float
+
+
+def screen(
+    problem: FitProblem, reference: Fit, prior: Prior, starts: Sequence[tuple[Cause, Mapping[str, float]]]
+) -> list[Start]:
+    """Promise of every start on top of a reference fit.
+
+    A start at null is judged by the slopes of its free parameters there; one away from it by the secant from
+    null to the start, which sees effects whose slope at null is zero.
+    """
+    tangent = _Tangent(problem, reference, prior)
+    doses, owner, forward = [], [], []
+    for k, (cause, place) in enumerate(starts):
+        own = _doses(problem, reference, cause, place)
+        doses += own
+        owner += [k] * len(own)
+        forward.append(len(own) == 1 and _one_way(problem, reference, cause, place))
+    moved = tangent.respond(doses)
+    promises = tangent.promises(moved, np.array(owner, dtype=int), forward)
+    return [Start(c, place, float(p)) for (c, place), p in zip(starts, promises, strict=True)]
+
+
+def _doses(
+    problem: FitProblem, reference: Fit, cause: Cause, place: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """Parameter values, each of which moves the measurements in one direction that the cause offers."""
+    at = {**reference.values, **place}
+    null = reference.values
+    shifted = any(at[n] != null[n] for n in place if n not in Push.NAMES[1:])
+    silent = shifted and not _linear(cause, place)
+    result = [at] if silent else []
+    if cause.effect == "event":
+        return [at]
+    for name in cause.free:
+        j = problem.names.index(name)
+        if silent and name in place:
+            continue
+        step = PARAMETER_STEP * problem.scale[j]
+        if name.endswith(".frequency"):
+            continue  # without a dose a shape moves nothing
+        step = -step if at[name] + step > problem.high[j] else step
+        result.append({**at, name: at[name] + step})
+    return result
+
+
+def _one_way(problem: FitProblem, reference: Fit, cause: Cause, place: Mapping[str, float]) -> bool:
+    """Whether the only dose may be taken forwards alone: away from null, or from a bound."""
+    if any(reference.values[n] != v for n, v in place.items()):
+        return True
+    return any(reference.values[n] <= problem.low[problem.names.index(n)] for n in cause.free)
+
+
+def _linear(cause: Cause, place: Mapping[str, float]) -> bool:
+    """Whether a start only chooses a shape (a frequency, a Stribeck speed) and leaves the dose at null."""
+    return cause.kind in ("cogging", "periodic") or (cause.kind == "stribeck" and len(place) == 1)
+
+
+class _Tangent:
+    """Measurements linearised in the baseline's parameters and the windows' states at a reference."""
+
+    def __init__(self, problem: FitProblem, reference: Fit, prior: Prior) -> None:
+        self.problem, self.reference = problem, reference
+        free = list(reference.free)
+        theta = np.array([reference.values[n] for n in problem.names])
+        also = [n for n in problem.nuisances.varies if n not in free]
+        columns = np.array([problem.names.index(n) for n in (*free, *also)], dtype=int)
+        steps = PARAMETER_STEP * problem.scale[columns]
+        steps = np.where(theta[columns] + steps > problem.high[columns], -steps, steps)
+        nudge = state_steps(reference.state.shape[1])
+        lanes = np.repeat(theta[None], 1 + len(columns) + len(nudge), axis=0)
+        lanes[1 + np.arange(len(columns)), columns] += steps
+        states = reference.state[None].repeat(len(lanes), 1, 1)
+        for s, size in enumerate(nudge):
+            states[1 + len(columns) + s, :, s] += size
+        predicted = problem.predict(lanes, states, reference.nuisance[None].repeat(len(lanes), 1))
+        size = torch.tensor([*steps, *nudge], dtype=torch.float64)[:, None, None, None]
+        slopes = (predicted[1:] - predicted[0]) / size * problem.weight
+        precision = torch.from_numpy(prior.precision(free))
+        offset = torch.from_numpy(theta[columns[: len(free)]] - prior.mean(free))
+        self.residual = (problem.windows.value - predicted[0]) * problem.weight
+        p, self.states = len(free), slopes[len(columns) :]
+        own = problem.nuisance_slopes(slopes[[(*free, *also).index(n) for n in problem.nuisances.varies]])
+        self.normal = NormalEquations.build(
+            self.residual,
+            slopes[:p],
+            self.states,
+            own,
+            precision,
+            offset,
+            reference.nuisance,
+            problem.nuisances.precision,
+        )
+        self.slopes = torch.cat([slopes[:p], own])
+
+    def respond(self, doses: Sequence[Mapping[str, float]]) -> Tensor:
+        """(D, W, NM) whitened change of the measurements under each dose."""
+        problem, reference = self.problem, self.reference
+        theta = np.array([[d[n] for n in problem.names] for d in doses]).reshape(-1, len(problem.names))
+        null = np.array([[reference.values[n] for n in problem.names]])
+        parts = []
+        for at in range(0, len(theta), LANES):
+            chunk = np.concatenate([null, theta[at : at + LANES]])
+            states = reference.state[None].expand(len(chunk), -1, -1)
+            nuisance = reference.nuisance[None].expand(len(chunk), -1)
+            predicted = problem.predict(chunk, states, nuisance)
+            change = (predicted[1:] - predicted[0]) * problem.weight
+            parts.append(change.reshape(len(chunk) - 1, len(problem.windows), -1))
+        return torch.cat(parts) if parts else torch.zeros(0, len(problem.windows), 1, dtype=torch.float64)
+
+    def promises(self, moved: Tensor, owner: np.ndarray, forward: Sequence[bool]) -> np.ndarray:
+        """Fall of the cost that the doses of each owner reach together with the baseline's parameters."""
+        windows = len(self.problem.windows)
+        residual = self.residual.reshape(windows, -1)
+        states = self.states.reshape(len(self.states), windows, -1)
+        slopes = self.slopes.reshape(len(self.slopes), windows, -1)
+        matrix, right, inverse = self.normal.reduced(0.0)
+        # Doses, cleared of what the states of each window can do.
+        along = torch.einsum("dwm,swm->wds", moved, states)
+        through = along @ inverse
+        both = torch.einsum("dwm,pwm->dp", moved, slopes) - torch.einsum(
+            "wds,wps->dp", through, self.normal.hps
+        )
+        pull = torch.einsum("dwm,wm->d", moved, residual) - torch.einsum("wds,ws->d", through, self.normal.gs)
+        # Then of what the parameters can do.
+        solved = _inverse(matrix)
+        pull = pull - both @ (solved @ right)
+        result = np.zeros(len(forward))
+        for k in range(len(forward)):
+            own = np.flatnonzero(owner == k)
+            if len(own) == 0 or (forward[k] and float(pull[int(own[0])]) < 0.0):
+                continue
+            pick = torch.as_tensor(own)
+            gram = torch.einsum("dwm,ewm->de", moved[pick], moved[pick])
+            gram = gram - torch.einsum("wds,wes->de", through[:, pick], along[:, pick])
+            gram = gram - both[pick] @ solved @ both[pick].T
+            result[k] = _gain(gram.numpy(), pull[pick].numpy())
+        return result
+
+
+def _inverse(matrix: Tensor) -> Tensor:
+    """Of a symmetric matrix whose rows have units of their own: none is small beside the others."""
+    scale = torch.sqrt(torch.diagonal(matrix).clamp_min(1e-300))
+    scale = scale[:, None] * scale
+    return torch.from_numpy(np.linalg.pinv((matrix / scale).numpy(), hermitian=True)) / scale
+
+
+def _gain(gram: np.ndarray, pull: np.ndarray) -> float:
+    size = np.sqrt(np.clip(np.diag(gram), 1e-300, None))
+    scaled = gram / np.outer(size, size) + RIDGE * np.eye(len(gram))
+    wanted = pull / size
+    if not (np.isfinite(scaled).all() and np.isfinite(wanted).all()):
+        return 0.0
+    return float(wanted @ np.linalg.lstsq(scaled, wanted, rcond=None)[0])

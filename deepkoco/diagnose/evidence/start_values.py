@@ -1,0 +1,82 @@
+"""What the causes of the catalogue may look at when they choose their start values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause, Hint
+from deepkoco.diagnose.residuals.residuals import MissingTorque
+from deepkoco.fit.data.windows import Windows
+from deepkoco.systems import System
+
+WIDTHS = (1, 2, 3, 4, 6)  # slots that a push may last, to begin with
+
+
+class Hints:
+    """Hints for every cause, from the windows to be fitted.
+
+    Args:
+        system: The system.
+        windows: Training windows.
+        missing: Load on each joint that the refitted baseline misses.
+        chi2: What the refitted baseline leaves, per sample.
+    """
+
+    def __init__(
+        self, system: System, windows: Windows, missing: Sequence[MissingTorque], chi2: float
+    ) -> None:
+        self.system, self.windows, self.missing, self.chi2 = system, windows, missing, chi2
+        self.pushes = pushes_from(missing)
+        self.seconds = float(sum(c.t[-1] - c.t[0] for c in windows.commands))
+
+    def for_cause(self, cause: Cause) -> Hint:
+        """What one cause sees: commands and speeds of its own joint."""
+        joint = cause.joint or 0
+        driven = self.system.command_joints
+        command = driven.index(joint) if joint in driven else 0
+        values = np.concatenate([c.column(command) for c in self.windows.commands])
+        pushes = tuple(p for p in self.pushes if p["joint"] == joint)
+        return Hint(
+            self.system,
+            joint,
+            values,
+            self._speeds(joint),
+            pushes,
+            self.seconds,
+            self.chi2,
+            self.missing[joint],
+        )
+
+    def _speeds(self, joint: int) -> np.ndarray:
+        windows, shows = self.windows, list(self.windows.shows)
+        speed_state = self.system.joints + joint
+        if speed_state in shows:
+            c = shows.index(speed_state)
+            if bool(windows.valid[:, c].any()):
+                return windows.value[:, c][windows.valid[:, c]].numpy()
+        c = shows.index(joint) if joint in shows else 0
+        valid = windows.valid[:, c]
+        pairs = valid[:, 1:] & valid[:, :-1]
+        gap = (windows.t[:, c, 1:] - windows.t[:, c, :-1])[pairs]
+        return ((windows.value[:, c, 1:] - windows.value[:, c, :-1])[pairs] / gap).numpy()
+
+
+def pushes_from(missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...]:
+    """Starts of a push: the slots (and runs of slots) where an outside load would help most, for each joint."""
+    found = []
+    for joint in missing:
+        for width in WIDTHS:
+            score = np.lib.stride_tricks.sliding_window_view(joint.score, width, axis=1).sum(-1)
+            w, k = np.unravel_index(int(np.argmax(score)), score.shape)
+            found.append(
+                {
+                    "torque": float(joint.single[w, k : k + width].mean()) / width,
+                    "start": float(joint.time[w, k] - 0.5 * joint.slot),
+                    "duration": width * joint.slot,
+                    "log": float(joint.log[w]),
+                    "joint": float(joint.joint),
+                }
+            )
+    return tuple(found)

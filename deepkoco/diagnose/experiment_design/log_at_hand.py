@@ -1,0 +1,75 @@
+"""What a log at hand says about an experiment: the unit's parameters, the sizes of the causes, the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.selection import WORTH, rank
+from deepkoco.diagnose.evidence.start_values import Hints
+from deepkoco.diagnose.experiment_design.doses import Dose
+from deepkoco.diagnose.experiment_design.experiment_setup import DesignError
+from deepkoco.diagnose.experiment_design.separation import Separation, separate
+from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.logs.recording import Recording
+from deepkoco.systems import System
+
+FEWEST_WINDOWS = 3
+
+
+@dataclass(frozen=True)
+class LogAtHand:
+    """A fitted log.
+
+    Attributes:
+        start: The baseline.
+        windows: Moving windows, with the states of the refit.
+        refit: The refitted baseline.
+        doses: Cause -> its fitted size; causes of which the log shows nothing are left out.
+    """
+
+    start: Start
+    windows: Windows
+    refit: Fit
+    doses: Mapping[str, Dose]
+
+    @property
+    def seconds(self) -> float:
+        """Length of what is fitted [s]."""
+        return len(self.windows) * self.windows.length
+
+    def separation(self, doses: Sequence[Dose]) -> Separation:
+        """How far apart causes are in this log."""
+        return separate(self.start.system, self.windows, self.refit.values, self.start.prior, doses)
+
+
+def fit_log(recordings: Sequence[Recording], system: System, causes: Sequence[Cause]) -> LogAtHand:
+    """Refit the baseline on a log, and each cause on top of it.
+
+    Raises:
+        DesignError: The joint moves too little in the log.
+    """
+    windows = cut_windows(recordings, system, window_length(system))
+    if len(windows):
+        windows = windows.take(moving(windows))
+    if len(windows) < FEWEST_WINDOWS:
+        raise DesignError(
+            f"the log holds {len(windows)} windows of {windows.length:.2g} s in which the joint moves; design from the "
+            "system alone instead, without a log"
+        )
+    start = start_from(system, windows)
+    windows, refit = refit_sharply(start, windows)
+    problem = FitProblem(start.system, windows)
+    chi2 = refit.chi2 / windows.samples
+    hints = Hints(start.system, windows, missing_torque(problem, refit), chi2)
+    ranking = rank(problem, start, refit, (), hints, list(causes))
+    doses = {
+        c.cause.name: Dose(c.cause, {n: c.fit.values[n] for n in c.cause.free})
+        for c in ranking.candidates
+        if c.likelihood_ratio > WORTH and c.fit is not refit
+    }
+    return LogAtHand(start, replace(windows, state=refit.state), refit, doses)

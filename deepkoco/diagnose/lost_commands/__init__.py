@@ -1,0 +1,1 @@
+"""Commands that were sent and logged but never acted."""

@@ -1,0 +1,93 @@
+"""Every healthy log refitted by itself: how far the unit varies from run to run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
+from deepkoco.diagnose.run_to_run import RunToRun, said, sampling_variance
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.dispersion import Dispersion, dispersion
+from deepkoco.fit.solve.prior import Prior
+
+FEWEST_OF_A_LOG = 3  # windows from which on a log has parameters of its own
+ROUNDS = 10  # of fits and the floor that weighs them, at most
+SETTLED = 0.9  # share of the floor before, from which on they have settled
+
+
+def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
+    """Refit every healthy log by itself; None for less than two that are long enough.
+
+    Everything is free that the pooled fit freed, and the model-error floor counts as noise. What the logs differ by
+    beyond what that moves their estimates by is the unit's own spread. The floor is what is left of each log under
+    all that is known of another log then, as it is in a diagnosis.
+
+    Source: random effects by the method of moments (DerSimonian and Laird 1986).
+
+    Args:
+        healthy: The logs and their pooled fit.
+        prior: What the pooled fit began with.
+    """
+    # A log by itself differs from nothing.
+    windows, fit = replace(healthy.windows, varies={}), healthy.fit
+    fit = replace(fit, values=FitProblem(healthy.before.system, healthy.windows).values_in(fit))
+    healthy = replace(healthy, fit=fit)
+    logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
+    long = np.array([len(own) >= FEWEST_OF_A_LOG for own in logs.values()])
+    if long.sum() < 2:
+        return None
+    # A log that says nothing of a parameter is to stay where all of them together are.
+    centred = Prior(prior.names, np.array([fit.values[n] for n in prior.names]), prior.covariance)
+    pooled = dispersion(fit, windows)
+    alone = _refits(
+        healthy, list(logs.values()), centred, max(1.0, pooled.chi2_per_sample), pooled.correlation
+    )
+    for _ in range(ROUNDS):
+        before = alone.floor * alone.correlation
+        alone = _refits(healthy, list(logs.values()), centred, alone.floor, alone.correlation)
+        if alone.floor * alone.correlation > SETTLED * before:
+            break
+    values = np.array([[fit.values[n] for n in prior.names] for fit in alone.fits])
+    pairs = list(zip(alone.fits, alone.spreads, strict=True))
+    by_noise = np.array([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs])
+    between = np.diag(np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0))
+    told = {k: said(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)}
+    degrees = int(long.sum()) - 1
+    declared = np.diag(prior.covariance)
+    found = RunToRun(told, between, degrees, declared, alone.floor, alone.correlation, alone.lag_one)
+    again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
+    return replace(found, floor=again.floor, correlation=again.correlation, lag_one=again.lag_one)
+
+
+class _Refits(NamedTuple):
+    """Every log refitted by itself, and what that leaves."""
+
+    prior: Prior
+    fits: list[Fit]
+    spreads: list[Dispersion]
+    floor: float
+
+    @property
+    def correlation(self) -> float:
+        return float(np.mean([s.correlation for s in self.spreads]))
+
+    @property
+    def lag_one(self) -> float:
+        return float(np.mean([s.lag_one for s in self.spreads]))
+
+
+def _refits(
+    healthy: Healthy, logs: Sequence[Windows], prior: Prior, floor: float, correlation: float
+) -> _Refits:
+    prior = tempered(prior, correlation)
+    start = replace(healthy.before, values=dict(healthy.fit.values), prior=prior)
+    noisy = [noisier(own, floor) for own in logs]
+    fits = [refit(start, own) for own in noisy]
+    chi2, samples = sum(fit.chi2 for fit in fits), sum(own.samples for own in noisy)
+    spreads = [dispersion(fit, own) for fit, own in zip(fits, noisy, strict=True)]
+    return _Refits(prior, fits, spreads, max(1.0, floor * chi2 / samples))

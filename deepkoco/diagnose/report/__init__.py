@@ -1,0 +1,1 @@
+"""A diagnosis as a folder: page, text, figures and the extended model."""

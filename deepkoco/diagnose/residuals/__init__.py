@@ -1,0 +1,1 @@
+"""What a fitted model leaves unexplained, and how it is described."""

@@ -1,0 +1,87 @@
+"""The friction of a joint over its speed, with the band that the data leave."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from deepkoco.fit.fit import Fit
+from deepkoco.systems import ExtendedSystem, Motion
+
+SPEEDS = 81
+DRAWS = 400  # from the fit's normal approximation
+SEED = 0  # of the draws: the same diagnosis gives the same curve
+SURELY = 2.0  # times the half width of the 95 % band by which a curve must lie below 0
+SLOWEST = 0.05  # share of the largest speed below which dry friction is smoothed
+
+
+class FrictionCurve(NamedTuple):
+    """Load against the motion over the speed of one joint, all (n,)."""
+
+    speed: np.ndarray  # per second
+    load: np.ndarray  # N m or N
+    low: np.ndarray  # 95 % band
+    high: np.ndarray
+
+
+def friction_curve(
+    system: ExtendedSystem, fit: Fit, joint: int, fastest: float, inflation: float
+) -> FrictionCurve:
+    """Friction of a joint under a fitted model.
+
+    It is the part of the load on the joint that is odd in its speed, everything else at rest: the weight and what
+    the motor does at zero speed cancel. Single parameters of friction laws are often not told apart (more viscous
+    and less quadratic fit alike); the curve is what the data do say.
+
+    Args:
+        system: The system with every effect.
+        fit: The model.
+        joint: Which joint.
+        fastest: Largest speed, per second.
+        inflation: Variance of what the model leaves, in noise variances.
+    """
+    names = [p.name for p in system.parameters]
+    acting = tuple({n.split(".")[0] for n in names if "." in n})
+    model = ExtendedSystem(system.base, acting)
+    free = [n for n in fit.free if n in names]
+    index = [fit.free.index(n) for n in free]
+    covariance = fit.covariance[np.ix_(index, index)] * inflation if free else np.zeros((0, 0))
+    centre = np.array([fit.values[n] for n in free])
+    rng = np.random.default_rng(SEED)
+    values, vectors = np.linalg.eigh(covariance) if free else (np.zeros(0), np.zeros((0, 0)))
+    root = vectors * np.sqrt(values.clip(0.0))
+    draws = np.vstack([centre, centre + rng.standard_normal((DRAWS, len(free))) @ root.T])
+    declared = {p.name: p for p in system.parameters}
+    named = {n: torch.tensor(fit.values[n], dtype=torch.float64) for n in names}
+    for k, n in enumerate(free):
+        named[n] = torch.from_numpy(draws[:, k].clip(declared[n].low, declared[n].high))
+    speed = torch.linspace(-fastest, fastest, SPEEDS, dtype=torch.float64)[:, None]
+    load = _odd_load(model, named, joint, speed.expand(-1, len(draws)))
+    low, high = np.quantile(load[:, 1:], [0.025, 0.975], axis=1)
+    return FrictionCurve(speed[:, 0].numpy(), load[:, 0], low, high)
+
+
+def _odd_load(model: ExtendedSystem, named: dict, joint: int, speed: torch.Tensor) -> np.ndarray:
+    law = model.accelerations(named)
+    zero = torch.zeros_like(speed)
+    still = tuple(zero for _ in range(model.joints))
+    efforts = tuple(zero for _ in model.commands)
+
+    def acceleration(v: torch.Tensor, push: float) -> torch.Tensor:
+        speeds = tuple(v if j == joint else zero for j in range(model.joints))
+        loads = tuple(zero + push if j == joint else zero for j in range(model.joints))
+        return law(Motion(still, speeds, efforts, loads, torch.zeros(1, dtype=torch.float64)))[joint]
+
+    # A unit load changes the acceleration by the inverse inertia that the joint feels.
+    lightness = acceleration(zero, 1.0) - acceleration(zero, 0.0)
+    against = acceleration(-speed, 0.0) - acceleration(speed, 0.0)
+    return (0.5 * against / lightness).numpy()
+
+
+def pushes(curve: FrictionCurve) -> bool:
+    """Whether a friction clearly drives the joint at some speed, as none can."""
+    with_motion = curve.speed > SLOWEST * curve.speed.max()
+    highest = curve.load + SURELY * (curve.high - curve.load)
+    return bool((highest < 0.0)[with_motion].any())

@@ -1,0 +1,50 @@
+"""Findings about how measurements scatter, from the residuals of the final model."""
+
+from __future__ import annotations
+
+import math
+
+from deepkoco.diagnose.causes import catalogue, kind_of
+from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
+from deepkoco.diagnose.residuals.residuals import dispersion
+from deepkoco.diagnose.residuals.scatter import Scatter
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit
+from deepkoco.systems import ExtendedSystem
+
+
+def scatter_findings(
+    system: ExtendedSystem, windows: Windows, fit: Fit, detection: float
+) -> tuple[Finding, ...]:
+    """Causes of the noise that pay for their parameter, strongest first.
+
+    Args:
+        system: The extended system.
+        windows: Training windows.
+        fit: The final model on them.
+        detection: Fall of the BIC from which a cause is named.
+    """
+    view = Scatter(system.base, windows, fit)
+    deflation = dispersion(fit, windows).correlation
+    found = []
+    for name, cause in catalogue(system.base).items():
+        if cause.scatter is None:
+            continue
+        verdict = cause.scatter(view, cause.index)
+        if verdict is None:
+            continue
+        score = verdict.likelihood_ratio / deflation - cause.size * math.log(max(windows.samples, 2))
+        if score <= detection:
+            continue
+        placed = f"{name}.{verdict.parameter}"
+        unit = system.parameter(placed).unit
+        text = (
+            f"The likelihood of what the simulation leaves grows by {verdict.likelihood_ratio:.0f} with it."
+        )
+        evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)
+        estimate = Estimate(verdict.value, verdict.low, verdict.high, unit)
+        found.append(Finding(name, cause.family, (name,), score, 1.0, {placed: estimate}, (evidence,)))
+    if any(kind_of(f.name) == "jitter" for f in found):
+        # Jitter is what makes the channels noisier than their data sheets.
+        found = [f for f in found if kind_of(f.name) != "noise_level"]
+    return tuple(sorted(found, key=lambda f: -f.delta_bic))

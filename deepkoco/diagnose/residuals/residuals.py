@@ -1,0 +1,212 @@
+"""What a fitted model leaves: whiteness, overdispersion, and the torque that is missing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.simulate.push import Push, push_torque
+from deepkoco.fit.simulate.simulator import predict, trajectories
+from deepkoco.fit.solve.dispersion import Dispersion, dispersion
+from deepkoco.fit.solve.per_log_differences import effects_in
+from deepkoco.systems import ExtendedSystem
+
+__all__ = [
+    "Dispersion",
+    "MissingTorque",
+    "coloured_from",
+    "dispersion",
+    "missing_torque",
+    "push_of",
+    "white_limit",
+]
+
+SLOTS = 20  # pieces of a window over each of which a missing torque is held constant
+COLOURED = 5.0  # standard deviations of the correlation that white residuals have by chance
+LEFT = 4.0  # of their chi2
+REACH = 1.5  # slots over which missing torques are alike: keeps the deconvolution from ringing
+
+
+def coloured_from(windows: Windows, deviations: float = COLOURED) -> float:
+    """Correlation of neighbouring residuals from which they are not white.
+
+    Args:
+        windows: The windows.
+        deviations: How many standard deviations that is.
+    """
+    return deviations / math.sqrt(windows.samples)
+
+
+def white_limit(windows: Windows, deviations: float = LEFT) -> float:
+    """chi2 per sample above which residuals hold more than noise.
+
+    Args:
+        windows: The windows.
+        deviations: How many standard deviations of chi2 / N that is, what is uncertain in the noise itself included.
+    """
+    samples = windows.samples
+    per_channel = [int(windows.valid[:, c].sum()) for c in range(windows.valid.shape[1])]
+    noise = sum(
+        (2.0 * n / samples * s.relative_sd) ** 2 for n, s in zip(per_channel, windows.noise, strict=True)
+    )
+    return 1.0 + deviations * math.sqrt(2.0 / samples + noise)
+
+
+@dataclass(frozen=True)
+class MissingTorque:
+    """The outside load on one joint that would make a model follow the measurements.
+
+    Attributes:
+        joint: Which joint.
+        unit: Unit of the load, N m or N; "torque" below stands for it.
+        time: (W, K) middle of each slot, log time [s].
+        log: (W,) log of each window.
+        torque: (W, K) [N m].
+        sd: (W, K) its standard deviation [N m].
+        theta: (W, K) modelled angle there [rad].
+        omega: (W, K) modelled speed there [rad/s].
+        score: (W, K) fall of chi2 when a push is allowed in that slot alone.
+        single: (W, K) the torque of that lone push [N m].
+    """
+
+    joint: int
+    unit: str
+    time: np.ndarray
+    log: np.ndarray
+    torque: np.ndarray
+    sd: np.ndarray
+    theta: np.ndarray
+    omega: np.ndarray
+    score: np.ndarray
+    single: np.ndarray
+
+    @property
+    def slot(self) -> float:
+        """Length of a slot [s]."""
+        return float(self.time[0, 1] - self.time[0, 0])
+
+
+def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tuple[MissingTorque, ...]:
+    """Deconvolve the residuals of a fit into loads on the joints, constant over slots of the windows.
+
+    The response of every window to a unit load in every slot is simulated; the loads are the posterior mean
+    under a smooth normal prior whose spread maximises the marginal likelihood.
+
+    Args:
+        problem: Windows.
+        fit: Model whose residuals are explained.
+        inflation: Factor by which the residuals' variance exceeds that of the sensors.
+
+    Returns:
+        One for each joint.
+    """
+    problem, fit = problem.as_fitted(fit)
+    windows, system = problem.windows, problem.system
+    joints, states = system.joints, fit.state.shape[1]
+    edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)
+    units = [1e-4 * scale for scale in system.load_scales]
+    pulses = joints * SLOTS
+    lanes = 1 + pulses + states
+    push = torch.zeros(joints, lanes, len(windows), windows.steps, dtype=torch.float64)
+    for j in range(joints):
+        for k in range(SLOTS):
+            push[j, 1 + j * SLOTS + k, :, edges[k] : edges[k + 1]] = units[j]
+    initial = fit.state[None].repeat(lanes, 1, 1)
+    tiny = 1e-6
+    for s in range(states):
+        initial[1 + pulses + s, :, s] += tiny
+    theta = np.array([fit.values[n] for n in problem.names])
+    named = {
+        n: torch.tensor(fit.values[n], dtype=torch.float64) for n in problem.names if n not in Push.NAMES
+    }
+    base = acting_system(problem, fit)
+    had = push_of(problem, theta)
+    predicted = predict(base, windows, named, initial, push if had is None else push + had)
+    slope = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
+    scale = torch.tensor(units, dtype=torch.float64).repeat_interleave(SLOTS)
+    response = (slope[:pulses] / scale[:, None, None]).permute(1, 2, 0)  # (W, NM, J K)
+    own = (slope[pulses:] / tiny).permute(1, 2, 0)  # (W, NM, S)
+    basis, _ = torch.linalg.qr(own)
+    response = response - basis @ (basis.mT @ response)
+    residual = fit.residual.reshape(len(windows), -1, 1)
+    residual = residual - basis @ (basis.mT @ residual)
+    energy = (response**2).sum(1)
+    match = (response * residual).sum(1)
+    distance = torch.arange(SLOTS, dtype=torch.float64)
+    kernel = torch.exp(-0.5 * ((distance[:, None] - distance) / REACH) ** 2)
+    root = torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS))
+    torque, sd = _posterior(
+        response / inflation**0.5,
+        residual / inflation**0.5,
+        torch.block_diag(*(root * scale for scale in system.load_scales)),
+    )
+    at = (edges[:-1] + edges[1:]) // 2
+    path = _path(problem, base, named, fit.state)
+    result = []
+    for j in range(joints):
+        mine = slice(j * SLOTS, (j + 1) * SLOTS)
+        found = MissingTorque(
+            j,
+            system.load_units[j],
+            windows.t0[:, None] + windows.step * (edges[:-1] + edges[1:]) / 2.0,
+            windows.log,
+            torque[:, mine],
+            sd[:, mine],
+            path[at, :, j].T,
+            path[at, :, joints + j].T,
+            (match**2 / energy.clamp_min(1e-300)).numpy()[:, mine],
+            (match / energy.clamp_min(1e-300)).numpy()[:, mine],
+        )
+        result.append(found)
+    return tuple(result)
+
+
+def acting_system(problem: FitProblem, fit: Fit) -> ExtendedSystem:
+    """The base with the effects that a fit does not leave at their null values."""
+    full = ExtendedSystem(problem.system.base, tuple(e.name for e in problem.system.effects))
+    null = {p.name: p.value for p in full.parameters}
+    moved = {n.split(".")[0] for n in null if "." in n and fit.values[n] != null[n]}
+    return ExtendedSystem(problem.system.base, tuple(moved | effects_in(problem.windows.known)))
+
+
+def push_of(problem: FitProblem, theta: np.ndarray) -> Tensor | None:
+    """Load (J, 1, W, n) of the push in a parameter vector (P,), None if there is none."""
+    return push_torque(problem.windows, theta[None, -len(Push.NAMES) :], problem.system.joints)
+
+
+def _path(problem: FitProblem, system: ExtendedSystem, named: dict[str, Tensor], state: Tensor) -> np.ndarray:
+    states, _, _ = trajectories(system, problem.windows, named, state[None])
+    return states[:, 0].numpy()
+
+
+def _posterior(response: Tensor, residual: Tensor, root: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior mean and standard deviation (W, K) under the spread of best marginal likelihood.
+
+    Args:
+        response: (W, NM, K) of the measurements to a unit torque in each slot.
+        residual: (W, NM, 1).
+        root: (K, K) square root of the prior's correlation between slots.
+    """
+    response = response @ root
+    gram = response.mT @ response
+    values, vectors = torch.linalg.eigh(gram)
+    values = values.clamp_min(0.0)
+    seen = (vectors.mT @ (response.mT @ residual))[..., 0]  # (W, K)
+    scale = 1.0 / torch.sqrt(values.mean())
+    best, spread = -math.inf, scale
+    for exponent in np.linspace(-2.0, 3.0, 26):
+        candidate = scale * 10.0**exponent
+        inflated = 1.0 + candidate**2 * values
+        evidence = float((candidate**2 * seen**2 / inflated - torch.log(inflated)).sum())
+        if evidence > best:
+            best, spread = evidence, candidate
+    variance = spread**2 / (1.0 + spread**2 * values)
+    mean = (root @ vectors @ (variance * seen)[..., None])[..., 0]
+    covariance = ((root @ vectors) ** 2) @ variance[..., None]
+    return mean.numpy(), torch.sqrt(covariance[..., 0]).numpy()

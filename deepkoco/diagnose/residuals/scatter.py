@@ -1,0 +1,124 @@
+"""Causes that change how measurements scatter about the simulation, not where they are expected.
+
+Each test compares the likelihood of the final residuals under white noise of one size with that under noise
+of a shape; with the shape's parameter at null the two are the same.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deepkoco.fit.data.noise import quantum_of
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit
+from deepkoco.systems import System
+
+SPEC = 0.15  # relative uncertainty of the noise that a data sheet gives
+FLOORS = np.geomspace(1e-3, 1.0, 60)  # share of a channel's variance that jitter leaves unexplained
+COARSE = 2.0  # steps of a grid, in noises of the data sheet, from which rounding is worth naming
+GRID_CHANCE = 0.1  # chance that one sample of a continuous channel lies within 5 % of a grid line
+
+
+class Scatter(NamedTuple):
+    """What the tests look at."""
+
+    system: System
+    windows: Windows
+    fit: Fit
+
+
+class Verdict(NamedTuple):
+    """Result of a test: fall of minus twice the log likelihood, and the parameter with its 95 % interval."""
+
+    likelihood_ratio: float
+    parameter: str
+    value: float
+    low: float
+    high: float
+
+
+def jitter(view: Scatter, _: int) -> Verdict | None:
+    """Stamps that scatter by tau: the variance of a channel grows by (tau times its rate)^2."""
+    pieces = []
+    for c in range(view.windows.valid.shape[1]):
+        residual, slope = residual_and_slope(view.windows, view.fit, c)
+        if len(residual) > 40:
+            pieces.append((residual, slope))
+    if not pieces:
+        return None
+    largest = max(float(np.sqrt((slope**2).mean())) for _, slope in pieces)
+    if not largest > 0.0:
+        return None
+    # Jitter of which one standard deviation moves a typical sample by 0.03 to 30 noises.
+    grid = np.geomspace(0.03, 30.0, 16) / largest
+    ratio = np.array([_heteroscedastic(pieces, tau) for tau in grid])
+    near = grid[max(int(ratio.argmax()) - 1, 0)], grid[min(int(ratio.argmax()) + 1, len(grid) - 1)]
+    grid = np.geomspace(*near, 80)
+    ratio = np.array([_heteroscedastic(pieces, tau) for tau in grid])
+    best = int(ratio.argmax())
+    if not ratio[best] > 0.0:
+        return None
+    inside = grid[ratio > ratio[best] - 3.84]
+    return Verdict(float(ratio[best]), "sd", float(grid[best]), float(inside.min()), float(inside.max()))
+
+
+def noise_level(view: Scatter, channel: int) -> Verdict | None:
+    """A channel whose noise exceeds that of its data sheet."""
+    declared, found = view.system.measurements[channel].noise_sd, view.windows.noise[channel]
+    if not declared > 0.0 or not bool(view.windows.valid[:, channel].any()):
+        return None
+    # A channel in another unit has its noise in that unit, too.
+    slip = view.fit.values.get(f"channel_slip({view.system.measurements[channel].name}).factor", 1.0)
+    factor = found.sd / (declared * abs(slip))
+    if factor <= 1.0 or _grid(view, channel) > declared * abs(slip):
+        return None
+    spread = math.hypot(SPEC, found.relative_sd)
+    reach = math.exp(1.96 * found.relative_sd)
+    ratio = (math.log(factor) / spread) ** 2
+    return Verdict(ratio, "factor", factor, factor / reach, factor * reach)
+
+
+def quantisation(view: Scatter, channel: int) -> Verdict | None:
+    """A channel that takes the values of a grid that is coarse against the noise of its data sheet."""
+    declared, step = view.system.measurements[channel].noise_sd, _grid(view, channel)
+    if not step > COARSE * declared:
+        return None
+    samples = int(view.windows.valid[:, channel].sum())
+    return Verdict(-2.0 * samples * math.log(GRID_CHANCE), "step", step, step, step)
+
+
+def _grid(view: Scatter, channel: int) -> float:
+    valid = view.windows.valid[:, channel]
+    return quantum_of(view.windows.value[:, channel][valid].numpy())
+
+
+def residual_and_slope(windows: Windows, fit: Fit, c: int) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened residuals of a channel and its whitened rate of change [1/s], where neighbours allow one."""
+    sd = windows.noise[c].sd
+    residuals, slopes = [], []
+    for w in range(len(windows)):
+        n = int(windows.valid[w, c].sum())
+        if n < 5:
+            continue
+        t = windows.t[w, c, :n].numpy()
+        residual = fit.residual[w, c, :n].numpy()
+        shown = windows.value[w, c, :n].numpy() / sd - residual
+        residuals.append(residual)
+        slopes.append(np.gradient(shown, t))
+    if not residuals:
+        return np.zeros(0), np.zeros(0)
+    return np.concatenate(residuals), np.concatenate(slopes)
+
+
+def _heteroscedastic(pieces: list[tuple[np.ndarray, np.ndarray]], tau: float) -> float:
+    """Gain of the likelihood when variances are a_c + (tau slope)^2, with the best a_c of each channel."""
+    total = 0.0
+    for residual, slope in pieces:
+        square = residual**2
+        before = len(square) * (math.log(square.mean()) + 1.0)
+        variance = FLOORS[:, None] * square.mean() + (tau * slope) ** 2
+        total += before - float((np.log(variance) + square / variance).sum(1).min())
+    return total

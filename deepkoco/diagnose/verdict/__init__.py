@@ -1,0 +1,1 @@
+"""From selected causes to a verdict: named, ambiguous, unknown or nothing."""

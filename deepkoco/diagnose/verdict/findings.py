@@ -1,0 +1,145 @@
+"""From fits to what a report says: parameters with intervals, evidence, places in time, advice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause, Motion
+from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
+from deepkoco.diagnose.evidence.selection import DETECTION, Candidate, Ranking, declared, penalty
+from deepkoco.diagnose.residuals.residuals import MissingTorque
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.systems import System
+
+LOUD = 5.0  # standard deviations from which a missing torque is worth pointing at
+
+
+def estimates(problem: FitProblem, fit: Fit, names: Sequence[str], deflation: float) -> dict[str, Estimate]:
+    """Values with 95 % intervals; the covariance is inflated by what the residuals are short of noise."""
+    result = {}
+    for parameter in declared(problem, names):
+        value = fit.values[parameter.name]
+        if parameter.name in fit.free:
+            i = fit.free.index(parameter.name)
+            reach = 1.96 * float(np.sqrt(max(fit.covariance[i, i], 0.0) * deflation))
+        else:
+            reach = 0.0
+        low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)
+        result[parameter.name] = Estimate(value, min(low, value), max(high, value), parameter.unit)
+    return result
+
+
+def finding(
+    problem: FitProblem,
+    candidate: Candidate,
+    ranking: Ranking,
+    members: tuple[str, ...] = (),
+    evidence: tuple[Evidence, ...] = (),
+) -> Finding:
+    """A candidate as reported."""
+    cause = candidate.cause
+    return Finding(
+        cause.name,
+        cause.family,
+        members or (cause.name,),
+        candidate.delta_bic,
+        ranking.probabilities()[cause.name],
+        estimates(problem, candidate.fit, _shown(problem, cause), ranking.deflation),
+        evidence,
+    )
+
+
+def _shown(problem: FitProblem, cause: Cause) -> tuple[str, ...]:
+    """Parameters of a cause, those included that were chosen and not fitted."""
+    if cause.effect == "event":
+        return cause.free
+    return tuple(p.name for p in problem.system.parameters if p.name.startswith(f"{cause.effect}."))
+
+
+def motion_of(windows: Windows, missing: MissingTorque, system: System) -> Motion:
+    """What a joint did at the slots of its missing load, flattened over windows."""
+    driven = system.command_joints
+    index = driven.index(missing.joint) if missing.joint in driven else 0
+    command = np.empty_like(missing.time)
+    rate = np.empty_like(missing.time)
+    for w, log in enumerate(missing.log):
+        series = windows.commands[log]
+        edges = np.append(missing.time[w] - 0.5 * missing.slot, missing.time[w, -1] + 0.5 * missing.slot)
+        fine = np.linspace(edges[0], edges[-1], 10 * len(missing.time[w]) + 1)
+        held = series.column(index)[np.clip(np.searchsorted(series.t, fine, side="right") - 1, 0, None)]
+        command[w] = held[:-1].reshape(len(missing.time[w]), 10).mean(1)
+        rate[w] = (held[10::10] - held[:-1:10]) / missing.slot
+    return Motion(
+        missing.time.ravel(), missing.theta.ravel(), missing.omega.ravel(), command.ravel(), rate.ravel()
+    )
+
+
+def evidence_for(
+    cause: Cause, candidate: Candidate, ranking: Ranking, motion: Motion, missing: MissingTorque, places: int
+) -> tuple[Evidence, ...]:
+    """Why this cause: likelihood, and the shape of the torque that the refitted baseline misses."""
+    charge = penalty(cause, ranking.samples, places)
+    needed = (charge + DETECTION) * ranking.deflation
+    result = [
+        Evidence(
+            "likelihood_ratio",
+            candidate.likelihood_ratio,
+            needed,
+            f"Simulating with it lowers the squared error by {candidate.likelihood_ratio:,.0f} noise variances; "
+            f"chance and model error explain up to {needed:,.0f}.",
+        )
+    ]
+    shape, torque = cause.signature(motion), missing.torque.ravel()
+    if np.ptp(shape) > 0 and np.ptp(torque) > 0:
+        correlation = float(np.corrcoef(shape, torque)[0, 1])
+        limit = 3.0 / np.sqrt(len(shape))
+        result.append(
+            Evidence(
+                "signature_correlation",
+                correlation,
+                limit,
+                f"The torque that the refitted baseline misses follows the shape of this cause with a correlation of "
+                f"{correlation:.2f} (either sign; chance stays within {limit:.2f}).",
+            )
+        )
+    return tuple(result)
+
+
+def localise(missing: Sequence[MissingTorque], most: int = 5) -> tuple[Localisation, ...]:
+    """Stretches of time with the largest missing load on any joint, most significant first."""
+    found = [place for joint in missing for place in _loud(joint, len(missing) > 1)]
+    found.sort(key=lambda item: -item[0])
+    return tuple(place for _, place in found[:most])
+
+
+def _loud(missing: MissingTorque, several: bool) -> list[tuple[float, Localisation]]:
+    channel = f"load on joint {missing.joint + 1}" if several else "torque"
+    loud = np.abs(missing.torque) > LOUD * missing.sd
+    found = []
+    for w in range(len(missing.time)):
+        k = 0
+        while k < loud.shape[1]:
+            if not loud[w, k]:
+                k += 1
+                continue
+            end, sign = k, np.sign(missing.torque[w, k])
+            while (
+                end + 1 < loud.shape[1] and loud[w, end + 1] and np.sign(missing.torque[w, end + 1]) == sign
+            ):
+                end += 1
+            size = float(missing.torque[w, k : end + 1].mean())
+            significance = float((np.abs(missing.torque) / missing.sd)[w, k : end + 1].sum())
+            place = Localisation(
+                float(missing.time[w, k] - 0.5 * missing.slot),
+                float(missing.time[w, end] + 0.5 * missing.slot),
+                channel,
+                size,
+                missing.unit,
+                int(missing.log[w]),
+            )
+            found.append((significance, place))
+            k = end + 1
+    return found

@@ -1,0 +1,105 @@
+"""Commands from a file, played to a unit as they stand there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from deepkoco.excitation.excitation import Excitation
+from deepkoco.systems import JointSystem
+
+TIME = "t"  # column of the stamps [s]
+
+
+class CommandFileError(ValueError):
+    """A file of commands cannot be read, or does not fit the unit."""
+
+
+@dataclass(frozen=True)
+class PlayedCommands:
+    """A sequence of commands, each of which holds until the next one.
+
+    Attributes:
+        t: (n,) stamps [s], increasing.
+        value: (n,) commands, in the command's unit.
+    """
+
+    t: np.ndarray
+    value: np.ndarray
+
+    @property
+    def rate(self) -> float:
+        """Commands per second [Hz]."""
+        return (len(self.t) - 1) / float(self.t[-1] - self.t[0])
+
+    def rate_on(self, sensor_rate: float) -> float:
+        """Commands per second at which a unit plays the sequence as it is [Hz].
+
+        Args:
+            sensor_rate: Of the unit, which takes at most one command for each sample [Hz].
+
+        Raises:
+            CommandFileError: The sequence is faster, so that commands would be left out.
+        """
+        if self.rate > sensor_rate * (1.0 + 1e-6):
+            raise CommandFileError(
+                f"{self.rate:.4g} commands per second, but the unit's sensor gives {sensor_rate:.4g} samples: give "
+                f"at most as many commands, or --rate {sensor_rate:.4g} to leave some out"
+            )
+        return min(self.rate, sensor_rate)
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first command until the last one has been held as long as the others [s]."""
+        return float(self.t[-1] - self.t[0]) + 1.0 / self.rate
+
+    def excitation(self) -> Excitation:
+        """The sequence as an excitation; after its end the last command is kept."""
+        # A tick may come a little before its time; a quarter of a period decides which command it is for.
+        stamps = self.t - self.t[0] - 0.25 / self.rate
+
+        def command(t: float, measurement: Sequence[float]) -> float:
+            return float(self.value[max(int(np.searchsorted(stamps, t, side="right")) - 1, 0)])
+
+        return command
+
+
+def load_commands(path: str | Path, system: JointSystem) -> PlayedCommands:
+    """Read a CSV of commands: a column ``t`` [s] and one with the name of the command, in its unit.
+
+    Raises:
+        CommandFileError: The file cannot be read, lacks a column, holds something that is not a number, its stamps do
+            not increase, or a command is outside the limits of the system.
+    """
+    path, channel = Path(path), system.commands[0]
+    try:
+        table = pd.read_csv(path)
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise CommandFileError(f"{path}: cannot be read as CSV: {error}") from error
+    missing = [name for name in (TIME, channel.name) if name not in table]
+    if missing:
+        raise CommandFileError(
+            f'{path}: has no column "{missing[0]}"; commands of {system.name} need the columns {TIME} (s) and '
+            f"{channel.name} ({channel.unit})"
+        )
+    try:
+        t, value = (table[name].to_numpy(dtype=np.float64) for name in (TIME, channel.name))
+    except ValueError as error:
+        raise CommandFileError(f"{path}: {error}") from error
+    if len(t) < 2 or not math.isfinite(float(np.sum(t) + np.sum(value))):
+        raise CommandFileError(f"{path}: needs at least two rows, all of them numbers")
+    late = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(late):
+        raise CommandFileError(f"{path}: the time in row {late[0] + 3} does not come after the one before it")
+    outside = np.flatnonzero((value < channel.low - 1e-9) | (value > channel.high + 1e-9))
+    if len(outside):
+        raise CommandFileError(
+            f"{path}: the {channel.name} in row {outside[0] + 2} is {value[outside[0]]:g} {channel.unit}, outside "
+            f"{channel.low:g} to {channel.high:g} {channel.unit} of {system.name}"
+        )
+    return PlayedCommands(t, value)

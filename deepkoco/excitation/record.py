@@ -1,0 +1,154 @@
+"""Record a unit: drive it with an excitation and keep what was really sent and received, and when."""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from deepkoco.excitation.excitation import Excitation, make_excitation
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems import one_joint
+from deepkoco.unit.messages import SensorMessage, UnitError
+from deepkoco.unit.process import Unit
+from deepkoco.unit.simulated import SimulatedUnit
+from deepkoco.unit.spec import UnitSpec
+
+DEFAULT_RATE = 50.0  # of the commands [Hz]
+CLOCKS: dict[str, type[Unit] | type[SimulatedUnit]] = {"wall": Unit, "simulated": SimulatedUnit}
+
+
+class RecordError(ValueError):
+    """The clock, the length or the control rate of a recording does not fit the unit."""
+
+
+def record(
+    spec: UnitSpec,
+    excitation: str | Excitation,
+    seconds: float,
+    *,
+    control_rate: float | None = None,
+    clock: str = "wall",
+    seed: int = 0,
+    amplitude: float | None = None,
+    meta: dict[str, Any] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Drive a unit and record it.
+
+    The recorder acts on the measurements as they come: each is stamped when it is received, and where a
+    control tick is due a command goes out, stamped when it is sent. The first command is zero.
+
+    Args:
+        spec: The unit.
+        excitation: Name of an excitation, or (time [s], measurement) -> command.
+        seconds: Length of the log [s].
+        control_rate: Commands per second [Hz]; None takes 50, or the sensor's rate where that is less.
+        clock: ``"wall"`` runs the unit in its own process in real time, ``"simulated"`` in virtual time,
+            exactly and as fast as it computes.
+        seed: Seed of the excitation.
+        amplitude: Largest command of a named excitation; None takes the system's limit.
+        meta: Further facts to keep in the log.
+        progress: Called with the time recorded so far [s], after each measurement.
+
+    Returns:
+        The log, in the units of the system's channels; its time starts at the reset of the unit.
+
+    Raises:
+        ExcitationError: The excitation is unknown or too large.
+        UnitError: The unit died, or stopped itself because commands came too late.
+        RecordError: The clock is unknown, or the length or the control rate does not fit the unit.
+    """
+    if clock not in CLOCKS:
+        raise RecordError(f'unknown clock "{clock}"; known: {", ".join(CLOCKS)}')
+    if not 0.0 < seconds < math.inf:
+        raise RecordError(f"a log of {seconds:g} s cannot be recorded; give its length in seconds")
+    sensor_rate = spec.sensor.rate_hz
+    rate = min(DEFAULT_RATE, sensor_rate) if control_rate is None else control_rate
+    if not 1.0 / spec.heartbeat < rate <= sensor_rate:
+        raise RecordError(
+            f"control rate {rate:g} Hz does not fit the unit: its sensor gives {sensor_rate:g} Hz and its "
+            f"heartbeat wants more than {1.0 / spec.heartbeat:g} Hz"
+        )
+    named = excitation if isinstance(excitation, str) else "given"
+    drive = (
+        make_excitation(excitation, spec.system, seconds, seed, amplitude)
+        if isinstance(excitation, str)
+        else excitation
+    )
+    with _no_collection(), CLOCKS[clock](spec) as unit:
+        messages, sent = _drive(unit, drive, seconds, rate, progress)
+    if messages[-1].stops:
+        raise UnitError(
+            f'unit "{spec.name}" stopped itself {messages[-1].stops} times: no command came within '
+            f"{spec.heartbeat:g} s, so the log would be wrong; free the machine or raise the heartbeat"
+        )
+    facts = {
+        "clock": clock,
+        "excitation": named,
+        "seed": seed,
+        "control_rate_hz": rate,
+        "sensor_rate_hz": sensor_rate,
+        "samples_lost": messages[-1].seq - messages[0].seq + 1 - len(messages),
+    }
+    return _recording(spec, messages, sent, {**facts, **(meta or {})})
+
+
+def _drive(
+    unit: Unit | SimulatedUnit,
+    excitation: Excitation,
+    seconds: float,
+    rate: float,
+    progress: Callable[[float], None] | None,
+) -> tuple[list[SensorMessage], list[tuple[float, float]]]:
+    # A tick is due half a sensor period early: which measurement triggers it is then not up to jitter.
+    early = 0.5 / unit.spec.sensor.rate_hz
+    message = unit.reset()
+    start = message.t_received
+    messages, sent = [message], [(unit.send(0.0), 0.0)]
+    tick = 1
+    while True:
+        message = unit.receive()
+        if message.t_received > seconds:
+            break
+        messages.append(message)
+        due = start + tick / rate - early
+        if message.t_received >= due:
+            command = excitation(message.t_received, message.values)
+            sent.append((unit.send(command), command))
+            tick = int((message.t_received - start + early) * rate + 1e-9) + 1
+        if progress is not None:
+            progress(message.t_received)
+    unit.send(0.0)
+    return messages, sent
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Keep Python's collector, which can take tens of milliseconds, out of the timing."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+def _recording(
+    spec: UnitSpec, messages: list[SensorMessage], sent: list[tuple[float, float]], meta: dict[str, Any]
+) -> Recording:
+    system = one_joint(spec.system)
+    received = np.array([m.t_received for m in messages])
+    values = np.array([m.values for m in messages])
+    commands = np.array(sent)
+    channels = {
+        channel.name: Series(received, values[:, i], channel.unit, "measurement")
+        for i, channel in enumerate(system.measurements)
+    }
+    command = Series(commands[:, 0], commands[:, 1], system.command.unit, "command")
+    return Recording({system.command.name: command, **channels}, None, spec.system, meta)

@@ -1,0 +1,55 @@
+"""Parameters, delays and states of a system from recorded logs."""
+
+from deepkoco.fit.data.noise import Noise, estimate_noise
+from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
+from deepkoco.fit.delays.hidden_delay import HiddenDelays, hidden_delays
+from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.fit_problem import FitError
+from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.graph_fit import GraphFit, GraphMisfit, fit_graph, seen_by_supervisor
+from deepkoco.fit.identification import Convergence, Estimate, Identification
+from deepkoco.fit.identify import fit
+from deepkoco.fit.solve.cma import MissingExtraError, Search, cma_es
+from deepkoco.fit.solve.identifiability import Direction, unidentified
+from deepkoco.fit.solve.methods import METHODS, CmaEs, LevenbergMarquardt
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.state.estimator import DelayedEstimator, Memory, system_derivative
+from deepkoco.fit.state.unscented import Belief, FilterError, SigmaPoints
+
+__all__ = [
+    "METHODS",
+    "Belief",
+    "CmaEs",
+    "Convergence",
+    "DelayedEstimator",
+    "Direction",
+    "Estimate",
+    "FilterError",
+    "Fit",
+    "FitError",
+    "FitProblem",
+    "GraphFit",
+    "GraphMisfit",
+    "HiddenDelays",
+    "Identification",
+    "LevenbergMarquardt",
+    "Memory",
+    "MissingExtraError",
+    "Noise",
+    "Prior",
+    "Search",
+    "SigmaPoints",
+    "Trial",
+    "Windows",
+    "cma_es",
+    "cut_windows",
+    "estimate_noise",
+    "fit",
+    "fit_graph",
+    "hidden_delays",
+    "moving",
+    "seen_by_supervisor",
+    "system_derivative",
+    "unidentified",
+    "window_length",
+]

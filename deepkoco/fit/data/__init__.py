@@ -1,0 +1,1 @@
+"""From recordings to what a fit compares with: windows and their noise."""

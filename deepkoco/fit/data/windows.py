@@ -1,0 +1,361 @@
+"""Recordings cut into windows of equal length, ready for multiple shooting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.data.noise import Noise, estimate_noise
+from deepkoco.fit.solve.per_log_differences import Known, known_of
+from deepkoco.logs.recording import LogError, Recording
+from deepkoco.systems import Motion, System
+
+LONGEST_STEP = 0.01  # integration step [s]
+STEPS_PER_PERIOD = 100  # integration steps in a period of the system, at least
+HISTORY = 0.1  # commands that must be known before a window begins, for delays and lags [s]
+WARM_UP = 0.15  # or this share of a window: what the actuator did before the log fades in a slow lag
+MIN_SAMPLES = 6  # of a channel inside a window
+STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
+DWELL = 0.1  # share of a window during which a joint may rest
+REST = 5.0  # peak-to-peak motion, in noise standard deviations, that counts as rest during that time
+FEWEST = 4  # windows that leaving out rests must leave
+
+
+@dataclass(frozen=True)
+class CommandSeries:
+    """Zero-order-hold commands of one log.
+
+    Attributes:
+        t: (n,) stamps [s].
+        value: (n,), or (n, M) for M commands, in the commands' units.
+    """
+
+    t: np.ndarray
+    value: np.ndarray
+
+    def column(self, index: int) -> np.ndarray:
+        """(n,) values of one command."""
+        return self.value if self.value.ndim == 1 else self.value[:, index]
+
+
+@dataclass(frozen=True)
+class Windows:
+    """W windows of one length, from one or several logs of one system.
+
+    Attributes:
+        commands: Command series of each log.
+        log: (W,) index of the window's log.
+        t0: (W,) start in its log's time [s].
+        step: Integration step [s].
+        steps: Number of integration steps in a window.
+        t: (W, N, M) stamps of the measurements after ``t0`` [s], 0 where padded.
+        value: (W, N, M) measurements in the channels' units, angles unwrapped.
+        valid: (W, N, M) True where there is a sample.
+        noise: One per channel.
+        state: (W, S) first guess of the initial states.
+        rests: (W,) True where the joint rests for a while inside or across an end of the window.
+        shows: State that each channel shows.
+        known: What is known to differ, of each log; empty where nothing is.
+        varies: Standard deviation by which parameters vary from log to log [their units]; empty where all logs share
+            theirs.
+    """
+
+    commands: tuple[CommandSeries, ...]
+    log: np.ndarray
+    t0: np.ndarray
+    step: float
+    steps: int
+    t: Tensor
+    value: Tensor
+    valid: Tensor
+    noise: tuple[Noise, ...]
+    state: Tensor
+    rests: np.ndarray
+    shows: tuple[int, ...] = (0, 1)
+    known: Known = ()
+    varies: Mapping[str, float] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.t0)
+
+    @property
+    def length(self) -> float:
+        """Length of a window [s]."""
+        return self.step * self.steps
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values in all windows."""
+        return int(self.valid.sum())
+
+    def take(self, keep: np.ndarray) -> Windows:
+        """The windows with these indices (or where this mask is True)."""
+        index = np.flatnonzero(keep) if keep.dtype == bool else keep
+        pick = torch.as_tensor(index)
+        return replace(
+            self,
+            log=self.log[index],
+            t0=self.t0[index],
+            t=self.t[pick],
+            value=self.value[pick],
+            valid=self.valid[pick],
+            state=self.state[pick],
+            rests=self.rests[index],
+        )
+
+    def with_value(self, value: Tensor) -> Windows:
+        """The same windows with other measurements (W, N, M)."""
+        return replace(self, value=value)
+
+
+def window_length(system: System) -> float:
+    """About one period of the system's small motion, between 1 and 2 s.
+
+    Shorter windows do not show slow effects; in longer ones unstable motion outgrows every fit.
+    """
+    return float(np.clip(period(system), 1.0, 2.0))
+
+
+def period(system: System) -> float:
+    """Period of the system's fastest small motion at zero command [s]; 1.5 where it has none."""
+    law = system.accelerations(system.default_parameters())
+    eps = 1e-6
+    angles = torch.linspace(0.0, 2.0 * math.pi, 17, dtype=torch.float64)
+    rest = (torch.zeros_like(angles),) * system.joints
+    commands = (torch.zeros_like(angles),) * len(system.commands)
+    stiffness = 0.0
+    for j in range(system.joints):
+        shifted = tuple(angles + eps if i == j else angles for i in range(system.joints))
+        before = law(Motion((angles,) * system.joints, rest, commands))[j]
+        after = law(Motion(shifted, rest, commands))[j]
+        stiffness = max(stiffness, float((before - after).max()) / eps)
+    return 2.0 * math.pi / math.sqrt(stiffness) if stiffness > 0 else 1.5
+
+
+def cut_windows(
+    recordings: Sequence[Recording],
+    system: System,
+    length: float,
+    noise: tuple[Noise, ...] | None = None,
+    cover: bool = False,
+) -> Windows:
+    """Cut logs into windows, back to back.
+
+    Args:
+        recordings: Logs of the system; each has the command and at least one measurement.
+        system: Says which channels there are.
+        length: Length of a window [s].
+        noise: Noise of each channel; None estimates it from these logs.
+        cover: Let neighbours overlap a little so that they reach the very end of each log.
+
+    Raises:
+        LogError: A log lacks the command or every measurement.
+    """
+    longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
+    steps = math.ceil(length / longest - 1e-9)
+    names = [channel.name for channel in system.measurements]
+    noise = estimate_channels(recordings, system) if noise is None else noise
+    commands, rows = [], []
+    for index, recording in enumerate(recordings):
+        command, series = _channels(recording, system)
+        commands.append(command)
+        still = _resting(system, series, noise, length)
+        history = 0.0 if cover else max(HISTORY, WARM_UP * length)
+        start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
+        stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
+        for t0 in _starts(start, stop, length, cover):
+            if any(begin < t0 + length and end > t0 - HISTORY for begin, end in recording.unknown):
+                continue
+            pieces = {n: _piece(*series[n], t0, t0 + length) for n in names if n in series}
+            if any(len(t) >= MIN_SAMPLES for t, _ in pieces.values()):
+                inside = still is not None and bool(((still >= t0) & (still < t0 + length)).any())
+                rows.append((index, t0, pieces, inside))
+    size = max((len(t) for _, _, pieces, _ in rows for t, _ in pieces.values()), default=0)
+    shape = (len(rows), len(names), size)
+    t, value, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=bool)
+    for w, (_, t0, pieces, _) in enumerate(rows):
+        for c, name in enumerate(names):
+            stamps, values = pieces.get(name, (np.empty(0), np.empty(0)))
+            t[w, c, : len(stamps)] = stamps - t0
+            value[w, c, : len(stamps)] = values
+            valid[w, c, : len(stamps)] = True
+    shows = system.measured_states
+    state = np.array([_first_state(t[w], value[w], valid[w], shows, system.joints) for w in range(len(rows))])
+    state = state.reshape(-1, 2 * system.joints)
+    return Windows(
+        tuple(commands),
+        np.array([row[0] for row in rows], dtype=int),
+        np.array([row[1] for row in rows]),
+        length / steps,
+        steps,
+        torch.from_numpy(t),
+        torch.from_numpy(value),
+        torch.from_numpy(valid),
+        noise,
+        torch.from_numpy(state),
+        np.array([row[3] for row in rows], dtype=bool),
+        shows,
+        known_of(recordings, system),
+    )
+
+
+def halved(windows: Windows) -> Windows:
+    """Each window as two of half the length, the first half of window w at 2 w."""
+    steps = max(windows.steps // 2, 1)
+    half, joints = 0.5 * windows.length, windows.state.shape[1] // 2
+    parts = []
+    for w in range(len(windows)):
+        for k in (0, 1):
+            inside = windows.valid[w] & (windows.t[w] >= k * half) & (windows.t[w] < (k + 1) * half)
+            t = torch.where(inside, windows.t[w] - k * half, 0.0)
+            # Samples of the other half stay in the row as padding, behind those of this half.
+            order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
+            pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
+            t, value, valid = (x.numpy() for x in pick)
+            parts.append((*pick, _first_state(t, value, valid, windows.shows, joints)))
+    size = int(max((part[2].sum(-1).max() for part in parts), default=0))
+    return replace(
+        windows,
+        log=np.repeat(windows.log, 2),
+        t0=(windows.t0[:, None] + half * np.arange(2)).ravel(),
+        step=half / steps,
+        steps=steps,
+        t=torch.stack([part[0][:, :size] for part in parts]),
+        value=torch.stack([part[1][:, :size] for part in parts]),
+        valid=torch.stack([part[2][:, :size] for part in parts]),
+        state=torch.from_numpy(np.array([part[3] for part in parts])),
+        rests=np.repeat(windows.rests, 2),
+    )
+
+
+def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[Noise, ...]:
+    """Noise of each measurement channel over all logs, the longest log counting most."""
+    result = []
+    for channel in system.measurements:
+        parts = []
+        for recording in recordings:
+            _, series = _channels(recording, system)
+            if channel.name in series:
+                parts.append(
+                    (len(series[channel.name][0]), estimate_noise(*series[channel.name], channel.noise_sd))
+                )
+        total = sum(n for n, _ in parts)
+        if total == 0:
+            result.append(Noise(channel.noise_sd, 0.0))
+            continue
+        variance = sum(n * noise.sd**2 for n, noise in parts) / total
+        spread = sum((n * noise.relative_sd) ** 2 for n, noise in parts) ** 0.5 / total
+        result.append(Noise(math.sqrt(variance), spread))
+    return tuple(result)
+
+
+def moving(windows: Windows) -> np.ndarray:
+    """(W,) True where the joint moves, and keeps moving.
+
+    A joint at rest says nothing about its dynamics. One that comes to rest for a while inside a window is
+    held by dry friction, which a smoothed friction law lets creep: such windows are left out too, unless
+    that leaves too few.
+    """
+    moves = np.zeros(len(windows), dtype=bool)
+    for c, noise in enumerate(windows.noise):
+        value, valid = windows.value[:, c].numpy(), windows.valid[:, c].numpy()
+        high = np.where(valid, value, -math.inf).max(-1, initial=-math.inf)
+        low = np.where(valid, value, math.inf).min(-1, initial=math.inf)
+        moves |= (high - low) > STANDSTILL * noise.sd
+    keep = moves & ~windows.rests
+    return keep if keep.sum() >= max(FEWEST, 0.3 * moves.sum()) else moves
+
+
+def _still(t: np.ndarray, value: np.ndarray, seconds: float, reach: float) -> np.ndarray:
+    """Stamps of the samples around which the value stays within ``reach`` for so many seconds."""
+    count = max(4, math.ceil(seconds * (len(t) - 1) / max(t[-1] - t[0], 1e-9)))
+    if len(t) < count:
+        return np.zeros(0)
+    runs = np.lib.stride_tricks.sliding_window_view(value, count)
+    begins = np.flatnonzero(runs.max(-1) - runs.min(-1) < reach)
+    return t[np.unique(begins[:, None] + np.arange(count))]
+
+
+def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray:
+    """Starts of the windows between two times; a rest below a fiftieth of a window is not chased."""
+    fit = (stop - start) / length
+    if fit < 1.0 - 1e-9:
+        return np.zeros(0)
+    if cover:
+        return np.linspace(start, stop - length, math.ceil(fit - 0.02))
+    return start + length * np.arange(int(fit + 1e-9))
+
+
+def _resting(
+    system: System,
+    series: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    noise: tuple[Noise, ...],
+    length: float,
+) -> np.ndarray | None:
+    """Stamps at which a joint that can stick rests; None where no position is measured."""
+    if not system.dry_friction:
+        return None
+    found = []
+    for channel, state, own in zip(system.measurements, system.measured_states, noise, strict=True):
+        if state < system.joints and channel.name in series:
+            found.append(_still(*series[channel.name], DWELL * length, REST * own.sd))
+    return np.concatenate(found) if found else None
+
+
+def _channels(
+    recording: Recording, system: System
+) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    where = recording.path or "the recording"
+    for command in system.commands:
+        if command.name not in recording.channels and command.default is None:
+            raise LogError(
+                f'{where}: the command "{command.name}" of {system.name} is missing; map it in the sidecar'
+            )
+    series = {}
+    for channel in system.measurements:
+        if channel.name in recording.channels:
+            measured = recording.channels[channel.name]
+            # What leaves one turn is not wrapped, and a wrong unit would be garbled by unwrapping.
+            wrapped = channel.angle and np.ptp(measured.value) <= 2.02 * math.pi
+            value = np.unwrap(measured.value) if wrapped else measured.value
+            series[channel.name] = (measured.t, value)
+    if not series:
+        wanted = ", ".join(c.name for c in system.measurements)
+        raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
+    names = [command.name for command in system.commands if command.name in recording.channels]
+    logged = [recording.channels[name] for name in names]
+    if len(system.commands) == 1:
+        return CommandSeries(logged[0].t, logged[0].value), series
+    # Each command holds until its next stamp: on the union of all stamps they are one series.
+    t = np.unique(np.concatenate([command.t for command in logged]))
+    t = t[t >= max(command.t[0] for command in logged)]
+    held = {name: command.hold(t) for name, command in zip(names, logged, strict=True)}
+    columns = [held.get(command.name, np.full(len(t), command.default)) for command in system.commands]
+    return CommandSeries(t, np.column_stack(columns)), series
+
+
+def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple[np.ndarray, np.ndarray]:
+    first, last = np.searchsorted(t, [start - 1e-9, stop - 1e-9])
+    return t[first:last], value[first:last]
+
+
+def _first_state(
+    t: np.ndarray, value: np.ndarray, valid: np.ndarray, shows: tuple[int, ...], joints: int
+) -> np.ndarray:
+    """Positions and speeds at the window's start by parabolas through the first samples."""
+    state = np.zeros(2 * joints)
+    for c, s in enumerate(shows):
+        n = min(int(valid[c].sum()), 7)
+        if s < joints and n >= 3:
+            # The parabola's constant and slope.
+            _, state[joints + s], state[s] = np.polyfit(t[c, :n], value[c, :n], 2)
+    for c, s in enumerate(shows):
+        n = min(int(valid[c].sum()), 3)
+        if s >= joints and n:
+            state[s] = float(value[c, :n].mean())
+    return state

@@ -1,0 +1,1 @@
+"""Delays that nobody measured."""

@@ -1,0 +1,284 @@
+"""The distribution of a delay that nobody measured, from how the joint moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+
+from deepkoco.fit.data.windows import CommandSeries
+from deepkoco.fit.delays.linear_delays import SMALLEST_SPREAD, LinearDelays, mixture_law
+from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.fit_problem import FitError, command_delays
+from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.identification import NORMAL_95, Identification
+from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
+from deepkoco.fit.solve.methods import TOLERANCE
+from deepkoco.fit.threads import one_thread
+from deepkoco.graph.delay import Delay, Deterministic, Gaussian, Mixture
+
+SHIFT = 1e-3  # finite difference of one message's delay [s]
+ROUNDS, MIXTURE_ROUNDS = 8, 2  # linearisations about the delays found so far, at most
+SETTLED = 0.1  # movement of the delays, in their standard deviations, after which they stay
+LARGEST_STEP = 0.01  # of a delay from one linearisation to the next [s]
+
+
+@dataclass(frozen=True)
+class HiddenDelays:
+    """Law of the delay of a log's command messages.
+
+    Attributes:
+        law: The distribution, as the delay graph takes it.
+        means: (C,) means of its components [s], ascending.
+        spreads: (C,) their standard deviations [s].
+        weights: (C,) their shares.
+        mean_interval: 95 % interval of the overall mean [s].
+        spread_interval: 95 % interval of the standard deviation [s]; of a single component only, else NaN.
+        evidence: Twice the gain of the log marginal likelihood by one normal law over a constant delay; above
+            about 10 the delay varies beyond doubt.
+        sent: (K,) instants at which the messages that changed the command were sent [s], log after log.
+        log: (K,) log of each.
+        delay: (K,) posterior mean of each message's delay [s].
+        delay_sd: (K,) its posterior standard deviation [s].
+    """
+
+    law: Delay
+    means: np.ndarray
+    spreads: np.ndarray
+    weights: np.ndarray
+    mean_interval: tuple[float, float]
+    spread_interval: tuple[float, float]
+    evidence: float
+    sent: np.ndarray
+    log: np.ndarray
+    delay: np.ndarray
+    delay_sd: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Mean delay [s]."""
+        return float(self.weights @ self.means)
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the delay [s]."""
+        return math.sqrt(float(self.weights @ (self.spreads**2 + self.means**2)) - self.mean**2)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists; the single messages are left to a table."""
+        known = math.isfinite(self.spread_interval[0])
+        return {
+            "law": self.law.to_dict(),
+            "mean_s": self.mean,
+            "mean_interval_s": list(self.mean_interval),
+            "spread_s": self.spread,
+            "spread_interval_s": list(self.spread_interval) if known else None,
+            "evidence": self.evidence,
+            "messages": len(self.sent),
+        }
+
+
+def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> HiddenDelays:
+    r"""Recover the distribution of the commands' delays by marginal likelihood.
+
+    A command that acts eps later than usual gives the joint, to first order, a known impulse. With every window's
+    initial state left free, the residuals r are linear in the delays of its messages, r = G eps + J x + noise; the
+    states x (and with them all but A = G' P G and h = G' P r) are projected out. Under a normal law of eps the
+    marginal likelihood is closed-form and maximised directly. A mixture adds the component of each message; the law
+    then follows from stochastic-approximation EM with Gibbs draws of components and delays. Dynamics and delays take
+    turns: parameters are fitted again under the messages' posterior mean delays, and the residuals linearised there.
+
+    Args:
+        found: A fit; the delay of the commands is best among what it found. Messages are taken to keep their order.
+        components: Normal components of the law.
+        seed: Of the Gibbs draws.
+
+    Raises:
+        FitError: No command changes in the windows, or there are too few changes for so many components.
+
+    Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999).
+    """
+    if components < 1:
+        raise FitError(f"components: {components}; a law has at least one")
+    generator = np.random.default_rng(seed)
+    with one_thread():
+        messages = _Messages(found)
+        if len(messages.sent) < 10 * components:
+            raise FitError(
+                f"{len(messages.sent)} commands change inside the windows; a delay law of {components} components "
+                f"needs at least {10 * components}: record with an excitation that changes often (prbs)"
+            )
+        shift = np.zeros(len(messages.sent))
+        fit, values = found.fit, found.fit.values
+        for _ in range(ROUNDS):
+            linear = messages.linearise(fit, shift)
+            single = _normal_law(linear)
+            posterior = linear.posterior(np.full(len(shift), single[0]), np.full(len(shift), single[1]))
+            moved = messages.towards(shift, posterior[0])
+            settled = float(np.sqrt(np.mean(((moved - shift) / posterior[1]) ** 2))) < SETTLED
+            shift = moved
+            fit = messages.refit(values, shift, fit)
+            values = fit.values
+            if settled:
+                break
+        law = None
+        for _ in range(MIXTURE_ROUNDS if components > 1 else 0):
+            linear = messages.linearise(fit, shift)
+            law = mixture_law(linear, posterior[0] if law is None else law, components, generator)
+            posterior = law.centre, law.sd
+            shift = messages.towards(shift, law.centre)
+            fit = messages.refit(values, shift, fit)
+            values = fit.values
+    base = messages.base
+    if law is None:
+        means, spreads, weights = np.array([single[0]]), np.array([single[1]]), np.ones(1)
+    else:
+        means, spreads, weights = law.means, law.spreads, law.weights
+    order = np.argsort(means)
+    means, spreads, weights = base + means[order], spreads[order], weights[order]
+    reach = NORMAL_95 * single[2]
+    spread_interval = (
+        single[1] * math.exp(-NORMAL_95 * single[3]),
+        single[1] * math.exp(NORMAL_95 * single[3]),
+    )
+    overall = float(weights @ means)
+    return HiddenDelays(
+        _law(means, spreads, weights),
+        means,
+        spreads,
+        weights,
+        (overall - reach, overall + reach),
+        spread_interval if components == 1 else (math.nan, math.nan),
+        single[4],
+        messages.sent,
+        messages.log,
+        base + posterior[0],
+        posterior[1],
+    )
+
+
+def _law(means: np.ndarray, spreads: np.ndarray, weights: np.ndarray) -> Delay:
+    parts = [
+        Gaussian(max(m, 0.0), s) if s > SMALLEST_SPREAD else Deterministic(max(m, 0.0))
+        for m, s in zip(means.tolist(), spreads.tolist(), strict=True)
+    ]
+    return parts[0] if len(parts) == 1 else Mixture(tuple(parts), tuple(weights.tolist()))
+
+
+class _Messages:
+    """The command messages that act inside the windows of a fit."""
+
+    def __init__(self, found: Identification) -> None:
+        self.question = found.question
+        self.windows = found.question.windows
+        self.delays = command_delays(found.question.system.base)
+        own = [found.fit.values[n] for n in self.delays if n in found.fit.values]
+        # A message carries the commands of all joints: what it adds to their fitted delays is one number.
+        self.base = base = float(np.mean(own)) if own else 0.0
+        sent, log, index, members = [], [], [], [[] for _ in range(len(self.windows))]
+        for number, command in enumerate(self.windows.commands):
+            value = command.value.reshape(len(command.t), -1)
+            changed = 1 + np.flatnonzero((np.diff(value, axis=0) != 0).any(1))
+            for w in np.flatnonzero(self.windows.log == number):
+                begin = self.windows.t0[w]
+                acts = command.t[changed] + base
+                # A message that may act before its window, or too late in it to be seen, tells nothing there.
+                inside = changed[(acts > begin) & (acts < begin + self.windows.length)]
+                for k in inside:
+                    members[w].append(len(sent))
+                    sent.append(command.t[k])
+                    log.append(number)
+                    index.append(k)
+        self.sent, self.log, self.index = np.array(sent), np.array(log, dtype=int), np.array(index, dtype=int)
+        self.members = [np.array(m, dtype=int) for m in members]
+
+    def problem(self, shift: np.ndarray) -> FitProblem:
+        """The problem in which message k acts ``shift[k]`` [s] later than the fitted delay says."""
+        commands = []
+        for number, command in enumerate(self.windows.commands):
+            own = self.log == number
+            t = command.t.copy()
+            t[self.index[own]] += shift[own]
+            commands.append(CommandSeries(np.maximum.accumulate(t + 1e-9 * np.arange(len(t))), command.value))
+        return self.question.problem(replace(self.windows, commands=tuple(commands)))
+
+    def towards(self, shift: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """Delays nearer to those wanted: a step within reach of the linearisation, and no delay below zero."""
+        step = np.clip(wanted - shift, -LARGEST_STEP, LARGEST_STEP)
+        return np.maximum(shift + step, -self.base)
+
+    def linearise(self, fit: Fit, shift: np.ndarray) -> LinearDelays:
+        """Residuals of a fit as linear in the delays of all messages, states projected out."""
+        problem = self.problem(shift)
+        base, states = self._predict(problem, fit)
+        weight = problem.weight
+        residual = ((problem.windows.value - base) * weight).flatten(1).numpy()
+        slopes = [(states[s] - base) * weight for s in range(len(states))]
+        own = torch.stack(slopes, -1).flatten(1, 2).numpy()  # (W, NM, S)
+        most = max((len(m) for m in self.members), default=0)
+        response = np.zeros((len(self.members), residual.shape[1], most))
+        for j in range(most):
+            moved = shift.copy()
+            # The j-th message of every window at once: windows do not see each other's.
+            moved[[m[j] for m in self.members if len(m) > j]] += SHIFT
+            there, _ = self._predict(self.problem(moved), fit, states=False)
+            response[:, :, j] = ((there - base) * weight).flatten(1).numpy() / SHIFT
+        members, information, pull = [], [], []
+        for w, mine in enumerate(self.members):
+            if len(mine) == 0:
+                continue
+            basis = np.linalg.qr(own[w])[0]
+            g, r = response[w, :, : len(mine)], residual[w]
+            g = g - basis @ (basis.T @ g)
+            r = r - basis @ (basis.T @ r)
+            a = g.T @ g
+            members.append(mine)
+            information.append(a)
+            pull.append(g.T @ r + a @ shift[mine])
+        return LinearDelays(members, information, pull)
+
+    def refit(self, values: dict[str, float], shift: np.ndarray, fit: Fit) -> Fit:
+        """Parameters under the messages' delays; the fitted delay stays, the messages carry the rest."""
+        free = tuple(n for n in self.question.free if n not in self.delays)
+        trial = Trial("delays", free, self.question.prior, values, fit.state, fit.nuisance)
+        return self.problem(shift).fit([trial], 12, TOLERANCE)[0]
+
+    def _predict(
+        self, problem: FitProblem, fit: Fit, states: bool = True
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        size = fit.state.shape[1] if states else 0
+        theta = np.tile([[fit.values[n] for n in problem.names]], (1 + size, 1))
+        lanes = fit.state[None].repeat(1 + size, 1, 1)
+        for s in range(size):
+            lanes[1 + s, :, s] += PARAMETER_STEP
+        predicted = problem.predict(theta, lanes, fit.nuisance[None].repeat(1 + size, 1))
+        return predicted[0], predicted[1:]
+
+
+def _normal_law(linear: LinearDelays) -> tuple[float, float, float, float, float]:
+    """Mean, spread, standard errors of mean and log spread, and evidence against a constant delay."""
+    sd0 = 3e-3
+
+    def cost(x: np.ndarray) -> float:
+        return -linear.log_marginal(1e-3 * x[0], 1e-3 * math.exp(x[1]))
+
+    found = minimize(
+        cost,
+        np.array([0.0, math.log(1e3 * sd0)]),
+        method="L-BFGS-B",
+        bounds=[(None, None), (math.log(1e3 * SMALLEST_SPREAD), None)],
+    )
+    mean, log_sd = found.x
+    constant = minimize(lambda x: cost(np.array([x[0], math.log(1e3 * SMALLEST_SPREAD)])), np.zeros(1))
+    step, hessian = 1e-3, np.zeros((2, 2))
+    for i in range(2):
+        for j in range(2):
+            at = [found.x + step * (a * np.eye(2)[i] + b * np.eye(2)[j]) for a in (1, -1) for b in (1, -1)]
+            hessian[i, j] = (cost(at[0]) - cost(at[1]) - cost(at[2]) + cost(at[3])) / (4 * step**2)
+    errors = np.sqrt(np.diag(np.linalg.pinv(hessian)).clip(0.0))
+    evidence = 2.0 * float(constant.fun - found.fun)
+    return 1e-3 * mean, 1e-3 * math.exp(log_sd), 1e-3 * float(errors[0]), float(errors[1]), evidence

@@ -1,0 +1,264 @@
+"""Levenberg-Marquardt on multiple shooting, many trials in one batch, initial states eliminated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.simulate.push import Push, push_torque
+from deepkoco.fit.simulate.simulator import predict
+from deepkoco.fit.solve.encoder_zeros import EncoderZeros
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch, scaled_inverse, state_steps
+from deepkoco.fit.solve.nuisances import Nuisances
+from deepkoco.fit.solve.per_log_differences import effects_in
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.systems import ExtendedSystem, Parameter
+
+__all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
+
+SENSING_RANGE = 0.1  # longest delay of one channel [s]
+
+
+class FitProblem:
+    """Windows of measurements of one system, to which trials are fitted.
+
+    The cost of a trial is the squared whitened simulation error over all windows, plus the prior's
+    penalty. Initial states of the windows and the nuisances of the logs (encoder zeros, and differences of
+    parameters that vary from log to log) are free in every trial; the states are eliminated from the normal
+    equations by their Schur complement, so that the cost of a step grows linearly with the number of windows.
+
+    Args:
+        system: The extended system; trials choose among its parameters.
+        windows: Data.
+        late: Channels that may lag behind their time stamps, each by a delay of its own, the parameter
+            ``<channel>.delay`` [s]; null 0.
+        zero_sd: Spread of encoder zeros from log to log [rad]; None takes what the channels declare.
+
+    Source: Bock, Recent advances in parameter identification (1983) for multiple shooting;
+        Nocedal and Wright, Numerical Optimization, ch. 10 for Levenberg-Marquardt.
+    """
+
+    def __init__(
+        self,
+        system: ExtendedSystem,
+        windows: Windows,
+        late: tuple[str, ...] = (),
+        zero_sd: float | None = None,
+    ) -> None:
+        self.system = system
+        self.windows = windows
+        self._late, self._zero_sd = late, zero_sd
+        delays = channel_delays(late)
+        self.late = tuple([c.name for c in system.measurements].index(name) for name in late)
+        self.names = tuple(p.name for p in (*system.parameters, *delays)) + Push.NAMES
+        declared = {p.name: p for p in (*system.parameters, *delays)} | Push.declared(system, windows)
+        self.low = np.array([declared[n].low for n in self.names])
+        self.high = np.array([declared[n].high for n in self.names])
+        self.scale = np.array([declared[n].prior_sd for n in self.names])
+        sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
+        self.weight = windows.valid.to(torch.float64) / sd[None, :, None]
+        self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
+        self.nuisances = Nuisances(self.zeros, windows.varies)
+        self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
+
+    def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
+        """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), nuisances (L, z)."""
+        own = len(self.system.parameters)
+        nulls = self.null_values()
+        values = theta[:, :own].copy()
+        for j in self._limits:
+            # A saturation at its null value cuts no command, but beside a gain or a bias it would cut efforts.
+            values[:, j] = np.where(values[:, j] >= nulls[j], np.inf, values[:, j])
+        given = (theta[:, :own] != nulls).T
+        lanes: dict[str, slice] = {}
+        for effect, columns in self._columns.items():
+            acting = np.flatnonzero(given[columns].any(0))
+            if len(acting):
+                lanes[effect] = slice(int(acting[0]), int(acting[-1]) + 1)
+        differing = effects_in((*self.windows.known, self.windows.varies))
+        lanes |= {effect: slice(0, len(theta)) for effect in differing}
+        # Effects that no lane uses are left out of the equations: they cost time and change nothing.
+        system = self._extended(tuple(lanes))
+        same = (values == values[:1]).all(0)
+        named = {
+            n: torch.tensor(values[0, j]) if same[j] else torch.from_numpy(np.ascontiguousarray(values[:, j]))
+            for j, n in enumerate(self.names[:own])
+            if "." not in n or n.split(".")[0] in lanes
+        }
+        push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system.joints)
+        delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
+        # Where an effect acts in all lanes there is nothing to cut.
+        some = {effect: part for effect, part in lanes.items() if part.stop - part.start < len(theta)}
+        differ = self.nuisances.differ(nuisance)
+        result = predict(system, self.windows, named, initial, push, delays, some, differ)
+        self.zeros.add(result, nuisance, self.windows.log)
+        return result
+
+    def nuisance_slopes(self, parameters: Tensor) -> Tensor:
+        """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""
+        return self.nuisances.slopes(self.weight, self.windows.log, parameters)
+
+    def values_in(self, fit: Fit, log: int | None = None) -> dict[str, float]:
+        """Parameters of one log after a fit; of the mean of these logs (not of all that there could be) without one."""
+        differ = self.nuisances.differ(fit.nuisance[None])
+        seen = np.unique(self.windows.log) if log is None else [log]
+        values = dict(fit.values)
+        for name, own in differ.items():
+            j = self.names.index(name)
+            # What a single log has of its own is not held within the bounds.
+            values[name] = float(np.clip(values[name] + float(own[seen].mean()), self.low[j], self.high[j]))
+        return values
+
+    def recentred(self, fit: Fit) -> Fit:
+        """The same fit, told as the mean of these logs and what each differs from it by; it predicts the same.
+
+        The mean of all logs that there could be, which a fit is about, need not be where these are.
+        """
+        if not self.nuisances.varies:
+            return fit
+        count, seen, values = len(fit.free), np.unique(self.windows.log), self.values_in(fit)
+        average = np.eye(count, len(fit.curvature))
+        nuisance = fit.nuisance.clone()
+        for name in self.nuisances.varies:
+            own = [self.nuisances.index(name, log) for log in range(self.zeros.logs)]
+            these = [own[log] for log in seen]
+            if name in fit.free:
+                average[fit.free.index(name), [count + k for k in these]] = 1.0 / len(these)
+            nuisance[own] += fit.values[name] - values[name]
+        covariance = average @ scaled_inverse(fit.curvature) @ average.T
+        return replace(fit, values=values, covariance=covariance, nuisance=nuisance)
+
+    def elsewhere(self, windows: Windows, fit: Fit) -> Windows:
+        """Other windows of the same logs, each known to differ by what a fit says; those of other logs vary."""
+        if windows.varies or not self.nuisances.varies:
+            return windows
+        return self.nuisances.known_in(windows, fit.nuisance)
+
+    def as_fitted(self, fit: Fit) -> tuple[FitProblem, Fit]:
+        """The problem in which each log is known to differ by what a fit says, and the fit of it."""
+        if not self.nuisances.varies:
+            return self, fit
+        known = FitProblem(
+            self.system, self.nuisances.known_in(self.windows, fit.nuisance), self._late, self._zero_sd
+        )
+        count = len(fit.free) + self.zeros.count
+        curvature = fit.curvature[:count, :count]
+        return known, replace(fit, nuisance=fit.nuisance[: self.zeros.count], curvature=curvature)
+
+    def null_values(self) -> np.ndarray:
+        """Values at which the effects change nothing; NaN for the parameters of the base."""
+        if not hasattr(self, "_nulls"):
+            bare = ExtendedSystem(self.system.base, tuple(e.name for e in self.system.effects))
+            self._nulls = np.array([p.value if "." in p.name else np.nan for p in bare.parameters])
+            self._limits = [j for j, p in enumerate(bare.parameters) if p.name.endswith(".limit")]
+            self._columns: dict[str, list[int]] = {}
+            for j, p in enumerate(bare.parameters):
+                if "." in p.name:
+                    self._columns.setdefault(p.name.split(".")[0], []).append(j)
+        return self._nulls
+
+    def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:
+        """The base with these effects only; systems are kept, since a fit asks for few."""
+        if effects not in self._kept:
+            self._kept[effects] = ExtendedSystem(self.system.base, effects)
+        return self._kept[effects]
+
+    def fit(self, trials: Sequence[Trial], iterations: int = 25, tolerance: float = TOLERANCE) -> list[Fit]:
+        """Run all trials; every iteration simulates all that have not converged in one batch.
+
+        Args:
+            trials: What to fit.
+            iterations: Simulations of a trial at most.
+            tolerance: Fall of the cost below which a trial has converged.
+        """
+        return Batch(self, trials, tolerance).run(iterations) if trials else []
+
+    def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
+        """Fit initial states and nuisances only, with every parameter held at ``values``.
+
+        Each window takes the best of three starts: its own guess, the fit of its first half (a short
+        window has fewer minima), and ``state`` (W, S), where given.
+        """
+        halves = FitProblem(self.system, halved(self.windows))
+        starts = [self.windows.state, halves.fit_states(values, halves.windows.state)[0][::2]]
+        starts += [] if state is None else [state]
+        states, costs = self.fit_states_each([values] * len(starts), torch.stack(starts))
+        pick = costs.argmin(0)[None, :, None].expand(1, -1, self.windows.state.shape[1])
+        first = states.gather(0, pick)[0]
+        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.nuisances.count else 1)[0]
+
+    def fit_states(
+        self, values: Mapping[str, float], state: Tensor, iterations: int = 15
+    ) -> tuple[Tensor, Tensor]:
+        """Initial states (W, S) that suit held parameters, and the cost (W,) that each window keeps."""
+        states, costs = self.fit_states_each([values], state[None], iterations)
+        return states[0], costs[0]
+
+    def fit_states_each(
+        self,
+        values: Sequence[Mapping[str, float]],
+        state: Tensor,
+        iterations: int = 15,
+        nuisance: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """As :meth:`fit_states` for K sets of parameters and start states (K, W, S) in one batch.
+
+        Windows are independent of each other here, so each one steps and is damped by itself.
+
+        Args:
+            values: Parameters of each set.
+            state: (K, W, S) where to start.
+            iterations: Simulations at most.
+            nuisance: (K, z) of the logs; None for nothing.
+
+        Returns:
+            States (K, W, S), costs (K, W).
+        """
+        sets, count, size = state.shape
+        nudge = state_steps(size)
+        theta = np.array([[float(v[n]) for n in self.names] for v in values])
+        theta = np.tile(theta, (1 + size, 1))
+        nuisance = self.nuisances.none().repeat(sets, 1) if nuisance is None else nuisance
+        nuisance = nuisance.repeat(1 + size, 1)
+        best, trial = state.clone(), state.clone()
+        cost = torch.full((sets, count), torch.inf, dtype=torch.float64)
+        damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
+        hessian = torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1)
+        gradient = torch.zeros(sets, count, size, dtype=torch.float64)
+        step = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
+        for _ in range(iterations):
+            lanes = trial.repeat(1 + size, 1, 1, 1)
+            for s in range(size):
+                lanes[1 + s, :, :, s] += nudge[s]
+            predicted = self.predict(theta, lanes.flatten(0, 1), nuisance).unflatten(0, (1 + size, sets))
+            residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
+            slope = ((predicted[1:] - predicted[0]) / step * self.weight).flatten(3)
+            now = (residual**2).sum(-1)
+            better = torch.isfinite(now) & (now <= cost)
+            # A step to nowhere may end a rounding error above where it began.
+            settled = (cost - now).abs() <= TOLERANCE / count + 1e-4 * now
+            curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
+            hessian = torch.where(better[..., None, None], curvature, hessian)
+            downhill = torch.einsum("skwm,kwm->kws", slope, residual)
+            gradient = torch.where(better[..., None], downhill, gradient)
+            best = torch.where(better[..., None], trial, best)
+            cost = torch.where(better, now, cost)
+            damping = torch.where(better, damping * 0.1, damping * 20.0).clamp(1e-9, 1e9)
+            if bool((settled | (damping > 1e6)).all()):
+                break
+            diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
+            matrix = hessian + torch.diag_embed(damping[..., None] * diagonal + 1e-9)
+            trial = best + torch.linalg.solve(matrix, gradient)
+        return best, cost
+
+
+def channel_delays(channels: Sequence[str]) -> tuple[Parameter, ...]:
+    """Declarations of the delays that single channels may have."""
+    text = "delay of this channel, state to time stamp of its measurement"
+    return tuple(Parameter(f"{c}.delay", 0.0, "s", 0.0, SENSING_RANGE, 0.02, text) for c in channels)

@@ -1,0 +1,234 @@
+"""What a user asks a fit for, put in the terms of the fit: free parameters, bounds, prior, windows."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
+from deepkoco.fit.fit import FitProblem, channel_delays
+from deepkoco.fit.simulate.push import Push
+from deepkoco.fit.solve.encoder_zeros import EncoderZeros
+from deepkoco.fit.solve.nuisances import Nuisances
+from deepkoco.fit.solve.per_log_differences import may_differ
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.logs.recording import Recording
+from deepkoco.systems import ExtendedSystem, Parameter, System, any_system
+from deepkoco.systems.effects import effects_of
+
+FEWEST_WINDOWS = 2
+
+
+class FitError(ValueError):
+    """A fit cannot be run as asked: an unknown parameter, bounds the wrong way round, too little motion."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One fit to run.
+
+    Attributes:
+        system: System with all the effects that are asked for; its bounds are those of the fit.
+        windows: Windows in which the joint moves.
+        free: Parameters to find.
+        late: Channels among whose delays some are to be found.
+        start: Value of every parameter at the start.
+        prior: Over the free parameters.
+        zero_sd: Spread of encoder zeros from log to log [rad]; None takes what the system's channels declare.
+        resting: Windows left out because the joint rests in them.
+    """
+
+    system: ExtendedSystem
+    windows: Windows
+    free: tuple[str, ...]
+    late: tuple[str, ...]
+    start: dict[str, float]
+    prior: Prior
+    zero_sd: float | None
+    resting: int
+
+    @property
+    def nuisances(self) -> Nuisances:
+        """What is found of each log along: encoder zeros, and how its parameters differ."""
+        zeros = EncoderZeros.of(self.system, len(self.windows.commands), self.zero_sd)
+        return Nuisances(zeros, self.windows.varies)
+
+    @property
+    def declared(self) -> tuple[Parameter, ...]:
+        """Declarations of the free parameters, in their order."""
+        known = {p.name: p for p in (*self.system.parameters, *channel_delays(self.late))}
+        return tuple(known[name] for name in self.free)
+
+    def problem(self, windows: Windows | None = None) -> FitProblem:
+        """The problem on these windows, or on others of the same system."""
+        windows = self.windows if windows is None else windows
+        if self.late:
+            windows = _without_start(windows, self.late, self.system)
+        return FitProblem(self.system, windows, self.late, self.zero_sd)
+
+
+def known_parameters(system: System) -> tuple[Parameter, ...]:
+    """All that can be fitted: the system's own parameters, those of every effect, one delay per channel."""
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    full = ExtendedSystem(base, tuple(effects_of(base)), {p.name: p.value for p in system.parameters})
+    return (*full.parameters, *channel_delays([c.name for c in system.measurements]))
+
+
+def command_delays(system: System) -> tuple[str, ...]:
+    """Names of the delays of a system's commands, one for each joint that is driven."""
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    return tuple(f"{name}.delay" for name in effects_of(base) if name.split("(")[0] == "actuation_delay")
+
+
+def ask(
+    recordings: Sequence[Recording],
+    system: str | System,
+    parameters: Sequence[str],
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    prior: Prior | None = None,
+    start: Mapping[str, float] | None = None,
+    window: float | None = None,
+    zero_sd: float | None = None,
+    varies: Mapping[str, float] | None = None,
+) -> Question:
+    """Check what a user wants and cut the logs. Args and Raises as :func:`deepkoco.fit.fit`."""
+    base = any_system(system)
+    known = {p.name: p for p in known_parameters(base)}
+    free = tuple(dict.fromkeys(parameters))
+    if not free:
+        raise FitError(f"no parameter to fit; {base.name} has: {', '.join(p.name for p in base.parameters)}")
+    for what in (free, bounds or (), start or (), prior.names if prior else (), varies or ()):
+        _check_names(what, known, base)
+    _check_varying(varies or {}, known, base, len(recordings), free, prior)
+    late = tuple(c.name for c in base.measurements if f"{c.name}.delay" in free)
+    extended = _extended(base, (*free, *(start or ()), *(varies or ())), late)
+    extended.parameters = tuple(
+        _bounded(p, bounds or {}, start or {}, p.name in free) for p in extended.parameters
+    )
+    delays = {p.name: _bounded(p, bounds or {}, start or {}, True) for p in channel_delays(late)}
+    if any(bounds and name in bounds for name in delays):
+        raise FitError("bounds: the delay of a channel has fixed bounds, 0 to 0.1 s; leave it out")
+    values = {p.name: p.value for p in (*extended.parameters, *delays.values())}
+    windows = cut_windows(recordings, base, window_length(base) if window is None else window)
+    moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
+    if moves.sum() < FEWEST_WINDOWS:
+        raise FitError(
+            f"only {int(moves.sum())} windows of {windows.length:.2g} s in which the joint moves; at least "
+            f"{FEWEST_WINDOWS} are needed: record more motion, or give a shorter window"
+        )
+    kept = replace(windows.take(moves), varies=dict(varies or {}))
+    if varies and len(np.unique(kept.log)) < 2:
+        raise FitError(
+            f"varies: {', '.join(varies)}: the joint moves in one log only, which cannot differ from others"
+        )
+    kept = _without_start(kept, late, base) if late else kept
+    values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
+    found = {p.name: p for p in (*extended.parameters, *delays.values())}
+    chosen = _completed(prior, [found[name] for name in free])
+    return Question(extended, kept, free, late, values, chosen, zero_sd, int((~moves).sum()))
+
+
+def wide(parameters: Iterable[Parameter]) -> Prior:
+    """Prior that says little: half the distance between the bounds as standard deviation."""
+    return Prior.of([replace(p, prior_sd=0.5 * (p.high - p.low)) for p in parameters])
+
+
+def _completed(prior: Prior | None, free: Sequence[Parameter]) -> Prior:
+    """A prior over all free parameters, wide in those that ``prior`` does not cover."""
+    rest = [p for p in free if prior is None or p.name not in prior.names]
+    if prior is None:
+        return wide(rest)
+    index = [prior.names.index(p.name) for p in free if p.name in prior.names]
+    added = wide(rest)
+    size, count = len(index), len(rest)
+    covariance = np.zeros((size + count, size + count))
+    covariance[:size, :size] = prior.covariance[np.ix_(index, index)]
+    covariance[size:, size:] = added.covariance
+    names = tuple(prior.names[i] for i in index) + added.names
+    return Prior(names, np.concatenate([prior.centre[index], added.centre]), covariance)
+
+
+def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: System) -> None:
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+            # "coulomb" and "coulomb.torque" mean one of "coulomb(joint 1).torque" and "coulomb(joint 2).torque".
+            close += [k for k in known if k.startswith(f"{name}.") or k.endswith(f".{name}")]
+            close += [k for k in known if re.sub(r"\(.*\)", "", k).startswith(name) and "(" in k]
+            said = f"; did you mean {' or '.join(dict.fromkeys(close))}?" if close else ""
+            own = ", ".join(p.name for p in system.parameters)
+            raise FitError(
+                f'{system.name} has no parameter "{name}"{said} Its own are {own}; those of effects are '
+                'listed by "deepkoco systems --effects"'
+            )
+
+
+def _check_varying(
+    varies: Mapping[str, float],
+    known: Mapping[str, Parameter],
+    system: System,
+    logs: int,
+    free: Sequence[str],
+    prior: Prior | None,
+) -> None:
+    able = may_differ(system)
+    for name, sd in varies.items():
+        if name not in able:
+            raise FitError(
+                f"varies: {name} cannot differ from log to log; what can are parameters of {system.name} itself and of "
+                "effects on its body and joints"
+            )
+        if not 0.0 < sd < np.inf:
+            raise FitError(
+                f"varies: {name}: the standard deviation {sd:g} {known[name].unit} must be above 0, and finite"
+            )
+    if prior is not None and (lost := [n for n in prior.names if n in varies and n not in free]):
+        raise FitError(
+            f"prior: {', '.join(lost)}: varies, but is not among the parameters to find; find it, or give its mean as "
+            "start"
+        )
+    if varies and logs < 2:
+        raise FitError(f"varies: {', '.join(varies)}: one log cannot differ from others; give two or more")
+
+
+def _extended(base: System, names: Iterable[str], late: Sequence[str]) -> ExtendedSystem:
+    had = tuple(e.name for e in base.effects) if isinstance(base, ExtendedSystem) else ()
+    delays = {f"{c}.delay" for c in late}
+    asked = tuple(name.split(".")[0] for name in names if "." in name and name not in delays)
+    plain = base.base if isinstance(base, ExtendedSystem) else base
+    return ExtendedSystem(plain, (*had, *asked), {p.name: p.value for p in base.parameters})
+
+
+def _bounded(
+    parameter: Parameter,
+    bounds: Mapping[str, tuple[float, float]],
+    start: Mapping[str, float],
+    free: bool,
+) -> Parameter:
+    low, high = bounds.get(parameter.name, (parameter.low, parameter.high))
+    where = f"{parameter.name}: bounds {low:g} to {high:g} {parameter.unit}"
+    if not low < high:
+        raise FitError(f"{where}: the lower one must be below the upper one")
+    if low < parameter.low or high > parameter.high:
+        raise FitError(f"{where} leave what is admissible, {parameter.low:g} to {parameter.high:g}")
+    if parameter.name not in start:
+        return replace(parameter, low=low, high=high, value=float(np.clip(parameter.value, low, high)))
+    value = float(start[parameter.name])
+    if not low <= value <= high:
+        raise FitError(f"{parameter.name}: start {value:g} {parameter.unit} is outside {low:g} to {high:g}")
+    return replace(parameter, low=low, high=high, value=value)
+
+
+def _without_start(windows: Windows, late: Sequence[str], system: System) -> Windows:
+    """Leave out samples of late channels that may show a state from before their window."""
+    valid = windows.valid.clone()
+    for c, channel in enumerate(system.measurements):
+        if channel.name in late:
+            longest = channel_delays([channel.name])[0].high
+            valid[:, c] &= windows.t[:, c] >= longest
+    return replace(windows, valid=valid)

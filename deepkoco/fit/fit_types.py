@@ -1,0 +1,72 @@
+"""One fit to run, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from torch import Tensor
+
+from deepkoco.fit.solve.prior import Prior
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One fit to run.
+
+    Attributes:
+        name: Name of the trial.
+        free: Names of the parameters that it frees, push parameters included.
+        prior: Prior over (at least) the free parameters.
+        values: Values of all parameters at the start; those not free stay there.
+        state: (W, S) initial states at the start; None takes the windows' guess.
+        nuisance: (z,) what each log has of its own at the start (:class:`.nuisances.Nuisances`); None for nothing.
+    """
+
+    name: str
+    free: tuple[str, ...]
+    prior: Prior
+    values: Mapping[str, float]
+    state: Tensor | None = None
+    nuisance: Tensor | None = None
+
+
+@dataclass
+class Fit:
+    """Result of one trial.
+
+    Attributes:
+        name: Name of the trial.
+        free: Names of the freed parameters.
+        values: Values of all parameters after the fit.
+        covariance: (p, p) posterior covariance of the free parameters under the assumed noise.
+        information: (p, p) what the data alone say: the Schur complement of initial states and nuisances.
+        state: (W, S) initial states.
+        nuisance: (z,) what each log has of its own: encoder zeros [rad], then how its parameters differ.
+        chi2: Sum of squared residuals in noise standard deviations.
+        penalty: Prior's share of the cost.
+        residual: (W, N, M) measured minus predicted, in noise standard deviations, 0 where padded.
+        curvature: (p + z, p + z) of the cost over free parameters and the z nuisances, priors included.
+        history: Cost after every iteration.
+        converged: Whether the last step was below the tolerance.
+    """
+
+    name: str
+    free: tuple[str, ...]
+    values: dict[str, float]
+    covariance: np.ndarray
+    information: np.ndarray
+    state: Tensor
+    nuisance: Tensor
+    chi2: float
+    penalty: float
+    residual: Tensor
+    curvature: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    history: list[float] = field(default_factory=list)
+    converged: bool = False
+
+    @property
+    def cost(self) -> float:
+        """chi2 plus prior penalty: minus twice the log posterior up to a constant."""
+        return self.chi2 + self.penalty

@@ -1,0 +1,197 @@
+"""What a fit to recordings found: values with intervals, what the data cannot tell, how it converged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deepkoco.fit.fit_problem import Question
+from deepkoco.fit.fit_types import Fit
+from deepkoco.fit.solve.dispersion import Dispersion
+from deepkoco.fit.solve.identifiability import Direction
+from deepkoco.systems import ExtendedSystem
+
+NORMAL_95 = 1.959964
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One fitted number, in ``unit``.
+
+    Attributes:
+        name: Name of the parameter.
+        value: Maximum of the posterior.
+        low: Lower end of the 95 % interval, inside the bounds.
+        high: Upper end.
+        sd: Standard deviation before bounds cut it.
+        unit: SI unit.
+        start: Value before the fit.
+        bounds: Between which it was sought.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    sd: float
+    unit: str
+    start: float
+    bounds: tuple[float, float]
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the value lies on a bound, so that the interval says little."""
+        reach = 1e-9 * (self.bounds[1] - self.bounds[0])
+        return self.value <= self.bounds[0] + reach or self.value >= self.bounds[1] - reach
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How a method came to its answer.
+
+    Attributes:
+        method: Its name.
+        converged: Whether it stopped because nothing was left to gain.
+        reason: Why it stopped, in words.
+        stages: Name of a stage and its costs (chi2 plus prior penalty) iteration by iteration. Costs of
+            different stages are not comparable: windows and noise differ.
+        simulations: Number of times that all windows were simulated.
+        seconds: Wall-clock time.
+    """
+
+    method: str
+    converged: bool
+    reason: str
+    stages: tuple[tuple[str, tuple[float, ...]], ...]
+    simulations: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Parameters of a system, from recordings.
+
+    Attributes:
+        system: The system with the fitted values: simulate, save or diagnose with it.
+        estimates: By name, what was asked for. Intervals are widened by ``dispersion.deflation``.
+        zeros: Encoder zero of each log; empty where the sensor's zero is known.
+        of_logs: Parameters that vary, as they are in each log; empty where none does.
+        covariance: (p, p) of the free parameters, in the order of ``estimates``, widened.
+        unidentified: Combinations about which the data say less than the prior.
+        dispersion: How far the residuals are from white noise of the sensors' size.
+        convergence: How the fit went.
+        question: What was asked.
+        fit: Residuals and initial states at the end.
+        before: The same with the parameters at their start values.
+        logs: File names.
+        seed: Seed of the method's draws.
+    """
+
+    system: ExtendedSystem
+    estimates: dict[str, Estimate]
+    zeros: tuple[Estimate, ...]
+    of_logs: tuple[Estimate, ...]
+    covariance: np.ndarray
+    unidentified: tuple[Direction, ...]
+    dispersion: Dispersion
+    convergence: Convergence
+    question: Question
+    fit: Fit
+    before: Fit
+    logs: tuple[str | None, ...]
+    seed: int
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(p, p) correlation matrix of the estimates."""
+        sd = np.sqrt(np.diag(self.covariance)).clip(1e-300)
+        return self.covariance / np.outer(sd, sd)
+
+    @property
+    def rms(self) -> dict[str, tuple[float, float, str]]:
+        """Channel -> simulation error before and after the fit (root mean square), and its unit."""
+        windows, result = self.question.windows, {}
+        for c, channel in enumerate(self.system.measurements):
+            valid, sd = windows.valid[:, c], windows.noise[c].sd
+            if valid.any():
+                before, after = (
+                    float((f.residual[:, c][valid] ** 2).mean().sqrt()) * sd for f in (self.before, self.fit)
+                )
+                result[channel.name] = (before, after, channel.unit)
+        return result
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists; keys are only ever added."""
+        return {
+            "schema": 1,
+            "system": self.system.name,
+            "logs": list(self.logs),
+            "parameters": {e.name: _plain(e) for e in self.estimates.values()},
+            "encoder_zeros": [_plain(e) for e in self.zeros],
+            "of_logs": {e.name: _plain(e) for e in self.of_logs},
+            "correlation": self.correlation.tolist(),
+            "not_identified": [
+                {"text": words, "weights": d.weights, "information": d.information}
+                for words, d in zip(self.loose_in_words(), self.unidentified, strict=True)
+            ],
+            "simulation_rms": {
+                name: {"before": before, "after": after, "unit": unit}
+                for name, (before, after, unit) in self.rms.items()
+            },
+            "chi2_per_sample": self.dispersion.chi2_per_sample,
+            "residual_correlation": self.dispersion.correlation,
+            "windows": len(self.question.windows),
+            "window_s": self.question.windows.length,
+            "windows_resting": self.question.resting,
+            "noise_sd": [n.sd for n in self.question.windows.noise],
+            "convergence": {
+                "method": self.convergence.method,
+                "converged": self.convergence.converged,
+                "reason": self.convergence.reason,
+                "stages": [{"name": n, "cost": list(costs)} for n, costs in self.convergence.stages],
+                "simulations": self.convergence.simulations,
+                "seconds": self.convergence.seconds,
+            },
+            "seed": self.seed,
+        }
+
+    def loose_in_words(self) -> tuple[str, ...]:
+        """Each unidentified combination as a sentence."""
+        return tuple(self._loose(direction) for direction in self.unidentified)
+
+    def _loose(self, direction: Direction) -> str:
+        sd = dict(
+            zip(self.question.prior.names, np.sqrt(np.diag(self.question.prior.covariance)), strict=True)
+        )
+        if len(direction.weights) == 1:
+            name = next(iter(direction.weights))
+            return f"what is said about {name} comes from its prior, not from the data"
+        shift = {name: weight * sd[name] for name, weight in direction.weights.items()}
+        relative = {name: d / abs(self.estimates[name].value or np.inf) for name, d in shift.items()}
+        largest = max((abs(r) for r in relative.values()), default=0.0)
+        if largest == 0.0 or any(r == 0.0 for r in relative.values()):
+            parts = [f"{name} by {d:+.3g} {self.estimates[name].unit}" for name, d in shift.items()]
+        else:
+            parts = [f"{name} by {r / largest:+.2f} %" for name, r in relative.items()]
+        return f"the data cannot tell a change of {' and '.join(parts)} from none"
+
+
+def _plain(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+        "sd": estimate.sd,
+        "unit": estimate.unit,
+        "start": estimate.start,
+        "bounds": [b if np.isfinite(b) else None for b in estimate.bounds],  # strict JSON knows no infinity
+        "at_bound": estimate.at_bound,
+    }
+
+
+def interval(value: float, sd: float, bounds: tuple[float, float]) -> tuple[float, float]:
+    """95 % interval around a value, cut at the bounds but never beyond the value."""
+    low, high = max(value - NORMAL_95 * sd, bounds[0]), min(value + NORMAL_95 * sd, bounds[1])
+    return min(low, value), max(high, value)

@@ -1,0 +1,1 @@
+"""The simulator of a fit: many parameter sets and windows in one batch."""

@@ -1,0 +1,51 @@
+"""First-order filter of sensors, exact along the cubics between integration nodes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from deepkoco.fit.simulate.simulator import Nodes
+
+
+def filtered(nodes: Nodes, time_constant: Tensor, h: float) -> Nodes:
+    """What a filter T y' + y = x shows of simulated states.
+
+    On a step x is a cubic; y = p + (y_0 - p_0) exp(-t/T) with the polynomial p = x - T x' + T^2 x'' - T^3 x'''.
+    At the start of a window the filter is taken to have forgotten what was before.
+
+    Args:
+        nodes: Simulated states.
+        time_constant: T [s], scalar or (L,); lanes with 0 stay as they are.
+        h: Integration step [s].
+    """
+    lanes = nodes.value[0].shape[-1]
+    slow = time_constant.expand(lanes)
+    own = torch.nonzero(slow > 0.0).flatten()
+    constant = slow[own]
+    decay = torch.exp(-h / constant)
+    shown, lefts, rights = [], [], []
+    for value, left, right in zip(*nodes, strict=True):
+        x, d0, d1 = value[..., own], left[..., own] * h, right[..., own] * h
+        rise = x[1:] - x[:-1]
+        second = 2.0 * (3.0 * rise - 2.0 * d0 - d1)  # x'' h^2 at the start
+        third = 6.0 * (d0 + d1 - 2.0 * rise)  # x''' h^3
+        k = constant / h
+        tail = k**3 * third
+        first = x[:-1] - k * d0 + k**2 * second - tail
+        last = x[1:] - k * d1 + k**2 * (second + third) - tail
+        y = torch.empty_like(x)
+        y[0] = first[0]
+        for i in range(len(first)):
+            y[i + 1] = last[i] + (y[i] - first[i]) * decay
+        seen, slope_0, slope_1 = value.clone(), left.clone(), right.clone()
+        seen[..., own] = y
+        slope_0[..., own] = (x[:-1] - y[:-1]) / constant
+        slope_1[..., own] = (x[1:] - y[1:]) / constant
+        shown.append(seen)
+        lefts.append(slope_0)
+        rights.append(slope_1)
+    return type(nodes)(tuple(shown), tuple(lefts), tuple(rights))

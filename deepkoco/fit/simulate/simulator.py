@@ -1,0 +1,236 @@
+"""Batched multiple-shooting simulator: lanes (parameter sets) times windows, one tensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.simulate.command_effort import command_efforts
+from deepkoco.fit.simulate.sensor_filter import filtered
+from deepkoco.fit.solve.per_log_differences import amounts, of_windows
+from deepkoco.systems import ExtendedSystem, Motion, System
+
+# The sign of dry friction is smoothed over at least SHARPEST [rad/s], and over as much speed as the joint
+# gains in CROSSING steps. A fast reversal inside one step would otherwise see the sign at the four stages
+# only; spread over the step it gives the right impulse, since the smoothed sign is odd about the reversal.
+SHARPEST = 0.03
+CROSSING = 0.3
+
+
+class Nodes(NamedTuple):
+    """States at the n + 1 nodes of the steps and their derivatives; lanes are the last axis.
+
+    Attributes:
+        value: Per state (n + 1, W, L).
+        left: Per state (n, W, L), derivative at the start of each step.
+        right: Per state (n, W, L), derivative at its end: a command may jump at the node.
+    """
+
+    value: tuple[Tensor, ...]
+    left: tuple[Tensor, ...]
+    right: tuple[Tensor, ...]
+
+
+def trajectories(
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    initial: Tensor,
+    push: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Simulate every window under its logged commands.
+
+    Args:
+        system: Dynamics.
+        windows: W windows of n steps.
+        parameters: Named values, each (L,) or scalar.
+        initial: (L, W, S) states at the start of the windows.
+        push: (J, L, W, n) extra load on each joint over each step [N m or N]; None for none.
+
+    Returns:
+        States (n + 1, L, W, S), derivative at the start and at the end of each step (n, L, W, S).
+
+    Source: classical Runge-Kutta with an effort that is linear in time within the step.
+    """
+    nodes = integrate(system, windows, parameters, initial, push)
+    states, left, right = (torch.stack(part, -1).transpose(1, 2) for part in nodes)
+    return states, left, right
+
+
+def integrate(
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    initial: Tensor,
+    push: Tensor | None = None,
+    lanes: Mapping[str, slice] | None = None,
+    differ: Mapping[str, Tensor] | None = None,
+) -> Nodes:
+    """As :func:`trajectories`.
+
+    Args:
+        system, windows, parameters, initial, push: As there.
+        lanes: Effect -> lanes that it concerns; None for all.
+        differ: Parameter -> (K, L) amounts by which it differs in each of K logs, beside what is known.
+    """
+    h, joints, count = windows.step, system.joints, initial.shape[0]
+    apart = amounts(windows.known, differ)
+    own = of_windows(parameters, apart, windows.log)
+    extended = isinstance(system, ExtendedSystem)
+    law = system.accelerations(own, lanes) if extended else system.accelerations(own)
+    start, slope = zip(
+        *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
+        strict=True,
+    )
+    pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
+    parts = initial.permute(2, 1, 0).contiguous().unbind(0)
+    angle, speed = list(parts[:joints]), list(parts[joints:])
+    angles, speeds = [angle], [speed]
+    firsts, lasts = [], []
+    width: tuple[Tensor, ...] = (torch.full((), SHARPEST, dtype=torch.float64),) * joints
+    half = 0.5 * h
+    time = torch.from_numpy(windows.t0)[:, None]
+    # What does not depend on the motion is made for all steps at once: every call costs as much as a small tensor.
+    offsets = torch.tensor([i * h for i in range(windows.steps)], dtype=torch.float64)[:, None, None]
+    at = [(time + offsets + later).unbind(0) for later in (0.0, half, h)]
+    efforts = [_over_steps(start, slope, later) for later in (0.0, half, h)]
+    loads = [None] * windows.steps if pushes is None else [p.unbind(0) for p in pushes.unbind(0)]
+    for i in range(windows.steps):
+        begin, middle, end = (effort[i] for effort in efforts)
+        load = loads[i]
+        a1 = law(Motion(tuple(angle), tuple(speed), begin, load, at[0][i], width))
+        q2, v2 = _moved(angle, speed, half), _moved(speed, a1, half)
+        a2 = law(Motion(q2, v2, middle, load, at[1][i], width))
+        q3, v3 = _moved(angle, v2, half), _moved(speed, a2, half)
+        a3 = law(Motion(q3, v3, middle, load, at[1][i], width))
+        q4, v4 = _moved(angle, v3, h), _moved(speed, a3, h)
+        a4 = law(Motion(q4, v4, end, load, at[2][i], width))
+        angle = _stepped(angle, speed, v2, v3, v4, h)
+        speed = _stepped(speed, a1, a2, a3, a4, h)
+        angles.append(angle)
+        speeds.append(speed)
+        firsts.append(a1)
+        lasts.append(a4)
+        width = tuple((CROSSING * h * a.abs()).clamp_min(SHARPEST) for a in a4)
+    value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
+    first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
+    last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
+    fast = value[joints:]
+    return Nodes(value, (*(v[:-1] for v in fast), *first), (*(v[1:] for v in fast), *last))
+
+
+def _moved(x: list[Tensor] | tuple[Tensor, ...], rate: tuple[Tensor, ...] | list[Tensor], h: float) -> tuple:
+    return tuple(torch.add(a, b, alpha=h) for a, b in zip(x, rate, strict=True))
+
+
+def _stepped(x: list[Tensor], k1: Any, k2: Any, k3: Any, k4: Any, h: float) -> list[Tensor]:
+    """Runge-Kutta's weighted mean of four rates over a step."""
+    return [
+        torch.add(a, torch.add(r1, r2 + r3, alpha=2.0).add_(r4), alpha=h / 6.0)
+        for a, r1, r2, r3, r4 in zip(x, k1, k2, k3, k4, strict=True)
+    ]
+
+
+def _over_steps(
+    start: tuple[Tensor, ...], slope: tuple[Tensor, ...], later: float
+) -> list[tuple[Tensor, ...]]:
+    """Efforts of every command (W, L) at a time after the start of each of the n steps."""
+    values = [a if later == 0.0 else torch.add(a, b, alpha=later) for a, b in zip(start, slope, strict=True)]
+    return list(zip(*(v.unbind(0) for v in values), strict=True))
+
+
+def predict(
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    initial: Tensor,
+    push: Tensor | None = None,
+    delays: Mapping[int, Tensor] | None = None,
+    lanes: Mapping[str, slice] | None = None,
+    differ: Mapping[str, Tensor] | None = None,
+) -> Tensor:
+    """Noise-free measurements (L, W, N, M) at the windows' own time stamps.
+
+    Between the integration nodes the state follows the cubic through its values and derivatives. The
+    derivative at a step's end is the last stage of the step, since a command may jump at the node.
+
+    Args:
+        system, windows, parameters, initial, push: As for :func:`trajectories`, with its source.
+        delays: Channel -> (L,) time [s] that its measurements lag behind their stamps. Samples stamped
+            earlier after the window's start than that are extrapolated: leave them out of the windows.
+        lanes, differ: As for :func:`integrate`.
+    """
+    nodes = integrate(system, windows, parameters, initial, push, lanes, differ)
+    slow = system.sensor_filter(parameters)
+    nodes = nodes if not bool((slow > 0.0).any()) else filtered(nodes, slow, windows.step)
+    count, channels, samples = len(windows), windows.t.shape[1], windows.t.shape[2]
+    result = torch.empty(count, channels, samples, initial.shape[0], dtype=torch.float64)
+    began = torch.from_numpy(windows.t0 - _log_starts(windows))[:, None, None]
+    measured: Tensor | None = None
+    stamped = 0  # channel at whose stamps `measured` is
+    for c in range(channels):
+        time = windows.t[:, c, :, None]
+        if delays is not None and c in delays:
+            late = time - delays[c]
+            state = _between_each(nodes, late, windows.step)
+            result[:, c] = system.measure_at(state, began + late, parameters)[..., c]
+            continue
+        if measured is None or not torch.equal(windows.t[:, c], windows.t[:, stamped]):
+            stamped = c
+            state = _between(nodes, windows.t[:, c], windows.step)
+            measured = system.measure_at(state, began + time, parameters)
+        result[:, c] = measured[..., c]
+    return result.permute(3, 0, 1, 2)
+
+
+def _log_starts(windows: Windows) -> np.ndarray:
+    """(W,) first command of each window's log [s]."""
+    return np.array([windows.commands[log].t[0] for log in windows.log])
+
+
+def _between(nodes: Nodes, t: Tensor, h: float) -> Tensor:
+    """Hermite interpolation at times t (W, M) -> (W, M, L, S)."""
+    steps, count = nodes.left[0].shape[:2]
+    cell = (t / h).floor().long().clamp(0, steps - 1)
+    s = (t / h - cell)[..., None]
+    row = (cell * count + torch.arange(count)[:, None]).flatten()
+    weights = _hermite(s, h)
+    shape = (*t.shape, -1)
+    parts = []
+    for value, left, right in zip(*nodes, strict=True):
+        flat = value.flatten(0, 1)
+        pieces = (flat, left.flatten(0, 1), flat, right.flatten(0, 1))
+        rows = (row, row, row + count, row)
+        total = None
+        for w, piece, at in zip(weights, pieces, rows, strict=True):
+            picked = piece.index_select(0, at).view(shape)
+            total = w * picked if total is None else total.addcmul_(w, picked)
+        parts.append(total)
+    return torch.stack(parts, -1)
+
+
+def _between_each(nodes: Nodes, t: Tensor, h: float) -> Tensor:
+    """As :func:`_between`, at times t (W, M, L) of each lane's own."""
+    steps, count, lanes = nodes.left[0].shape
+    cell = (t / h).floor().long().clamp(0, steps - 1)
+    s = t / h - cell
+    window, lane = torch.arange(count)[:, None, None], torch.arange(lanes)[None, None, :]
+    w0, w1, w2, w3 = _hermite(s, h)
+    parts = []
+    for value, left, right in zip(*nodes, strict=True):
+        before, after = value[cell, window, lane], value[cell + 1, window, lane]
+        parts.append(
+            w0 * before + w1 * left[cell, window, lane] + w2 * after + w3 * right[cell, window, lane]
+        )
+    return torch.stack(parts, -1)
+
+
+def _hermite(s: Tensor, h: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Weights of the value and slope at the start and of the value and slope at the end of a step."""
+    r = 1.0 - s
+    return r * r * (1.0 + 2.0 * s), h * s * r * r, s * s * (3.0 - 2.0 * s), -h * s * s * r

@@ -1,0 +1,1 @@
+"""Solving a fit: methods, priors, nuisances and what the data cannot tell."""

@@ -1,0 +1,191 @@
+"""Levenberg-Marquardt steps of many trials, simulated in one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.solve.normal_equations import NormalEquations
+
+if TYPE_CHECKING:
+    from deepkoco.fit.fit import FitProblem
+
+TOLERANCE = 0.02  # a fit has converged when a step lowers chi2 by less
+POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
+PARAMETER_STEP = 1e-5  # finite difference of a parameter, in its scale
+LARGEST_DAMPING = 1e8
+
+
+def state_steps(states: int) -> tuple[float, ...]:
+    """Finite differences of an initial state: positions first, then speeds."""
+    return (POSITION_STEP,) * (states // 2) + (SPEED_STEP,) * (states // 2)
+
+
+def scaled_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a symmetric matrix whose rows have units of their own: what is large in one need not be small in another."""
+    size = np.sqrt(np.diag(matrix))
+    size = np.outer(size, size)
+    size[size == 0.0] = 1.0
+    return np.linalg.pinv(matrix / size, hermitian=True) / size
+
+
+class Batch:
+    """State of the trials of one call of :meth:`FitProblem.fit`."""
+
+    def __init__(self, problem: FitProblem, trials: Sequence[Trial], tolerance: float = TOLERANCE) -> None:
+        self.problem, self.trials, self.tolerance = problem, trials, tolerance
+        names, windows = problem.names, problem.windows
+        self.columns = [np.array([names.index(n) for n in t.free], dtype=int) for t in trials]
+        self.width = max((len(c) for c in self.columns), default=0)
+        self.theta = np.array([[float(t.values[n]) for n in names] for t in trials])
+        self.initial = torch.stack([windows.state if t.state is None else t.state for t in trials]).clone()
+        right = problem.nuisances.none()
+        self.nuisance = torch.stack([right if t.nuisance is None else t.nuisance for t in trials]).clone()
+        count = len(trials)
+        self.precision = torch.zeros(count, self.width, self.width, dtype=torch.float64)
+        self.mean = torch.zeros(count, self.width, dtype=torch.float64)
+        for k, t in enumerate(trials):
+            p = len(t.free)
+            self.precision[k, :p, :p] = torch.from_numpy(t.prior.precision(t.free))
+            self.mean[k, :p] = torch.from_numpy(t.prior.mean(t.free))
+        self.damping = np.full(count, 1e-4)
+        self.cost = np.full(count, np.inf)
+        self.done = np.zeros(count, dtype=bool)
+        self.converged = np.zeros(count, dtype=bool)
+        self.history: list[list[float]] = [[] for _ in trials]
+        self.normal: list[NormalEquations | None] = [None] * count
+
+    def run(self, iterations: int) -> list[Fit]:
+        trial_theta, trial_initial = self.theta.copy(), self.initial.clone()
+        trial_nuisance = self.nuisance.clone()
+        for iteration in range(iterations):
+            active = np.flatnonzero(~self.done)
+            if len(active) == 0:
+                break
+            normals = self._linearise(active, trial_theta, trial_initial, trial_nuisance)
+            for k, normal in zip(active, normals, strict=True):
+                decrease = self.cost[k] - normal.cost
+                if np.isfinite(normal.cost) and decrease >= 0:
+                    self.normal[k] = normal
+                    self.theta[k], self.cost[k] = trial_theta[k], normal.cost
+                    self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
+                    self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
+                    self.converged[k] = decrease < self.tolerance
+                else:
+                    self.damping[k] *= 20.0
+                    # A step that is refused although the model is exact to rounding has nothing to win.
+                    self.converged[k] = np.isfinite(normal.cost) and -decrease < 1e-3 * self.tolerance
+                self.history[k].append(float(self.cost[k]))
+                self.done[k] = (
+                    self.converged[k] or self.damping[k] > LARGEST_DAMPING or self.normal[k] is None
+                )
+                if not self.done[k] and iteration < iterations - 1:
+                    step = self._step(int(k))
+                    trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
+                    if gain < 0.25 * self.tolerance:
+                        self.done[k] = self.converged[k] = True
+        return [self._result(k) for k in range(len(self.trials))]
+
+    def _linearise(
+        self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
+    ) -> list[NormalEquations]:
+        """Simulate base and perturbed lanes of the active trials at once; form their normal equations."""
+        problem = self.problem
+        states = initial.shape[-1]
+        nudge = state_steps(states)
+        lane_theta, lane_initial, lane_trial = [], [], []
+        steps: list[np.ndarray] = []
+        varying = np.array([problem.names.index(n) for n in problem.nuisances.varies], dtype=int)
+        moved = {k: np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in active}
+        for k in active:
+            columns = moved[k]
+            step = PARAMETER_STEP * problem.scale[columns]
+            step = np.where(theta[k, columns] + step > problem.high[columns], -step, step)
+            steps.append(step)
+            count = 1 + len(columns) + states
+            block = np.repeat(theta[k][None], count, axis=0)
+            block[1 + np.arange(len(columns)), columns] += step
+            start = initial[k][None].repeat(count, 1, 1)
+            for s in range(states):
+                start[1 + len(columns) + s, :, s] += nudge[s]
+            lane_theta.append(block)
+            lane_initial.append(start)
+            lane_trial += [k] * count
+        predicted = problem.predict(np.concatenate(lane_theta), torch.cat(lane_initial), nuisance[lane_trial])
+        result, at = [], 0
+        for i, k in enumerate(active):
+            p, columns = len(self.columns[k]), moved[k]
+            lanes = predicted[at : at + 1 + len(columns) + states]
+            at += len(lanes)
+            difference = torch.cat([torch.from_numpy(steps[i]), torch.tensor(nudge, dtype=torch.float64)])
+            slopes = (lanes[1:] - lanes[0]) / difference[:, None, None, None] * problem.weight
+            residual = (problem.windows.value - lanes[0]) * problem.weight
+            prior = self.precision[k, :p, :p]
+            offset = torch.from_numpy(theta[k, self.columns[k]]) - self.mean[k, :p]
+            own = problem.nuisance_slopes(slopes[[int(np.flatnonzero(columns == v)[0]) for v in varying]])
+            result.append(
+                NormalEquations.build(
+                    residual,
+                    slopes[:p],
+                    slopes[len(columns) :],
+                    own,
+                    prior,
+                    offset,
+                    nuisance[k],
+                    problem.nuisances.precision,
+                )
+            )
+        return result
+
+    def _step(self, k: int) -> tuple[np.ndarray, Tensor, Tensor, float]:
+        problem, normal = self.problem, self.normal[k]
+        assert normal is not None
+        columns = self.columns[k]
+        p = len(columns)
+        at = self.theta[k, columns]
+        low, high = problem.low[columns] - at, problem.high[columns] - at
+        held = np.zeros(p, dtype=bool)
+        limit = np.zeros(p)
+        while True:
+            move, states, gain = normal.solve(self.damping[k], held, limit)
+            # What leaves the box stops at its bound, and the others are solved again around it.
+            outside = ((move[:p] < low) | (move[:p] > high)) & ~held
+            if not outside.any():
+                break
+            held |= outside
+            limit = np.where(outside, np.clip(move[:p], low, high), limit)
+        theta = self.theta[k].copy()
+        theta[columns] = np.clip(at + move[:p], problem.low[columns], problem.high[columns])
+        return theta, self.initial[k] + states, self.nuisance[k] + torch.from_numpy(move[p:]), gain
+
+    def _result(self, k: int) -> Fit:
+        normal, trial = self.normal[k], self.trials[k]
+        if normal is None:
+            raise FloatingPointError(f"fit of {trial.name}: the simulation diverges at its start values")
+        p = len(self.columns[k])
+        full = normal.reduced(0.0)[0].numpy()
+        information = full[:p, :p] - self.precision[k, :p, :p].numpy()
+        if len(full) > p:
+            across = full[:p, p:]
+            information = information - across @ np.linalg.solve(full[p:, p:], across.T)
+        covariance = scaled_inverse(full)[:p, :p] if len(full) else full
+        return Fit(
+            trial.name,
+            trial.free,
+            dict(zip(self.problem.names, map(float, self.theta[k]), strict=True)),
+            covariance,
+            information,
+            self.initial[k].clone(),
+            self.nuisance[k].clone(),
+            normal.chi2,
+            normal.cost - normal.chi2,
+            normal.residual,
+            full,
+            self.history[k],
+            bool(self.converged[k]),
+        )

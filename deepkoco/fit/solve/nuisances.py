@@ -1,0 +1,86 @@
+"""Nuisances: what each log has of its own, free in every fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.solve.encoder_zeros import EncoderZeros
+
+
+@dataclass(frozen=True)
+class Nuisances:
+    """Encoder zeros, and how far parameters of each log are from the mean of all logs (random effects).
+
+    A vector of nuisances holds the zeros, then the amounts by which the first parameter that varies differs, one per
+    log, then those of the next.
+
+    They are not held within the bounds of their parameters.
+
+    Attributes:
+        zeros: The zeros.
+        varies: Standard deviation of each parameter that varies, in its unit.
+    """
+
+    zeros: EncoderZeros
+    varies: Mapping[str, float]
+
+    @property
+    def count(self) -> int:
+        """Length of a vector of nuisances."""
+        return self.zeros.count + len(self.varies) * self.zeros.logs
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(count,) prior standard deviations around 0."""
+        sd = np.repeat(np.array(list(self.varies.values()), dtype=float), self.zeros.logs)
+        return np.concatenate([self.zeros.spread, sd])
+
+    @property
+    def precision(self) -> Tensor:
+        """(count,) of the prior."""
+        return torch.from_numpy(1.0 / self.spread**2)
+
+    def index(self, name: str, log: int) -> int:
+        """Where a vector holds what a parameter differs by in a log."""
+        return self.zeros.count + list(self.varies).index(name) * self.zeros.logs + log
+
+    def penalty(self, nuisance: Tensor) -> float:
+        """The prior's share of the cost at a vector (count,)."""
+        return float(self.precision @ nuisance**2)
+
+    def none(self) -> Tensor:
+        """A vector in which every sensor is right and all logs share their parameters."""
+        return torch.zeros(self.count, dtype=torch.float64)
+
+    def differ(self, nuisance: Tensor) -> dict[str, Tensor]:
+        """Parameter -> (K, L) amounts by which it differs in each of K logs, for vectors (L, count)."""
+        logs, first = self.zeros.logs, self.zeros.count
+        return {
+            n: nuisance[:, first + k * logs : first + (k + 1) * logs].T for k, n in enumerate(self.varies)
+        }
+
+    def slopes(self, weight: Tensor, log: np.ndarray, parameters: Tensor) -> Tensor:
+        """(count, W, N, M) derivatives of measurements that are weighted by (W, N, M).
+
+        Args:
+            weight: One over the noise.
+            log: (W,) log of each window.
+            parameters: (V, W, N, M) weighted derivatives by the parameters that vary.
+        """
+        of_log = torch.from_numpy(log[None] == np.arange(self.zeros.logs)[:, None])
+        each = parameters[:, None] * of_log[None, :, :, None, None]
+        return torch.cat([self.zeros.slopes(weight, log), each.flatten(0, 1)])
+
+    def known_in(self, windows: Windows, nuisance: Tensor) -> Windows:
+        """Windows in which the differences of a vector (count,) are known beside what was, and nothing varies."""
+        known = [dict(own) for own in windows.known or ({},) * self.zeros.logs]
+        for name, each in self.differ(nuisance[None]).items():
+            for own, amount in zip(known, each[:, 0].tolist(), strict=True):
+                own[name] = own.get(name, 0.0) + amount
+        return replace(windows, known=tuple(known), varies={})

@@ -1,0 +1,21 @@
+"""Sensor noise estimated from what a fit leaves."""
+
+from __future__ import annotations
+
+from deepkoco.fit.data.noise import Noise, quantum_of, residual_noise
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit_types import Fit
+
+
+def sharpen_noise(windows: Windows, fit: Fit) -> tuple[Noise, ...]:
+    """Noise of each channel from the residuals of a fit, where that is below what the windows hold."""
+    result = []
+    for c, noise in enumerate(windows.noise):
+        valid = windows.valid[:, c].numpy()
+        if valid.sum() < 40:
+            result.append(noise)
+            continue
+        residual = (fit.residual[:, c] * noise.sd).numpy()
+        quantum = quantum_of(windows.value[:, c][windows.valid[:, c]].numpy())
+        result.append(residual_noise(windows.t[:, c].numpy(), residual, valid, quantum, noise))
+    return tuple(result)

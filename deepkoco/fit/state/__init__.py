@@ -1,0 +1,1 @@
+"""The state of a system now, from measurements that are late."""

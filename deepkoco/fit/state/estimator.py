@@ -1,0 +1,266 @@
+"""State now, from measurements that are late: filter in the past, predict with the commands since."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from deepkoco.fit.state.unscented import Belief, FilterError, SigmaPoints, predict, update
+
+LONGEST_STEP = 0.01  # of the integration between two instants [s]
+Derivative = Callable[[Tensor, Tensor], Tensor]  # states (B, K, S), commands (B, 1, M) -> (B, K, S)
+Density = Tensor | Callable[[Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What an estimator remembers of B environments; it is replaced, never changed.
+
+    Attributes:
+        time: (B, K) instants at which the kept measurements were taken, ascending; -inf in empty places.
+        value: (B, K, N) measurements, not a number where a channel was missing.
+        noise_sd: (B, K, N) of each.
+        mean: (B, K, S) beliefs, each after the measurement of its place.
+        root: (B, K, S, S) their roots.
+        before: Belief before the oldest kept measurement.
+        since: (B,) its instant [s].
+        acts: (B, C) instants from which the kept commands act, ascending; -inf in empty places.
+        command: (B, C, M) commands, each held until the next.
+        dropped: (B,) measurements that came too late to be put in their place.
+    """
+
+    time: Tensor
+    value: Tensor
+    noise_sd: Tensor
+    mean: Tensor
+    root: Tensor
+    before: Belief
+    since: Tensor
+    acts: Tensor
+    command: Tensor
+    dropped: Tensor
+
+    def newest(self) -> tuple[Belief, Tensor]:
+        """Belief after the newest measurement and its instant (B,) [s]."""
+        there = torch.isfinite(self.time[:, -1])
+        last = Belief(self.mean[:, -1], self.root[:, -1]).where(there, self.before)
+        return last, torch.where(there, self.time[:, -1], self.since)
+
+
+class DelayedEstimator:
+    """Unscented filter with forward prediction, for B environments at once.
+
+    A measurement stamped t shows the state at t - tau_s; a command sent at t acts from t + tau_a. Measurements are
+    filtered at the instant at which they were taken, wherever that lies among those that came before (out of
+    order, irregular, missing, each with noise of its own); the belief is then carried on to the instant at which
+    the next command will act, under the commands that act until then, each from its own time stamp.
+
+    Args:
+        derivative: Equations of motion, under the command that acts.
+        measure: States (B, K, S) -> measurements (B, K, N).
+        noise_density: Spectral density of the process noise, (S, S) or (B, S, S), units of the state squared per
+            second; or a function that gives it for instants (B,) [s].
+        noise_sd: (N,) standard deviation of each sensor; a measurement may bring its own.
+        kept: Measurements among which a late one is put in its place.
+        points: Rule of the sigma points.
+        angle: (N,) True where a sensor wraps.
+        longest_step: Longest integration step [s].
+
+    Raises:
+        FilterError: A density is not positive semidefinite, or nothing is kept.
+
+    Source: thesis alg. 6; Julier, Uhlmann, Unscented filtering and nonlinear estimation (2004).
+    """
+
+    def __init__(
+        self,
+        derivative: Derivative,
+        measure: Callable[[Tensor], Tensor],
+        noise_density: Density,
+        noise_sd: Tensor,
+        *,
+        kept: int = 16,
+        points: SigmaPoints | None = None,
+        angle: Tensor | None = None,
+        longest_step: float = LONGEST_STEP,
+    ) -> None:
+        if kept < 1:
+            raise FilterError(f"an estimator keeps at least one measurement, not {kept}")
+        self.derivative, self.measure, self.noise_sd = derivative, measure, noise_sd
+        self.density = noise_density
+        self._constant = None if callable(noise_density) else _root_of(noise_density)
+        self.kept, self.angle, self.longest_step = kept, angle, longest_step
+        self.points = SigmaPoints() if points is None else points
+
+    def start(self, belief: Belief, since: Tensor, command: Tensor, commands: int = 64) -> Memory:
+        """Memory before the first measurement.
+
+        Args:
+            belief: Over the states at ``since``.
+            since: (B,) [s].
+            command: (B, M) that has acted all along.
+            commands: Commands that are kept: as many as act between the oldest kept measurement and now.
+        """
+        count, kept = len(since), self.kept
+        channels = (count, kept, len(self.noise_sd))
+        empty = torch.full((count, kept), -math.inf, dtype=torch.float64)
+        return Memory(
+            empty,
+            torch.full(channels, math.nan, dtype=torch.float64),
+            torch.ones(channels, dtype=torch.float64),
+            belief.mean[:, None].expand(-1, kept, -1),
+            belief.root[:, None].expand(-1, kept, -1, -1),
+            belief,
+            since,
+            torch.full((count, commands), -math.inf, dtype=torch.float64),
+            command[:, None].expand(-1, commands, -1),
+            torch.zeros(count, dtype=torch.int64),
+        )
+
+    def send(self, memory: Memory, time: Tensor, command: Tensor, actuation_delay: Tensor | float) -> Memory:
+        """Remember commands.
+
+        Args:
+            memory: Until now.
+            time: (B,) when each was sent [s].
+            command: (B, M).
+            actuation_delay: tau_a of these commands [s], scalar or (B,); none acts before the one before.
+        """
+        acts = torch.maximum(time + actuation_delay, memory.acts[:, -1])
+        return replace(
+            memory,
+            acts=torch.cat([memory.acts[:, 1:], acts[:, None]], 1),
+            command=torch.cat([memory.command[:, 1:], command[:, None]], 1),
+        )
+
+    def receive(
+        self,
+        memory: Memory,
+        time: Tensor,
+        value: Tensor,
+        sensing_delay: Tensor | float,
+        noise_sd: Tensor | None = None,
+    ) -> Memory:
+        """Take measurements in, each at the instant at which it was taken.
+
+        Args:
+            memory: Until now.
+            time: (B,) time stamps [s]; not a number where an environment has received nothing.
+            value: (B, N); not a number where a channel is missing.
+            sensing_delay: tau_s of these measurements [s], scalar or (B,).
+            noise_sd: Sensors' noise now, (N,) or (B, N); None takes the usual.
+        """
+        taken = time - sensing_delay
+        new = torch.isfinite(taken) & (taken >= memory.since)
+        dropped = memory.dropped + (torch.isfinite(taken) & ~new)
+        noise = (self.noise_sd if noise_sd is None else noise_sd).expand_as(value)
+        # Without a measurement an environment gets an empty place, which sorts to the front and falls out.
+        times = torch.cat([memory.time, torch.where(new, taken, -math.inf)[:, None]], 1)
+        order = torch.argsort(times, dim=1, stable=True)
+        times = times.gather(1, order)
+        columns = order[..., None].expand(-1, -1, value.shape[1])
+        values = torch.cat([memory.value, value[:, None]], 1).gather(1, columns)
+        noises = torch.cat([memory.noise_sd, noise[:, None]], 1).gather(1, columns)
+        # One place more than there is: the first is absorbed in the belief before all others.
+        size = memory.mean.shape[2]
+        means = torch.cat([memory.mean, memory.mean[:, -1:]], 1).gather(
+            1, order[..., None].expand(-1, -1, size)
+        )
+        roots = torch.cat([memory.root, memory.root[:, -1:]], 1)
+        roots = roots.gather(1, order[..., None, None].expand(-1, -1, size, size))
+        # Beliefs after the new measurement and all later ones hold no more.
+        stale = torch.cumsum(order == self.kept, 1).bool() & new[:, None]
+        belief, at = memory.before, memory.since
+        beliefs = []
+        for k in range(self.kept + 1):
+            again, there = stale[:, k], torch.isfinite(times[:, k])
+            kept = Belief(means[:, k], roots[:, k])
+            if bool(again.any()):
+                moved = self._carry(memory, belief, at, torch.where(again, times[:, k], at))
+                stepped, _ = update(moved, self.measure, values[:, k], noises[:, k], self.points, self.angle)
+                kept = stepped.where(again, kept)
+            belief = kept.where(there, belief)
+            at = torch.where(there, times[:, k], at)
+            beliefs.append(belief)
+            if k == 0:
+                before, since = belief, at
+        return replace(
+            memory,
+            time=times[:, 1:],
+            value=values[:, 1:],
+            noise_sd=noises[:, 1:],
+            mean=torch.stack([b.mean for b in beliefs[1:]], 1),
+            root=torch.stack([b.root for b in beliefs[1:]], 1),
+            before=before,
+            since=since,
+            dropped=dropped,
+        )
+
+    def estimate(self, memory: Memory, time: Tensor, actuation_delay: Tensor | float = 0.0) -> Belief:
+        """Belief over the states at ``time`` + tau_a: what a command sent now will meet.
+
+        Args:
+            memory: Until now.
+            time: (B,) now [s].
+            actuation_delay: tau_a [s], scalar or (B,); 0 for the state now.
+        """
+        belief, at = memory.newest()
+        return self._carry(memory, belief, at, torch.maximum(time + actuation_delay, at))
+
+    def _carry(self, memory: Memory, belief: Belief, start: Tensor, stop: Tensor) -> Belief:
+        """Carry a belief from ``start`` to ``stop`` (B,), one piece for each command that acts in between."""
+        edges = torch.cat([start[:, None], memory.acts, stop[:, None]], 1)
+        edges = torch.minimum(torch.maximum(edges, start[:, None]), stop[:, None])
+        length = edges.diff(dim=1)  # (B, C + 1)
+        for c in torch.nonzero((length > 0).any(0))[:, 0].tolist():
+            command = memory.command[:, max(c - 1, 0), None]
+            count = max(math.ceil(float(length[:, c].max()) / self.longest_step - 1e-9), 1)
+            step = length[:, c] / count
+            for i in range(count):
+                root = self._density_root(edges[:, c] + (i + 0.5) * step) * step.sqrt()[:, None, None]
+                moved = predict(belief, self._transition(command, step[:, None, None]), root, self.points)
+                belief = moved.where(step > 0, belief)
+        return belief
+
+    def _transition(self, command: Tensor, h: Tensor) -> Callable[[Tensor], Tensor]:
+        def step(state: Tensor) -> Tensor:
+            k1 = self.derivative(state, command)
+            k2 = self.derivative(state + 0.5 * h * k1, command)
+            k3 = self.derivative(state + 0.5 * h * k2, command)
+            k4 = self.derivative(state + h * k3, command)
+            return state + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+
+        return step
+
+    def _density_root(self, time: Tensor) -> Tensor:
+        if self._constant is not None:
+            return self._constant.expand(len(time), *self._constant.shape[-2:])
+        assert callable(self.density)
+        return _root_of(self.density(time))
+
+
+def system_derivative(system: object, parameters: dict[str, Tensor]) -> Derivative:
+    """Equations of motion of a system (`deepkoco.systems.System`) as an estimator takes them.
+
+    Args:
+        system: The system; its timing is left to the estimator.
+        parameters: Named values, each scalar or (B, 1).
+    """
+
+    def derivative(state: Tensor, command: Tensor) -> Tensor:
+        effort = system.actuate(system.effort_of(command), parameters)  # type: ignore[attr-defined]
+        return system.derivative(state, effort.expand(state.shape[:2]), parameters)  # type: ignore[attr-defined]
+
+    return derivative
+
+
+def _root_of(density: Tensor) -> Tensor:
+    """Symmetric root of a positive semidefinite matrix, which may be singular."""
+    values, vectors = torch.linalg.eigh(density)
+    if not torch.allclose(density, density.mT) or bool((values < -1e-9 * values.abs().max()).any()):
+        raise FilterError("noise_density is not symmetric and positive semidefinite")
+    return vectors * values.clamp_min(0.0).sqrt()[..., None, :]

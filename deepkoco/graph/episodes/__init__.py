@@ -1,0 +1,1 @@
+"""Episodes: what happened in a run, kept in memory and on disk."""

@@ -1,0 +1,254 @@
+"""Reading recordings back, whole or as far as they go."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Footer, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+from zstandard import ZstdError
+
+from deepkoco.graph.episodes.episode import Episode, Note
+from deepkoco.graph.episodes.storage.container import FORMAT, MAGIC, EpisodeFileError
+from deepkoco.graph.episodes.storage.description import graph_from_description
+from deepkoco.graph.episodes.storage.messages import LEVELS, stack_outputs
+from deepkoco.graph.model.graph import Graph
+
+_DAMAGE = (McapError, ZstdError, struct.error, ValueError, OverflowError)
+_LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
+Content = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """What a recording holds.
+
+    Attributes:
+        path: file it was read from.
+        graph: nodes with rates and delays (but no code) and connections, as they were when it was recorded.
+        episodes: in the order in which they began.
+        origins: by episode, time of day of its t = 0 [ns since 1970], or its place in a viewer.
+        meta: what was said about the recording.
+        episode_meta: by episode, what was said about it.
+        complete: False if the file ends too early and only its whole messages are here.
+        messages: number of whole messages.
+    """
+
+    path: Path
+    graph: Graph
+    episodes: tuple[Episode, ...]
+    origins: tuple[int, ...]
+    meta: dict[str, Any]
+    episode_meta: tuple[dict[str, Any], ...]
+    complete: bool
+    messages: int
+
+
+@dataclass
+class _Contents:
+    """Messages of a file, sorted by what they are about."""
+
+    graph: Graph | None = None
+    meta: dict[str, Any] | None = None
+    begun: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
+    extents: dict[int, dict[str, Any]] = field(default_factory=dict)
+    steps: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
+    messages: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
+    notes: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
+    count: int = 0
+    damage: Exception | None = None
+
+
+def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
+    """Read a recording; times, outputs (dtype and shape too) and windows come back bit for bit.
+
+    Args:
+        path: `.mcap`, or the `.mcap.partial` that a run leaves which was killed.
+        partial: take what is there if the file ends in the middle.
+
+    Returns:
+        The episodes and their graph. Of a message that was sent, but of which the file says neither that it
+        arrived nor that it was lost, the arrival is infinity.
+
+    Raises:
+        EpisodeFileError: there is no such file, it is no recording, it was cut off and `partial` is False,
+            or its content contradicts itself.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise EpisodeFileError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise EpisodeFileError(f"{path}: is no MCAP file; recordings begin with the letters MCAP")
+    contents = _Contents()
+    for record, channel in _records(path, contents):
+        try:
+            _sort_in(path, record, channel, contents)
+        except EpisodeFileError:
+            raise
+        except (*_DAMAGE, KeyError, TypeError) as damage:
+            contents.damage = damage
+            break
+    if contents.meta is None or contents.graph is None:
+        cut = f" (it is damaged: {contents.damage})" if contents.damage is not None else ""
+        raise EpisodeFileError(
+            f"{path}: holds no description of a graph{cut}; it was not written by DeepKoCo"
+        )
+    for number, extent in contents.extents.items():
+        try:
+            _cut(contents, number, extent)
+        except (KeyError, TypeError) as error:
+            raise EpisodeFileError(f"{path}: episode {number} has a bad end: {error!r}") from error
+    known = len(contents.begun)
+    if any(e >= known for place in (contents.steps, contents.messages, contents.notes) for e, _ in place):
+        raise EpisodeFileError(f"{path}: has messages of an episode that never began; the file is damaged")
+    episodes = tuple(_episode(path, contents.graph, contents, e) for e in range(known))
+    run = RecordedRun(
+        path=path,
+        graph=contents.graph,
+        episodes=episodes,
+        origins=tuple(origin for origin, _ in contents.begun),
+        meta=contents.meta,
+        episode_meta=tuple(meta for _, meta in contents.begun),
+        complete=contents.damage is None,
+        messages=contents.count,
+    )
+    if not run.complete and not partial:
+        raise EpisodeFileError(_cut_off(run))
+    return run
+
+
+def _records(path: Path, contents: _Contents) -> Iterator[tuple[McapRecord, Channel | None]]:
+    """Give the records up to the end, or up to the damage, of which `contents` takes note."""
+    channels: dict[int, Channel] = {}
+    with path.open("rb") as file:
+        records = iter(StreamReader(file, validate_crcs=True).records)
+        while True:
+            try:
+                record = next(records)
+            except StopIteration:
+                return
+            except _DAMAGE as damage:
+                contents.damage = damage
+                return
+            if isinstance(record, Footer):
+                continue  # the magic that follows must be there too
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            yield record, channels.get(record.channel_id) if isinstance(record, Message) else None
+
+
+def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: _Contents) -> None:
+    match record:
+        case Message() if channel is not None:
+            content = json.loads(record.data)
+            contents.count += 1
+            for kind, place in (
+                ("node", contents.steps),
+                ("connection", contents.messages),
+                ("notes", contents.notes),
+            ):
+                if kind in channel.metadata:
+                    place[content["episode"], channel.metadata[kind]].append(content)
+        case Metadata(name="deepkoco"):
+            if record.metadata["format"] != FORMAT:
+                raise EpisodeFileError(
+                    f"{path}: recording of format {record.metadata['format']}; this version reads {FORMAT}"
+                )
+            contents.meta = json.loads(record.metadata["meta"])
+        case Metadata(name="episode"):
+            contents.begun.append((int(record.metadata["origin_ns"]), json.loads(record.metadata["meta"])))
+        case Metadata(name="end"):
+            contents.extents[int(record.metadata["index"])] = json.loads(record.metadata["extent"])
+        case Attachment(name="graph.json"):
+            try:
+                contents.graph = graph_from_description(json.loads(record.data))
+            except (ValueError, KeyError, TypeError) as error:
+                raise EpisodeFileError(f"{path}: its description of the graph is bad: {error}") from error
+        case _:
+            pass
+
+
+def _cut(contents: _Contents, number: int, extent: Mapping[str, Any]) -> None:
+    """Leave out what an episode recorded beyond its end."""
+    for place, counts in ((contents.steps, extent["steps"]), (contents.messages, extent["messages"])):
+        for name, count in counts.items():
+            place[number, name] = [content for content in place[number, name] if content["seq"] < count]
+    assert contents.graph is not None
+    supervisor = contents.graph.supervisor
+    last = extent["steps"][supervisor] - 1
+    for step in contents.steps[number, supervisor]:
+        if step["seq"] == last:
+            step["t_end"] = extent["last_end"]
+            step.pop("dtype", None)
+
+
+def _episode(path: Path, graph: Graph, contents: _Contents, number: int) -> Episode:
+    t_start, t_end, outputs, windows = {}, {}, {}, {}
+    for node in graph.nodes:
+        steps = sorted(contents.steps[number, node.name], key=lambda step: step["seq"])
+        where = f'{path}: episode {number}: node "{node.name}"'
+        wrong = [k for k, step in enumerate(steps) if step["seq"] != k]
+        if wrong:
+            raise EpisodeFileError(f"{where}: step {wrong[0]} is missing or there twice")
+        t_start[node.name] = _times(steps, "t_start")
+        t_end[node.name] = _times(steps, "t_end")
+        sent = [step for step in steps if "dtype" in step]
+        if sent and sent[-1]["seq"] != len(sent) - 1:
+            raise EpisodeFileError(f"{where}: a step without output comes before one with output")
+        if sent:
+            try:
+                outputs[node.name] = stack_outputs(sent)
+            except ValueError as error:
+                raise EpisodeFileError(f"{where}: {error}") from error
+        for c in graph.inputs_of(node.name):
+            seen = [step["inputs"][c.name] for step in steps if c.name in step["inputs"]]
+            if len(seen) == len(steps):
+                windows[c.key] = np.array(seen, dtype=np.int32).reshape(-1, c.window)
+    t_sent, t_received = {}, {}
+    for c in graph.connections:
+        ends = t_end[c.sender][: len(outputs.get(c.sender, ()))]
+        t_sent[c.key], t_received[c.key] = _arrivals(contents.messages[number, c.key], ends)
+    notes = tuple(
+        Note(note["t"], _LEVEL_NAMES[note["level"]], note["name"], note["message"])
+        for note in contents.notes[number, ""]
+    )
+    ordered = {c.key: windows[c.key] for c in graph.connections if c.key in windows}
+    return Episode(t_start, t_end, outputs, t_sent, t_received, ordered, notes)
+
+
+def _arrivals(messages: list[Content], ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    count = max([len(ends), *(message["seq"] + 1 for message in messages)])
+    sent, received = np.full(count, np.nan), np.full(count, np.inf)
+    sent[: len(ends)] = ends
+    for message in messages:
+        sent[message["seq"]] = message["t_sent"]
+        received[message["seq"]] = message.get("t_received", np.inf)
+    known = ~np.isnan(sent)
+    # A recording that was cut off may hold an arrival without the step that sent it, and gaps before it.
+    whole = count if known.all() else int(np.flatnonzero(~known)[0])
+    return sent[:whole], received[:whole]
+
+
+def _times(steps: list[Content], name: str) -> np.ndarray:
+    return np.array([step[name] for step in steps], dtype=np.float64)
+
+
+def _cut_off(run: RecordedRun) -> str:
+    steps = sum(len(start) for episode in run.episodes for start in episode.t_start.values())
+    ends = [[end[-1] for end in episode.t_end.values() if len(end)] for episode in run.episodes]
+    seconds = sum(max(end, default=0.0) for end in ends)
+    number = len(run.episodes)
+    return (
+        f"{run.path}: cut off after {run.messages} whole messages: {steps} steps of {len(run.graph.nodes)} nodes, "
+        f"{seconds:.3f} s, in {number} episode{'s' * (number != 1)}; to take what is there call "
+        "read_episodes(..., partial=True), or give the command --partial"
+    )

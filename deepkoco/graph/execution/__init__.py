@@ -1,0 +1,1 @@
+"""Running the node functions of a graph over its computation graph, for a batch of environments."""

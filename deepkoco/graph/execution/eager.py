@@ -1,0 +1,281 @@
+"""The eager executor: runs node functions slot by slot as torch operations on the whole batch."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.execution import cells
+from deepkoco.graph.execution.policy import Policy, as_function, given_actions
+from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.model.contract import check_action, check_batch, check_output, check_state, located
+from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.model.node import GraphError, Input, State, Supervisor
+from deepkoco.graph.supergraph import join_slots
+from deepkoco.graph.timing.computation_graph import concatenate
+from deepkoco.graph.timing.schedule import Schedule
+
+
+class EagerExecutor:
+    """Runs any node on any device, with gradients; the reference for the compiled executors.
+
+    Node functions run once per slot for the whole batch; where only some environments have that step, the
+    others keep what they had.
+
+    Args:
+        graph: the nodes and connections.
+        device: where the tensors live.
+    """
+
+    name = "eager"
+
+    def __init__(self, graph: Graph, device: torch.device) -> None:
+        self.graph, self.device = graph, device
+        self._edges = [
+            [(e, c) for e, c in enumerate(graph.connections) if c.receiver == node.name]
+            for node in graph.nodes
+        ]
+
+    def start(
+        self,
+        schedule: Schedule,
+        row: np.ndarray,
+        parameters: NodeParameters,
+        generator: torch.Generator,
+        initial: Mapping[str, State],
+    ) -> RuntimeState:
+        """The state before anything has run.
+
+        Raises:
+            ValueError: names or shapes do not fit.
+        """
+        batch, known = len(row), schedule.rows
+        if batch and not (row.min() >= 0 and row.max() < known):
+            raise ValueError(f"rows {row.min()} to {row.max()}: there are schedules 0 to {known - 1}")
+        for name in (*parameters, *initial):
+            if name not in self.graph.index:
+                raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
+        for name, given in parameters.items():
+            for key, value in given.items():
+                if not hasattr(value, "ndim"):
+                    raise GraphError(
+                        f'parameter "{name}.{key}" = {value!r} is no tensor; give '
+                        f"torch.tensor({value!r}, dtype=torch.float64)"
+                    )
+                if value.ndim and len(value) not in (1, batch):
+                    raise GraphError(
+                        f'parameter "{name}.{key}" {tuple(value.shape)} is neither a number nor one for each '
+                        f"of {batch} environments"
+                    )
+        nodes, outputs, values = {}, {}, {}
+        for position, node in enumerate(self.graph.nodes):
+            values[node.name] = dict(parameters.get(node.name, {}))
+            node_state = dict(node.init(values[node.name], generator, batch))
+            for key, value in initial.get(node.name, {}).items():
+                if key not in node_state or value.shape != node_state[key].shape:
+                    there = {k: tuple(v.shape) for k, v in node_state.items()}
+                    raise ValueError(f'initial "{node.name}.{key}" {tuple(value.shape)} does not fit {there}')
+                node_state[key] = value
+            nodes[node.name] = node_state
+            output = node.initial_output(values[node.name], node_state, batch)
+            check_batch(f'node "{node.name}": initial output', output, batch)
+            for key, value in node_state.items():
+                check_batch(f'node "{node.name}": initial state "{key}"', value, batch)
+            outputs[node.name] = (output,) * int(schedule.depth[position])
+        return RuntimeState(schedule, row, np.zeros(batch, dtype=np.int64), values, nodes, outputs, {})
+
+    def begin(self, state: RuntimeState, trace: Trace | None = None) -> RuntimeState:
+        """Run up to the supervisor's first step."""
+        state = self._run(state, trace)
+        return self._observe(state, state.outputs[self.graph.supervisor][0])
+
+    def step(
+        self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
+    ) -> RuntimeState:
+        """Give the supervisor's output and run everything up to its next step."""
+        action = torch.as_tensor(action, device=self.device)
+        spent = np.flatnonzero(state.steps_left <= 0)
+        if len(spent):
+            raise HorizonError.of(int(spent[0]), state.schedule)
+        supervisor = self.graph.supervisor
+        check_action(supervisor, int(state.step[0]), action, state.outputs[supervisor][0])
+        outputs = state.outputs | {supervisor: cells.write(state.outputs[supervisor], action, state.step)}
+        if trace is not None:
+            trace.append((self.graph.index[supervisor], state.step, action))
+        return self._observe(self._run(replace(state, step=state.step + 1, outputs=outputs), trace), action)
+
+    def rollout(
+        self,
+        state: RuntimeState,
+        policy: Policy,
+        steps: int,
+        parameters: Mapping[str, Tensor] | None,
+        record: tuple[str, ...],
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take steps with a policy's actions; see `BatchedRuntime.rollout`."""
+        left = state.steps_left
+        if np.any(left < steps):
+            first = int(np.argmax(left < steps))
+            raise HorizonError.of(first, state.schedule, int(left[first]), steps)
+        taken: dict[str, list[Tensor]] = {name: [] for name in record}
+        if isinstance(policy, Tensor):
+            shape = tuple(state.outputs[self.graph.supervisor][0].shape[1:])
+            actions = iter(given_actions(policy, state, steps, shape))
+        else:
+            function, values = as_function(policy, parameters)
+            actions = None
+        for _ in range(steps):
+            if actions is None:
+                action = function(values, state.readings or self.inputs(state))  # pyright: ignore[reportPossiblyUnboundVariable]
+            else:
+                given = next(actions)
+                action = given.expand(state.batch, *given.shape[1:])
+            state = self.step(state, action)
+            for name, values_ in taken.items():
+                values_.append(action if name == "action" else state.readings[name])
+        return state, {name: torch.stack(values_) for name, values_ in taken.items()}
+
+    def inputs(self, state: RuntimeState) -> dict[str, Input]:
+        """What the supervisor sees at the step that waits for an action."""
+        return self._inputs(state, self.graph.index[self.graph.supervisor], state.step)
+
+    def _observe(self, state: RuntimeState, action: Tensor) -> RuntimeState:
+        name = self.graph.supervisor
+        supervisor = self.graph.node(name)
+        if not isinstance(supervisor, Supervisor) or type(supervisor).observe is Supervisor.observe:
+            return state
+        seen = self.inputs(state)
+        try:
+            own, readings = supervisor.observe(state.parameters[name], state.nodes[name], seen, action)
+        except Exception as error:
+            raise located(name, state.step, error) from error
+        return replace(state, nodes=state.nodes | {name: own}, readings=readings)
+
+    def _run(self, state: RuntimeState, trace: Trace | None) -> RuntimeState:
+        """Run the slots before the supervisor step that each environment is at."""
+        nodes, outputs = dict(state.nodes), dict(state.outputs)
+        state = replace(state, nodes=nodes, outputs=outputs)
+        row, step = state.row, state.step
+        if (row == row[0]).all() and (step == step[0]).all():
+            row, step = row[:1], step[:1]  # one order for all: look it up once
+        table: Any = state.schedule.table[row, step].astype(np.int64)
+        running = table >= 0
+        some, every = running.any(axis=0).tolist(), running.all(axis=0).tolist()
+        for slot, position in enumerate(state.schedule.slots.tolist()):
+            if not some[slot]:
+                continue
+            seq, runs = table[:, slot], running[:, slot]
+            node = self.graph.nodes[position]
+            # What the others would see is never used: let them look where those that run do.
+            inputs = self._inputs(state, position, seq if every[slot] else np.where(runs, seq, seq.max()))
+            old = nodes[node.name]
+            try:
+                node_state, output = node.step(state.parameters[node.name], old, inputs)
+                check_state(node_state, old)
+                check_output(output, outputs[node.name][0])
+            except Exception as error:
+                raise located(node.name, seq[runs], error) from error
+            if not every[slot]:
+                mask = torch.from_numpy(np.ascontiguousarray(runs)).to(self.device)
+                node_state = {key: cells.where(mask, value, old[key]) for key, value in node_state.items()}
+            nodes[node.name] = node_state
+            outputs[node.name] = cells.write(outputs[node.name], output, seq)
+            if trace is not None:
+                trace.append((position, seq, output))
+        return state
+
+    def _inputs(self, state: RuntimeState, position: int, step: np.ndarray) -> dict[str, Input]:
+        """Collect what a node sees at its step `step`, (B,) or (1,) if it is the same for all."""
+        schedule, batch = state.schedule, state.batch
+        layout = schedule.timing.layout
+        # Where all are at the same step, what they see lies side by side in the tables: slice, else gather.
+        together = bool((step == step[0]).all()) and schedule.direct(state.row)
+        rows, places = state.row[:, None], np.broadcast_to(step, batch)[:, None]
+        if not together:
+            if bool((state.row == state.row[0]).all()) and bool((step == step[0]).all()):
+                rows, places = rows[:1], places[:1]
+            row_index = _index(rows, self.device)
+
+        def pick(base: int, size: int, *tables: Any) -> list[Any]:
+            if together:
+                first = base + int(step[0]) * size
+                return [table[:, first : first + size] for table in tables]
+            columns = base + places * size + np.arange(size)
+            column_index = _index(columns, self.device)
+            return [
+                table[rows, columns] if isinstance(table, np.ndarray) else table[row_index, column_index]
+                for table in tables
+            ]
+
+        def spread(chosen: Tensor) -> Tensor:
+            return chosen.expand(batch, chosen.shape[1]) if len(chosen) < batch else chosen
+
+        (starts,) = pick(int(layout.step_base[position]), 1, schedule.t_start)
+        t_start = spread(starts)[:, 0]
+        inputs = {}
+        for edge, connection in self._edges[position]:
+            seen, *times = pick(
+                int(layout.window_base[edge]),
+                connection.window,
+                schedule.timing.windows,
+                schedule.seq,
+                schedule.t_sent,
+                schedule.t_received,
+            )
+            data = cells.read(state.outputs[connection.sender], seen)
+            inputs[connection.name] = Input(data, *(spread(t) for t in times), t_start=t_start)
+        return inputs
+
+    def merge(self, running: RuntimeState, fresh: RuntimeState, mask: np.ndarray) -> RuntimeState:
+        """Take the environments in `mask` from `fresh`, the others from `running`."""
+        if fresh.schedule is running.schedule:
+            schedule, row = fresh.schedule, np.where(mask, fresh.row, running.row)
+        else:
+            kept, new = np.flatnonzero(~mask), np.flatnonzero(mask)
+            parts = [
+                replace(running.schedule.timing, row=running.row).take(kept),
+                replace(fresh.schedule.timing, row=fresh.row).take(new),
+            ]
+            timing = concatenate(self.graph, [part for part in parts if part.batch])
+            row = np.empty(len(mask), dtype=np.int64)
+            row[np.concatenate([kept, new])] = timing.row
+            merged = join_slots(
+                running.schedule.merged.take(np.unique(running.row[kept])),
+                fresh.schedule.merged.take(np.unique(fresh.row[new])),
+            )
+            schedule = Schedule(replace(timing, row=row), self.device, merged)
+        where = torch.from_numpy(mask).to(self.device)
+        outputs = {}
+        for position, node in enumerate(self.graph.nodes):
+            old, new = (
+                cells.resize(
+                    part.outputs[node.name],
+                    int(schedule.depth[position]),
+                    part.schedule.executed[part.row, part.step, position].astype(np.int64),
+                )
+                for part in (running, fresh)
+            )
+            outputs[node.name] = tuple(cells.where(where, n, o) for n, o in zip(new, old, strict=True))
+        return RuntimeState(
+            schedule=schedule,
+            row=row,
+            step=np.where(mask, fresh.step, running.step),
+            parameters=_merged(where, running.parameters, fresh.parameters),
+            nodes=_merged(where, running.nodes, fresh.nodes),
+            outputs=outputs,
+            readings=_merged(where, {"": running.readings}, {"": fresh.readings})[""],
+        )
+
+
+def _merged(mask: Tensor, running: Any, fresh: Any) -> dict[str, dict[str, Tensor]]:
+    return {
+        name: {key: cells.where(mask, value, running[name][key]) for key, value in values.items()}
+        for name, values in fresh.items()
+    }
+
+
+def _index(places: np.ndarray, device: torch.device) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(places, dtype=np.int64)).to(device)

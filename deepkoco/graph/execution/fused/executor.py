@@ -1,0 +1,291 @@
+"""The fused executor: a graph's node functions compiled into one kernel over blocks of environments."""
+
+import warnings
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.execution import cells
+from deepkoco.graph.execution.eager import EagerExecutor
+from deepkoco.graph.execution.fused.compiler import CompilerError
+from deepkoco.graph.execution.fused.kernel import Binding, Kernel
+from deepkoco.graph.execution.fused.memory import address
+from deepkoco.graph.execution.fused.program import trace_graph
+from deepkoco.graph.execution.fused.record import NUMBER, Field, Records
+from deepkoco.graph.execution.fused.rollout import CompiledPolicy, run_rollout
+from deepkoco.graph.execution.fused.source import kernel_source
+from deepkoco.graph.execution.fused.state import FusedState, LazyInputs, Place
+from deepkoco.graph.execution.fused.trace import TraceError
+from deepkoco.graph.execution.policy import Policy, PolicyFunction, as_function, given_actions
+from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.model.node import Input, State
+from deepkoco.graph.timing.schedule import Schedule
+
+FEW = 4  # up to this many environments, one lane each is faster than blocks that are mostly empty
+
+POLICIES = 16
+"""Policies whose machine code is kept: a program that makes a function for every rollout has no end of them."""
+
+
+class FusedExecutor:
+    """Runs compiled kernels; runs the eager executor where a graph cannot be compiled, and says why.
+
+    What node functions take from anywhere but their arguments is fixed when a kernel is made, at the first
+    reset with parameters and states of the same shapes.
+
+    Args:
+        graph: the nodes and connections.
+        device: must be the CPU.
+        threads: number of threads that share the blocks of a rollout.
+    """
+
+    def __init__(self, graph: Graph, device: torch.device, threads: int = 1) -> None:
+        if device.type != "cpu":
+            raise ValueError(f'executor "fused" runs on the CPU, not on {device}')
+        self.graph, self.threads = graph, threads
+        self.eager = EagerExecutor(graph, device)
+        self.name = "fused"
+        self._kernels: dict[Any, Kernel] = {}
+        self._bindings: dict[Any, Binding] = {}
+        self._policies: OrderedDict[Any, CompiledPolicy | None] = OrderedDict()
+
+    def start(
+        self,
+        schedule: Schedule,
+        row: np.ndarray,
+        parameters: NodeParameters,
+        generator: torch.Generator,
+        initial: Mapping[str, State],
+    ) -> RuntimeState:
+        return self.eager.start(schedule, row, parameters, generator, initial)
+
+    def begin(self, state: RuntimeState, trace: Trace | None = None) -> RuntimeState:
+        if self.name == "eager":
+            return self.eager.begin(state, trace)
+        try:
+            kernel = self._kernel(state)
+        except (TraceError, CompilerError) as error:
+            warnings.warn(f"{error}; this graph runs with the eager executor", RuntimeWarning, stacklevel=4)
+            self.name = "eager"
+            return self.eager.begin(state, trace)
+        if trace is not None:
+            return self._pack(kernel, self.eager.begin(state, trace))
+        packed = self._pack(kernel, state)
+        kernel.start(packed.binding.model, packed.fixed.address, packed.moving.address)
+        return packed
+
+    def step(
+        self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
+    ) -> RuntimeState:
+        if not isinstance(state, FusedState):
+            return self.eager.step(state, torch.as_tensor(action), trace)
+        binding = state.binding
+        if trace is not None:
+            after = self.eager.step(self.unpack(state), torch.as_tensor(action), trace)
+            return self._pack(binding.kernel, after, state.place)
+        action = binding.action(action)
+        moving = binding.allocate()
+        spent = binding.kernel.step(
+            binding.model, state.fixed.address, state.moving.address, moving.address, address(action)
+        )
+        if spent >= 0:
+            raise HorizonError.of(spent, state.schedule)
+        return state.after(moving)
+
+    def rollout(
+        self,
+        state: RuntimeState,
+        policy: Policy,
+        steps: int,
+        parameters: Mapping[str, Tensor] | None,
+        record: tuple[str, ...],
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take steps inside the kernel; see `BatchedRuntime.rollout`."""
+        if not isinstance(state, FusedState):
+            return self.eager.rollout(state, policy, steps, parameters, record)
+        if isinstance(policy, Tensor):
+            shape = state.binding.action_shape[1:]
+            given = given_actions(policy, state, steps, shape)
+            return run_rollout(state, steps, record, self.threads, actions=given)
+        function, values = as_function(policy, parameters)
+        compiled = self._policy(state, function, values)
+        if compiled is None:
+            return self._steps(state, function, values, steps, record)
+        return run_rollout(state, steps, record, self.threads, policy=compiled, weights=compiled.pack(values))
+
+    def _steps(
+        self,
+        state: RuntimeState,
+        function: PolicyFunction,
+        parameters: Mapping[str, Tensor],
+        steps: int,
+        record: tuple[str, ...],
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take steps one by one with a policy that is not compiled."""
+        left = state.steps_left
+        if np.any(left < steps):
+            first = int(np.argmax(left < steps))
+            raise HorizonError.of(first, state.schedule, int(left[first]), steps)
+        taken: dict[str, list[Tensor]] = {name: [] for name in record}
+        for _ in range(steps):
+            with torch.no_grad():
+                action = function(parameters, state.readings or self.inputs(state))
+            state = self.step(state, action)
+            for name, values in taken.items():
+                values.append(action if name == "action" else state.readings[name])
+        return state, {name: torch.stack(values) for name, values in taken.items()}
+
+    def _policy(
+        self, state: FusedState, function: PolicyFunction, parameters: Mapping[str, Tensor]
+    ) -> CompiledPolicy | None:
+        """The policy's machine code; None if it cannot be compiled, which is said once."""
+        kernel = state.binding.kernel
+        key = id(kernel), function, *((k, v.dtype, v.shape) for k, v in parameters.items())
+        if key not in self._policies:
+            try:
+                self._policies[key] = CompiledPolicy(kernel, function, parameters)
+            except (TraceError, CompilerError) as error:
+                warnings.warn(f"{error}; this policy runs between steps", RuntimeWarning, stacklevel=4)
+                self._policies[key] = None
+            if len(self._policies) > POLICIES:
+                self._policies.popitem(last=False)
+        self._policies.move_to_end(key)
+        policy = self._policies[key]
+        if policy is not None:
+            state.binding.see(policy.source.uses)
+        return policy
+
+    def inputs(self, state: RuntimeState) -> Mapping[str, Input]:
+        if not isinstance(state, FusedState):
+            return self.eager.inputs(state)
+        return LazyInputs(state, self._collect)
+
+    def _collect(self, state: FusedState) -> Mapping[str, Input]:
+        return self.eager.inputs(self.unpack(state))
+
+    def merge(self, running: RuntimeState, fresh: RuntimeState, mask: np.ndarray) -> RuntimeState:
+        if not (isinstance(running, FusedState) and isinstance(fresh, FusedState)):
+            return self.eager.merge(self.unpack(running), self.unpack(fresh), mask)
+        if running.binding is not fresh.binding:
+            kernel = fresh.binding.kernel
+            return self._pack(kernel, self.eager.merge(self.unpack(running), self.unpack(fresh), mask))
+        return self._merge_records(running, fresh, mask)
+
+    def unpack(self, state: RuntimeState) -> RuntimeState:
+        """The state as the eager executor keeps it."""
+        if not isinstance(state, FusedState):
+            return state
+        return RuntimeState(
+            schedule=state.schedule,
+            row=state.row,
+            step=state.step,
+            parameters=state.parameters,
+            nodes=state.nodes,
+            outputs=state.outputs,
+            readings=dict(state.readings),
+        )
+
+    def _kernel(self, state: RuntimeState) -> Kernel:
+        lanes = 1 if state.batch <= FEW else 0
+        parts = {**state.parameters, **{f"{n} state": s for n, s in state.nodes.items()}}
+        parts["outputs"] = {name: own[0] for name, own in state.outputs.items()}
+        signature = (
+            lanes,
+            *(
+                (name, key, value.dtype, value.ndim > 0 and value.shape[1:], value.ndim)
+                for name, values in parts.items()
+                for key, value in values.items()
+            ),
+        )
+        if signature not in self._kernels:
+            programs = trace_graph(
+                self.graph, state.parameters, state.nodes, {n: own[0] for n, own in state.outputs.items()}
+            )
+            double = any(program.output[0] == torch.float64 for program in programs)
+            source = kernel_source(self.graph, programs, lanes or (8 if double else 16))
+            self._kernels[signature] = Kernel(self.graph, programs, source)
+        return self._kernels[signature]
+
+    def _bind(self, kernel: Kernel, schedule: Schedule, batch: int) -> Binding:
+        key = id(kernel), id(schedule), batch
+        found = self._bindings.get(key)
+        if found is None or found.schedule is not schedule:
+            self._bindings.clear()  # one schedule at a time is in use, all but always
+            found = self._bindings[key] = Binding(kernel, schedule, batch)
+        return found
+
+    def _pack(self, kernel: Kernel, state: RuntimeState, place: Place | None = None) -> FusedState:
+        """Put an eager state into records."""
+        binding = self._bind(kernel, state.schedule, state.batch)
+        source, lanes = kernel.source, kernel.lanes
+        place = place or Place(state.row, lanes)
+        packed = FusedState(
+            binding, place, state.row, state.parameters, binding.allocate(fixed=True), binding.allocate()
+        )
+        fixed, moving = packed.records
+        fixed.view(NUMBER)[...] = place.environment.reshape(binding.blocks, 1, lanes)
+        fixed.view(replace(NUMBER, offset=4))[...] = state.row[place.source].reshape(binding.blocks, 1, lanes)
+        moving.view(NUMBER)[...] = state.step[place.source].reshape(binding.blocks, 1, lanes)
+        for (name, key), field in source.parameters.items():
+            fixed.pack(field, state.parameters[name][key], place.source)
+        for (name, key), field in source.fixed.items():
+            fixed.pack(field, state.nodes[name][key], place.source)
+        for (name, key), field in source.moving.items():
+            moving.pack(field, state.nodes[name][key], place.source)
+        for name, field in binding.readings.items():
+            if name in state.readings:
+                moving.pack(field, state.readings[name], place.source)
+        for position, node in enumerate(self.graph.nodes):
+            ring = binding.rings[node.name]
+            own = state.outputs[node.name]
+            if any(cell is not own[0] for cell in own):
+                written = state.schedule.executed[state.row, state.step, position].astype(np.int64)
+                own = cells.resize(own, ring.cells, written)
+            for cell in range(ring.cells):
+                dtype, shape = kernel.programs[position].output
+                field = Field(dtype, shape, 0)
+                at = Field(dtype, shape, ring.offset + cell * field.count * field.size)
+                moving.pack(at, own[cell % len(own)], place.source)
+        return packed
+
+    def _merge_records(self, running: FusedState, fresh: FusedState, mask: np.ndarray) -> FusedState:
+        """Take lanes from one state or the other, in the order of the running one."""
+        binding, lanes = running.binding, running.binding.kernel.lanes
+        place = running.place
+        others = fresh.records
+        if not np.array_equal(place.environment, fresh.place.environment):
+            order = fresh.place.lane_of[place.source]
+            others = tuple(
+                _reorder(other, order, binding.fields(fixed))
+                for other, fixed in zip(others, (True, False), strict=True)
+            )
+        taken = mask[place.source].reshape(binding.blocks, 1, lanes)
+        merged = binding.allocate(fixed=True), binding.allocate()
+        for k, (target, old, new) in enumerate(zip(merged, running.records, others, strict=True)):
+            result = Records(target.rows(binding.blocks), lanes)
+            result.buffer[...] = old.buffer
+            for field, copies in binding.fields(fixed=k == 0):
+                np.copyto(result.view(field, copies), new.view(field, copies), where=taken)
+        chosen = torch.from_numpy(mask)
+        parameters = {
+            name: {k: cells.where(chosen, v, running.parameters[name][k]) for k, v in values.items()}
+            for name, values in fresh.parameters.items()
+        }
+        row = np.where(mask, fresh.row, running.row)
+        return FusedState(binding, place, row, parameters, *merged)
+
+
+def _reorder(records: Records, order: np.ndarray, fields: list[tuple[Field, int]]) -> Records:
+    """Records whose lane l is the old lane order[l]; environments keep their numbers."""
+    result = Records(np.zeros_like(records.buffer), records.lanes)
+    blocks = len(records.buffer)
+    for field, copies in fields:
+        flat = records.view(field, copies).transpose(0, 2, 1).reshape(len(order), -1)
+        result.view(field, copies)[...] = flat[order].reshape(blocks, records.lanes, -1).transpose(0, 2, 1)
+    return result

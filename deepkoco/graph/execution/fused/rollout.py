@@ -1,0 +1,121 @@
+"""Rollouts inside a kernel, with a compiled policy or given actions."""
+
+import ctypes
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.execution.fused.compiler import load
+from deepkoco.graph.execution.fused.kernel import Kernel, RolloutCall
+from deepkoco.graph.execution.fused.memory import address
+from deepkoco.graph.execution.fused.program import input_examples, make_inputs, part, traced
+from deepkoco.graph.execution.fused.source import policy_source
+from deepkoco.graph.execution.fused.state import FusedState
+from deepkoco.graph.execution.policy import PolicyFunction
+from deepkoco.graph.execution.state import HorizonError
+
+
+class CompiledPolicy:
+    """A policy's function as machine code.
+
+    Args:
+        kernel: of the graph that it acts in.
+        function: pure, see `BatchedRuntime.rollout`.
+        parameters: examples; later ones must have the same shapes.
+
+    Raises:
+        TraceError: the function cannot be compiled.
+    """
+
+    def __init__(self, kernel: Kernel, function: PolicyFunction, parameters: Mapping[str, Tensor]) -> None:
+        graph = kernel.graph
+        edges = graph.inputs_of(graph.supervisor)
+        specs = {n.name: program.output for n, program in zip(graph.nodes, kernel.programs, strict=True)}
+        sent = {name: torch.zeros(1, *shape, dtype=dtype) for name, (dtype, shape) in specs.items()}
+        readings = kernel.source.readings
+        examples = {f"p.{key}": value.detach().cpu().clone() for key, value in parameters.items()}
+        examples |= {
+            f"r.{k}": torch.zeros(1, *field.shape, dtype=field.dtype) for k, field in readings.items()
+        }
+        examples |= input_examples(edges, sent)
+
+        def run(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+            seen = part(tensors, "r.") if readings else make_inputs(edges, tensors)
+            return {"action": function(part(tensors, "p."), seen)}
+
+        trace = traced("policy", run, examples)
+        self.source = policy_source(graph, trace, readings, specs[graph.supervisor], kernel.lanes)
+        self._weights, self._views = self.source.pool(parameters)
+        self._library = load(self.source.text)
+        self.address = ctypes.cast(self._library.policy, ctypes.c_void_p).value
+        self.looks = any(name == "t_start" or name.startswith("i.") for name in self.source.uses)
+
+    @torch.no_grad()
+    def pack(self, parameters: Mapping[str, Tensor]) -> np.ndarray:
+        """The parameters as the kernel reads them, until the next call."""
+        for name, view in self._views.items():
+            view.copy_(parameters[name])
+        return self._weights
+
+
+def run_rollout(
+    state: FusedState,
+    steps: int,
+    record: tuple[str, ...],
+    threads: int,
+    *,
+    policy: CompiledPolicy | None = None,
+    weights: np.ndarray | None = None,
+    actions: Tensor | None = None,
+) -> tuple[FusedState, dict[str, Tensor]]:
+    """Take steps with a policy or with given actions; nothing is done if an environment has too few left."""
+    binding = state.binding
+    source, batch = binding.kernel.source, binding.batch
+    moving = binding.allocate()
+    taken = {
+        name: torch.empty(steps, *binding.action_shape, dtype=binding.action_type)
+        if name == "action"
+        else torch.empty(steps, batch, *source.readings[name].shape, dtype=source.readings[name].dtype)
+        for name in record
+    }
+    readings = [name for name in record if name != "action"]
+    fields = [source.readings[name] for name in readings]
+    columns = [
+        np.array([getattr(field, name) for field in fields], dtype=np.int64)
+        for name in ("offset", "count", "size")
+    ]
+    targets = np.array([taken[name].data_ptr() for name in readings], dtype=np.int64)
+    call = RolloutCall(steps=steps, first=0, last=binding.blocks, outputs=len(readings))
+    call.reading_offset, call.reading_count, call.reading_size, call.out_readings = (
+        address(array) for array in (*columns, targets)
+    )
+    call.out_actions = taken["action"].data_ptr() if "action" in taken else None
+    if policy is not None:
+        assert weights is not None
+        call.policy, call.weights, call.looks = policy.address, address(weights), policy.looks
+    if actions is not None:
+        actions = actions.detach().to("cpu", binding.action_type).contiguous()
+        size = actions[0, 0].numel() * actions.element_size()
+        call.actions, call.action_time = actions.data_ptr(), size * actions.shape[1]
+        call.action_environment = size if actions.shape[1] > 1 else 0
+
+    def run(first: int, last: int) -> int:
+        own = RolloutCall.from_buffer_copy(call)
+        own.first, own.last = first, last
+        return binding.kernel.rollout(
+            binding.model, state.fixed.address, state.moving.address, moving.address, ctypes.addressof(own)
+        )
+
+    bounds = np.linspace(0, binding.blocks, min(threads, binding.blocks) + 1).astype(int).tolist()
+    if len(bounds) == 2:
+        spent = run(*bounds)
+    else:
+        with ThreadPoolExecutor(len(bounds) - 1) as pool:
+            found = list(pool.map(run, bounds[:-1], bounds[1:]))
+            spent = min((environment for environment in found if environment >= 0), default=-1)
+    if spent >= 0:
+        raise HorizonError.of(spent, state.schedule, int(state.steps_left[spent]), steps)
+    return state.after(moving), taken

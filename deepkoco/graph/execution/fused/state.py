@@ -1,0 +1,163 @@
+"""States of the fused executor: flat buffers, unpacked when they are looked at."""
+
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.execution import cells
+from deepkoco.graph.execution.fused.kernel import Binding
+from deepkoco.graph.execution.fused.memory import Memory
+from deepkoco.graph.execution.fused.record import NUMBER, NUMPY, Field, Records
+from deepkoco.graph.execution.state import RuntimeState
+from deepkoco.graph.model.node import Input, State
+
+
+class Place:
+    """Which lane of which block an environment is: those of one schedule lie together.
+
+    Attributes:
+        environment: (blocks * lanes,) int32, -1 for a lane without one.
+        source: (blocks * lanes,) environment that a lane takes its numbers from.
+        lane_of: (B,) lane of each environment.
+    """
+
+    def __init__(self, row: np.ndarray, lanes: int) -> None:
+        batch = len(row)
+        order = np.argsort(row, kind="stable")
+        blocks = -(-batch // lanes)
+        self.environment = np.full(blocks * lanes, -1, dtype=np.int32)
+        self.environment[:batch] = order
+        first = np.repeat(self.environment[::lanes], lanes)
+        self.source = np.where(self.environment < 0, first, self.environment).astype(np.int64)
+        self.lane_of = np.empty(batch, dtype=np.int64)
+        self.lane_of[order] = np.arange(batch)
+
+
+class FusedState(RuntimeState):
+    """A runtime state in flat buffers; everything is unpacked when it is asked for.
+
+    Attributes:
+        binding: the kernel and the tables of the schedule.
+        place: lanes of the environments.
+        parameters: as they were given.
+        fixed, moving: records of the blocks; `fixed` is shared by all states of an episode.
+    """
+
+    binding: Binding
+    place: Place
+    fixed: Memory
+    moving: Memory
+
+    def __init__(
+        self,
+        binding: Binding,
+        place: Place,
+        row: np.ndarray,
+        parameters: dict[str, dict[str, Tensor]],
+        fixed: Memory,
+        moving: Memory,
+    ) -> None:
+        self.__dict__.update(binding=binding, place=place, row=row, parameters=parameters)
+        self.__dict__.update(schedule=binding.schedule, fixed=fixed, moving=moving)
+
+    def after(self, moving: Memory) -> "FusedState":
+        """The same environments with other moving records."""
+        state = object.__new__(FusedState)
+        state.__dict__.update(self.__dict__, moving=moving)
+        return state
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all environments, without the schedule that they share."""
+        place = self.place
+        arrays = self.row, place.environment, place.source, place.lane_of
+        buffers = self.fixed.rows(1), self.moving.rows(1)
+        return sum(array.nbytes for array in (*arrays, *buffers))
+
+    @property
+    def records(self) -> tuple[Records, Records]:
+        """The fixed and the moving records."""
+        blocks, lanes = self.binding.blocks, self.binding.kernel.lanes
+        return Records(self.fixed.rows(blocks), lanes), Records(self.moving.rows(blocks), lanes)
+
+    @property
+    def step(self) -> np.ndarray:
+        return self.records[1].view(NUMBER).reshape(-1)[self.place.lane_of].astype(np.int64)
+
+    @property
+    def nodes(self) -> dict[str, State]:
+        source, kernel = self.binding.kernel.source, self.binding.kernel
+        fixed, moving = self.records
+        return {
+            node.name: {
+                key: fixed.unpack(source.fixed[node.name, key], self.place.lane_of)
+                if (node.name, key) in source.fixed
+                else moving.unpack(source.moving[node.name, key], self.place.lane_of)
+                for key in program.state
+            }
+            for node, program in zip(kernel.graph.nodes, kernel.programs, strict=True)
+        }
+
+    @property
+    def outputs(self) -> dict[str, tuple[Tensor, ...]]:
+        kernel, step, (_, moving) = self.binding.kernel, self.step, self.records
+        result = {}
+        for position, node in enumerate(kernel.graph.nodes):
+            ring = self.binding.rings[node.name]
+            field = Field(*kernel.programs[position].output, ring.offset)
+            own = tuple(moving.unpack(field, self.place.lane_of, cell) for cell in range(ring.cells))
+            written = self.schedule.executed[self.row, step, position].astype(np.int64)
+            result[node.name] = cells.resize(own, int(self.schedule.depth[position]), written)
+        return result
+
+    @property
+    def readings(self) -> Mapping[str, Tensor]:
+        return Readings(self)
+
+    def reading(self, name: str) -> Tensor:
+        """One reading, (B, ...)."""
+        field = self.binding.readings[name]
+        if self.binding.batch == self.binding.kernel.lanes == 1:
+            numbers = self.moving.view(NUMPY[field.dtype], field.count, field.offset)
+            return torch.from_numpy(numbers.reshape(1, *field.shape).copy())
+        return self.records[1].unpack(field, self.place.lane_of)
+
+
+class Readings(Mapping[str, Tensor]):
+    """Readings of the supervisor, gathered when they are asked for."""
+
+    __slots__ = ("_state",)
+
+    def __init__(self, state: FusedState) -> None:
+        self._state = state
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self._state.reading(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._state.binding.readings)
+
+    def __len__(self) -> int:
+        return len(self._state.binding.readings)
+
+
+class LazyInputs(Mapping[str, Input]):
+    """What the supervisor sees, gathered when it is looked at."""
+
+    __slots__ = ("_collect", "_found", "_state")
+
+    def __init__(self, state: FusedState, collect: Callable[[FusedState], Mapping[str, Input]]) -> None:
+        self._state, self._collect, self._found = state, collect, None
+
+    def __getitem__(self, name: str) -> Input:
+        if self._found is None:
+            self._found = self._collect(self._state)
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._state.binding.input_names)
+
+    def __len__(self) -> int:
+        return len(self._state.binding.input_names)

@@ -1,0 +1,197 @@
+"""The batched runtime: one interface to the executors that run a graph over its computation graph."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.execution.eager import EagerExecutor
+from deepkoco.graph.execution.policy import Policy, recorded_names
+from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.model.node import GraphError, Input, State
+from deepkoco.graph.supergraph import merge_slots
+from deepkoco.graph.timing.computation_graph import ComputationGraph
+from deepkoco.graph.timing.schedule import Schedule
+
+__all__ = ["EXECUTORS", "BatchedRuntime", "HorizonError", "NodeParameters", "RuntimeState", "Trace"]
+
+EXECUTORS = ("eager", "fused", "cuda")
+
+
+class BatchedRuntime:
+    """Executes a graph for a batch of environments, each with delays of its own.
+
+    It owns nothing that changes: `reset` and `step` take and return states. The executors give the same
+    results, `fused` up to the rounding of floating-point numbers:
+
+    - `eager`: torch operations; any node, any device (CUDA with `device="cuda"`), gradients.
+    - `fused`: node functions compiled into one C++ kernel; CPU, no gradients. Where a node cannot be compiled
+      or there is no compiler, a warning says so and `eager` runs.
+    - `cuda`: the slots of a supervisor step captured as one CUDA graph; a CUDA device, no gradients.
+
+    Args:
+        graph: the nodes and connections.
+        timing: the computation graph that `reset` uses unless it is given another.
+        device: where the tensors live; None: the CPU, of the cuda executor the current CUDA device.
+        executor: "eager", "fused" or "cuda".
+        threads: threads of the fused executor.
+
+    Raises:
+        ValueError: there is no such executor, not on this device, or no such device.
+        GraphError: the timing was made for another graph.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        timing: ComputationGraph | None = None,
+        device: torch.device | str | None = None,
+        *,
+        executor: str = "eager",
+        threads: int = 1,
+    ) -> None:
+        if executor not in EXECUTORS:
+            raise ValueError(f'executor "{executor}" is none of {", ".join(EXECUTORS)}')
+        self.graph = graph
+        self.device = torch.device(device or ("cuda" if executor == "cuda" else "cpu"))
+        if timing is not None:
+            timing.check_graph(graph)
+        self._executor: Any = _make_executor(executor, graph, self.device, threads)
+        self._schedule = None if timing is None else Schedule(timing, self.device)
+
+    @property
+    def executor(self) -> str:
+        """Name of the executor that runs: "eager" also where another could not."""
+        return self._executor.name
+
+    def reset(
+        self,
+        parameters: NodeParameters,
+        generator: torch.Generator,
+        initial: Mapping[str, State] | None = None,
+        *,
+        timing: ComputationGraph | None = None,
+        rows: np.ndarray | None = None,
+        state: RuntimeState | None = None,
+        mask: np.ndarray | Tensor | None = None,
+        trace: Trace | None = None,
+    ) -> tuple[RuntimeState, Mapping[str, Input]]:
+        """Start episodes and run them up to the supervisor's first step.
+
+        Args:
+            parameters: by node name; a node that is not named has none. Scalars or (B, ...).
+            generator: passed to each node's `init`.
+            initial: by node name, states or parts of states (B, ...) that replace those of `init`.
+            timing: fresh schedules for the whole batch; of a part of the batch, the rows of the
+                environments in `mask` are used. None: those that `state` runs, or of the constructor.
+            rows: (B,) schedule that each environment runs, of those there are: no search, no copy. Their
+                number is that of the environments. None: `row` of the timing.
+            state: a running batch, of which only the environments in `mask` start anew.
+            mask: (B,) bool, which environments of `state` start anew; None: all.
+            trace: takes note of every step that runs.
+
+        Returns:
+            The state and what the supervisor sees, by name of its input.
+
+        Raises:
+            ValueError: no timing was given, or names and shapes do not fit.
+            GraphError: a node that is not pure is to run in more than one environment, or the timing was made
+                for another graph.
+            StepError: a node raised.
+        """
+        schedule = self._schedule if state is None else state.schedule
+        if timing is not None:
+            timing.check_graph(self.graph)
+            # Slots that are there are used again: no search, and what is running keeps its place in them.
+            merged = None if schedule is None else merge_slots(timing, schedule.slots)
+            schedule = Schedule(timing, self.device, merged)
+        if schedule is None:
+            raise ValueError("no timing: give one to the runtime or to reset")
+        row = schedule.timing.row if rows is None else np.asarray(rows, dtype=np.int64)
+        if not len(row):
+            raise ValueError("no rows: a batch has at least one environment")
+        self._check_pure(len(row))
+        fresh = self._executor.start(schedule, row, parameters, generator, initial or {})
+        fresh = self._executor.begin(fresh, trace)
+        if state is not None and mask is not None:
+            chosen = np.asarray(mask, dtype=np.bool_)
+            if not len(row) == len(chosen) == state.batch:
+                raise ValueError(
+                    f"mask of {len(chosen)} and rows of {len(row)} for {state.batch} environments that run"
+                )
+            fresh = self._executor.merge(state, fresh, chosen)
+        return fresh, self._executor.inputs(fresh)
+
+    def step(
+        self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
+    ) -> tuple[RuntimeState, Mapping[str, Input]]:
+        """Give the supervisor's output and run everything up to its next step.
+
+        Args:
+            state: what `reset` or `step` returned.
+            action: (B, M) output of the supervisor step that waits.
+            trace: takes note of every step that runs, that of the supervisor included.
+
+        Returns:
+            The next state and what the supervisor sees then.
+
+        Raises:
+            HorizonError: the timing of an environment ends here.
+        """
+        state = self._executor.step(state, action, trace)
+        return state, self._executor.inputs(state)
+
+    def rollout(
+        self,
+        state: RuntimeState,
+        policy: Policy,
+        steps: int,
+        *,
+        parameters: Mapping[str, Tensor] | None = None,
+        record: Sequence[str] | None = None,
+    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+        """Take many steps at once; the fused and cuda executors take the policy into what they compile.
+
+        Args:
+            state: what `reset`, `step` or `rollout` returned.
+            policy: a pure function of its parameters and of what the supervisor reads (of what it sees, if
+                it reads nothing), a torch module of the reading "observation", or the actions themselves,
+                (steps, B, M) or (steps, 1, M) for all.
+            steps: number of actions to take.
+            parameters: of the policy, shared by all environments; None: those of the module, or none.
+            record: names of readings, and "action"; None: all of them.
+
+        Returns:
+            The last state, and (steps, B, ...) by name: the action of each step and the readings after it.
+
+        Raises:
+            HorizonError: the timing of an environment ends before the last step; nothing has been done.
+            ValueError: a name or shape does not fit.
+        """
+        if steps < 1:
+            raise ValueError(f"a rollout of {steps} steps: take at least one")
+        names = recorded_names(None if record is None else tuple(record), state)
+        return self._executor.rollout(state, policy, steps, parameters, names)
+
+    def _check_pure(self, batch: int) -> None:
+        for node in self.graph.nodes:
+            if not node.pure and (batch > 1 or self.executor != "eager"):
+                raise GraphError(
+                    f'node "{node.name}" is not pure: it runs in one environment and with executor="eager", '
+                    f'not in {batch} with "{self.executor}"'
+                )
+
+
+def _make_executor(name: str, graph: Graph, device: torch.device, threads: int) -> Any:
+    if name == "fused":
+        from deepkoco.graph.execution.fused import FusedExecutor
+
+        return FusedExecutor(graph, device, threads)
+    if name == "cuda":
+        from deepkoco.graph.execution.cuda import cuda_executor
+
+        return cuda_executor(graph, device)
+    return EagerExecutor(graph, device)

@@ -1,5 +1,0 @@
-"""The fused executor: node functions traced, written as C++ and run as one kernel."""
-
-from deepkoco.graph.fused.executor import FusedExecutor
-
-__all__ = ["FusedExecutor"]

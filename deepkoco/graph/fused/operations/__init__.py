@@ -1,5 +1,0 @@
-"""What each aten operation is in C++."""
-
-from deepkoco.graph.fused.operations.lower import lower
-
-__all__ = ["lower"]

@@ -1,0 +1,386 @@
+"""The crew: all nodes of a graph in their threads and processes, watched over and stopped together."""
+
+import atexit
+import pickle
+import queue
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing import Pipe as pipe_pair
+from multiprocessing import get_all_start_methods, get_context
+from multiprocessing.connection import Connection as Pipe
+from multiprocessing.connection import wait
+from threading import Lock, Thread, current_thread
+from typing import Any
+
+import numpy as np
+
+from deepkoco.graph.live.failure import NodeFailure, failure_of
+from deepkoco.graph.live.host import (
+    BEAT_PERIOD,
+    HostPlan,
+    Line,
+    SeatPlan,
+    close_seats,
+    make_seats,
+    serve,
+)
+from deepkoco.graph.live.inbox import Inbox, Order
+from deepkoco.graph.live.message import decode
+from deepkoco.graph.live.seat import BEAT, BUSY_SINCE, CLOSED_AT, TICK, Seat
+from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.model.node import GraphError, Node
+
+Factory = Callable[[], Node]
+HERE = 0  # host number of the caller's own process
+START_LIMIT = 60.0  # longest time that `open` and `init` of a node take [s]
+FAREWELL = 5.0  # what a process gets to end after it was told to [s]
+
+
+@dataclass(frozen=True)
+class CrewOptions:
+    """Where nodes live and when they have failed.
+
+    Attributes:
+        hosts: by node name, number of the process that hosts it; not named or 0: the caller's.
+        factories: by node name, functions of a module that make the node in its process.
+        time_limit: longest step [s]; a node that takes longer has failed.
+        beat_limit: longest time without a heartbeat of a process [s].
+        cores: by number of the process, the core it is pinned to.
+        priority: real-time priority that the processes ask for; None: none.
+        report: the processes send what their nodes record while they run.
+    """
+
+    hosts: Mapping[str, int]
+    factories: Mapping[str, Factory]
+    time_limit: float
+    beat_limit: float
+    cores: Mapping[int, int] = field(default_factory=dict)
+    priority: int | None = None
+    report: bool = False
+
+
+class Crew:
+    """Starts the nodes, passes orders to them, watches them, stops them all when one fails.
+
+    Args:
+        graph: nodes and connections; the supervisor stays with the caller.
+        options: where the nodes live and when they have failed.
+
+    Raises:
+        GraphError: a node does not travel to its process.
+    """
+
+    def __init__(self, graph: Graph, options: CrewOptions) -> None:
+        self.graph, self.options = graph, options
+        self.hosts = {node.name: options.hosts.get(node.name, HERE) for node in graph.nodes}
+        self.supervisor_inbox = Inbox()
+        self.failure: NodeFailure | None = None
+        self.priority_granted: bool | None = None
+        self.records: dict[str, dict[str, Any]] = {}  # by node name, after `stop`
+        self._stopping, self._stopped = Lock(), False
+        self._replies: queue.SimpleQueue[tuple[int, str, Any]] = queue.SimpleQueue()
+        self._failures: queue.SimpleQueue[NodeFailure] = queue.SimpleQueue()
+        self._heard, self._bell = pipe_pair(False)
+        self._receivers = tuple(graph.index[c.receiver] for c in graph.connections)
+        self._start(self._plans())
+        atexit.register(self.stop)  # a caller who forgets to close must not leave a motor running
+
+    def tell(self, name: str, command: str, payload: Any = None) -> None:
+        """Give a node an order."""
+        position, host = self.graph.index[name], self.hosts[name]
+        if host != HERE:
+            self._controls[host].tell(position, command, payload)
+        elif command == "credit":
+            self.seats[position].inbox.grant(payload)
+        else:
+            self.seats[position].inbox.order(Order(command, payload))
+
+    def ask(self, orders: Mapping[str, tuple[str, Any]]) -> dict[str, Any]:
+        """Give orders by node name, and wait for an answer to each; the answer bears the name of the order.
+
+        Raises:
+            NodeFailure: a node has failed.
+        """
+        if self.failure is not None:
+            raise self.failure
+        for name, (command, payload) in orders.items():
+            self.tell(name, command, payload)
+        answers: dict[str, Any] = {}
+        while len(answers) < len(orders):
+            position, kind, payload = self._replies.get()
+            if self.failure is not None:
+                raise self.failure
+            name = self.graph.nodes[position].name
+            if name in orders and kind == orders[name][0]:
+                answers[name] = payload
+        return answers
+
+    def outlets_of(self, name: str) -> list[tuple[int, Callable[..., None]]]:
+        """Return number and way of each connection on which the caller's node sends."""
+        ways = []
+        for edge, connection in enumerate(self.graph.connections):
+            if connection.sender != name:
+                continue
+            host = self.hosts[connection.receiver]
+            if connection.receiver == self.graph.supervisor:
+                ways.append((edge, self.supervisor_inbox.deliver))
+            elif host == HERE:
+                ways.append((edge, self.seats[self._receivers[edge]].inbox.deliver))
+            else:
+                ways.append((edge, self._lines[host].send))
+        return ways
+
+    def fail(self, failure: NodeFailure) -> None:
+        """Note the first failure and stop everything."""
+        if self.failure is not None or self._stopped:
+            return
+        noticed = time.monotonic_ns()
+        self.failure = failure
+        self.stop()
+        for name in self.hosts:
+            if closed := int(self._board[self.graph.index[name], CLOSED_AT]):
+                failure.closed_after[name] = (closed - noticed) / 1e9
+        self.supervisor_inbox.order(Order("stop"))
+        self._replies.put((-1, "failed", None))
+
+    def stop(self) -> None:
+        """Close every node, end every process, keep what was recorded; safe to call twice."""
+        with self._stopping:
+            if self._stopped:
+                return
+            self._stopped = True
+            for line in self._controls.values():
+                line.tell(-1, "stop", None)
+            close_seats(self.seats)
+        atexit.unregister(self.stop)
+        if current_thread() is not self._watch:
+            self._watch.join()
+        for position, seat in self.seats.items():
+            self._keep(position, seat.record())
+        self._bury()
+        lines = (*self._controls.values(), *self._lines.values())
+        for pipe in (self._heard, self._bell, *(line.pipe for line in lines)):
+            pipe.close()
+
+    def _bury(self) -> None:
+        """Take the last words of the processes, until they have ended or their time is over."""
+        now = time.monotonic_ns()
+        for name, host in self.hosts.items():
+            beat = int(self._board[self.graph.index[name], BEAT])
+            if beat and now - beat > self.options.beat_limit * 1e9:
+                self._processes[host].kill()  # it stands still and will not say anything
+        deadline = time.monotonic() + FAREWELL
+        open_: set[Any] = {line.pipe for line in self._controls.values()}
+        while open_ and (left := deadline - time.monotonic()) > 0:
+            for source in wait(list(open_), left):
+                pipe: Any = source
+                try:
+                    position, kind, payload = pipe.recv()
+                    if kind == "record":
+                        self._keep(position, payload)
+                        deadline = time.monotonic() + FAREWELL  # a long record takes its time
+                except (EOFError, OSError):
+                    open_.discard(pipe)
+        for process in self._processes.values():
+            process.join(max(0.0, deadline - time.monotonic()))
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+    def _keep(self, position: int, record: dict[str, Any] | None) -> None:
+        if record is not None:
+            self.records[self.graph.nodes[position].name] = record
+
+    # ---------------------------------------------------------------- start
+
+    def _plans(self) -> dict[int, HostPlan]:
+        graph = self.graph
+        plans: dict[int, list[SeatPlan]] = {}
+        for position, node in enumerate(graph.nodes):
+            if node.name == graph.supervisor:
+                continue
+            into = [e for e, c in enumerate(graph.connections) if c.receiver == node.name]
+            host = self.hosts[node.name]
+            outlets = tuple(
+                (e, self.hosts[c.receiver], graph.index[c.receiver])
+                for e, c in enumerate(graph.connections)
+                if c.sender == node.name
+            )
+            plan = SeatPlan(
+                position,
+                node.name,
+                b"" if host == HERE else self._pack(node),
+                tuple(graph.connections[e] for e in into),
+                {e: place for place, e in enumerate(into)},
+                outlets,
+            )
+            plans.setdefault(host, []).append(plan)
+        options = self.options
+        return {
+            host: HostPlan(host, tuple(seats), options.cores.get(host), options.priority, self._receivers)
+            for host, seats in plans.items()
+        }
+
+    def _pack(self, node: Node) -> bytes:
+        packed = self.options.factories.get(node.name, node)
+        try:
+            return pickle.dumps(packed)
+        except Exception as error:
+            raise GraphError(
+                f'node "{node.name}" does not travel to its process ({error}); acquire what cannot be pickled in '
+                "its open(), or give a function of a module that makes the node in factories="
+            ) from error
+
+    def _start(self, plans: Mapping[int, HostPlan]) -> None:
+        remote = sorted(set(plans) - {HERE})
+        # A server that has the package loaded forks the processes: quick, and without the caller's threads.
+        context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
+        context.set_forkserver_preload(["deepkoco.graph.live.host"])
+        shape = len(self.graph.nodes), 4
+        board = context.RawArray("q", shape[0] * shape[1])
+        self._board = np.frombuffer(board, dtype=np.int64).reshape(shape)
+        ends: dict[int, dict[int, Pipe]] = {host: {} for host in (HERE, *remote)}
+        for one, other in self._pairs(remote):
+            ends[one][other], ends[other][one] = _pipe(context)
+        self._lines = {host: Line(pipe) for host, pipe in ends[HERE].items()}
+        self._controls, self._processes = {}, {}
+        self.reports: list[Pipe] = []  # what the nodes of the processes record, for who reads and closes them
+        self.seats: dict[int, Seat] = {}  # of the caller's process
+        try:
+            for host in remote:
+                here, there = _pipe(context)
+                self._controls[host] = Line(here)
+                report = self._report_pipe(context)
+                process = context.Process(
+                    target=serve, args=(plans[host], there, ends[host], board, shape, report), daemon=True
+                )
+                process.start()
+                self._processes[host] = process
+                there.close()
+                if report is not None:
+                    report.close()
+        finally:
+            for host in remote:
+                for pipe in ends[host].values():
+                    pipe.close()
+        supervisor = self.graph.index[self.graph.supervisor]
+        if HERE in plans:
+            others = {supervisor: self.supervisor_inbox.deliver}
+            self.seats = make_seats(
+                plans[HERE].seats, self._own, HERE, self._lines, self._board, self._reply, others
+            )
+        for seat in self.seats.values():
+            seat.start()
+        self._watch = Thread(target=self._run_watch, name="watch over nodes", daemon=True)
+        self._watch.start()
+
+    def _report_pipe(self, context: Any) -> Pipe | None:
+        """Keep the end that is read, return the one that a process writes to."""
+        if not self.options.report:
+            return None
+        reader, writer = context.Pipe(duplex=False)
+        self.reports.append(reader)
+        return writer
+
+    def _pairs(self, remote: list[int]) -> set[tuple[int, int]]:
+        """Hosts between which messages go."""
+        pairs = set()
+        for connection in self.graph.connections:
+            ends = self.hosts[connection.sender], self.hosts[connection.receiver]
+            if ends[0] != ends[1]:
+                pairs.add((min(ends), max(ends)))
+        return pairs
+
+    def _own(self, plan: SeatPlan) -> Node:
+        factory = self.options.factories.get(plan.name)
+        return self.graph.nodes[plan.position] if factory is None else factory()
+
+    # ---------------------------------------------------------------- watch
+
+    def _reply(self, position: int, kind: str, payload: Any) -> None:
+        if kind == "failed":
+            # The failing thread must not stop itself: the watch does.
+            self._failures.put(payload)
+            with suppress(OSError):
+                self._bell.send_bytes(b"!")
+        else:
+            self._replies.put((position, kind, payload))
+
+    def _run_watch(self) -> None:
+        controls = {line.pipe: host for host, line in self._controls.items()}
+        sentinels = {process.sentinel: host for host, process in self._processes.items()}
+        sources: list[Any] = [self._heard, *controls, *sentinels]
+        sources += [line.pipe for line in self._lines.values()]
+        while not self._stopped:
+            try:
+                for source in wait(sources, BEAT_PERIOD):
+                    if source in sentinels:
+                        host = sentinels[source]
+                        self._read(self._controls[host].pipe, True)
+                        self._mourn(host)
+                        sources.remove(source)
+                    elif not self._read(source, source in controls):
+                        sources.remove(source)
+                while not self._failures.empty():
+                    self.fail(self._failures.get())
+                self._check_times(time.monotonic_ns())
+            except Exception as error:
+                # Without the watch nobody would notice anything; where all is stopped, pipes are closed.
+                self.fail(failure_of(self.graph.supervisor, -1, error, traceback.format_exc()))
+
+    def _read(self, source: Any, control: bool) -> bool:
+        """Read what a pipe holds; return whether it is still open."""
+        try:
+            while source.poll():
+                if source is self._heard:
+                    source.recv_bytes()
+                elif not control:
+                    self._deliver(source.recv_bytes())
+                else:
+                    position, kind, payload = source.recv()
+                    if kind == "priority":
+                        self.priority_granted = payload
+                    elif kind == "record":
+                        self._keep(position, payload)
+                    elif position >= 0:
+                        self._reply(position, kind, payload)
+        except (EOFError, OSError):
+            return False
+        return True
+
+    def _deliver(self, frame: bytes) -> None:
+        message = decode(frame)
+        seat = self.seats.get(self._receivers[message.edge])
+        (self.supervisor_inbox if seat is None else seat.inbox).deliver(message)
+
+    def _mourn(self, host: int) -> None:
+        """A process has ended without being told to."""
+        while not self._failures.empty():
+            self.fail(self._failures.get())
+        process = self._processes[host]
+        process.join(0)
+        self.fail(self._blame(host, f"its process has died (exit status {process.exitcode})"))
+
+    def _blame(self, host: int, reason: str) -> NodeFailure:
+        """Name the node of a host that is in its own code; if none is, the first."""
+        own = [self.graph.index[name] for name, where in self.hosts.items() if where == host]
+        busy = [n for n in own if self._board[n, BUSY_SINCE]] or own
+        return NodeFailure(self.graph.nodes[busy[0]].name, int(self._board[busy[0], TICK]), reason)
+
+    def _check_times(self, now: int) -> None:
+        for name, host in self.hosts.items():
+            row = self._board[self.graph.index[name]]
+            tick, since, beat = int(row[TICK]), int(row[BUSY_SINCE]), int(row[BEAT])
+            limit = self.options.time_limit if tick >= 0 else max(self.options.time_limit, START_LIMIT)
+            if since and now - since > limit * 1e9:
+                self.fail(NodeFailure(name, tick, f"has not returned for {limit:g} s"))
+            elif beat and now - beat > self.options.beat_limit * 1e9:
+                self.fail(self._blame(host, f"its process shows no life for {self.options.beat_limit:g} s"))
+
+
+def _pipe(context: Any) -> tuple[Pipe, Pipe]:
+    """Both ends of a pipe that goes both ways."""
+    return context.Pipe()

@@ -1,0 +1,333 @@
+"""What the runtimes have in common whose nodes live in threads and processes of their own."""
+
+import atexit
+import math
+import time
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.episodes.episode import Episode
+from deepkoco.graph.episodes.storage.container import EpisodeFileError
+from deepkoco.graph.execution.runtime import NodeParameters
+from deepkoco.graph.live.crew import Crew, CrewOptions
+from deepkoco.graph.live.driver import Driver, Outlet
+from deepkoco.graph.live.failure import failure_of
+from deepkoco.graph.live.plan import Plan
+from deepkoco.graph.live.recorder import Record, Recorder
+from deepkoco.graph.live.runner import InitialStateError, Runner
+from deepkoco.graph.live.seat import make_driver, reset_runner
+from deepkoco.graph.live.state import Policy, RunningState, check_step, running_state
+from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.model.node import GraphError, Input, State
+from deepkoco.graph.timing.computation_graph import ComputationGraph
+
+HEAD_START = 10_000_000  # from the order to go to time 0 [ns]
+
+
+class LiveRuntime(ABC):
+    """Starts the crew of a graph, resets it, steps the supervisor in the caller's thread, stops it safely.
+
+    Args:
+        graph: nodes and connections.
+        options: where the nodes live and when they have failed.
+        factor: simulated seconds per second.
+        record: as for `Recorder`; True: keep all outputs for `finish` only; False: keep none.
+
+    Raises:
+        GraphError: a name is no node.
+        EpisodeFileError: the recording cannot be written there.
+    """
+
+    def __init__(self, graph: Graph, options: CrewOptions, factor: float, record: Record) -> None:
+        for name in (*options.hosts, *options.factories):
+            if name not in graph.index:
+                raise GraphError(f'"{name}" is no node; known: {", ".join(graph.index)}')
+            if name == graph.supervisor:
+                raise GraphError(f'supervisor "{name}" stays in the caller\'s thread')
+        if not factor > 0:
+            raise ValueError(f"real-time factor {factor} is not positive")
+        self.graph = graph
+        self._recorder = None if isinstance(record, bool) else Recorder(graph, record)
+        self._options = replace(options, report=self._recorder is not None)
+        self._factor, self._record = factor, record is not False
+        self._plan: Plan | None = None  # of the episode; None: the clock decides
+        self._crew: Crew | None = None
+        self._running: RunningState | None = None
+        self._begun = 0  # last supervisor step of an episode that was cut off
+        self._salvaged: dict[str, Any] | None = None  # its records
+        self._driver: Driver | None = None
+        self._episode = 0
+        self._others = [node.name for node in graph.nodes if node.name != graph.supervisor]
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        try:
+            if kind is None and self._recorder is not None and self._running is not None:
+                self.finish()  # up to the supervisor's last start, as a caller who wants the episode has it
+        finally:
+            self.close()
+
+    def reset(
+        self,
+        parameters: NodeParameters,
+        generator: torch.Generator,
+        initial: Mapping[str, State] | None = None,
+        *,
+        timing: ComputationGraph | None = None,
+        row: int = 0,
+    ) -> tuple[RunningState, dict[str, Input]]:
+        """Start an episode and wait for the supervisor's first step.
+
+        The first reset starts the threads and processes; they stay until `close`.
+
+        Args:
+            parameters: by node name, scalars or (1, ...).
+            generator: passed to each node's `init`, wherever it lives.
+            initial: by node name, states or parts of states (1, ...) that replace those of `init`.
+            timing: a fresh schedule; None: what the constructor says.
+            row: which row of the timing.
+
+        Returns:
+            The state and what the supervisor sees, by name of its input.
+
+        Raises:
+            ValueError: names or shapes do not fit.
+            NodeFailure: a node failed; everything is stopped and closed.
+            EpisodeFileError: there is a recording of that name already.
+        """
+        initial = initial or {}
+        for name in (*parameters, *initial):
+            if name not in self.graph.index:
+                raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
+        if self._recorder is not None:
+            if self._running is not None:
+                self.finish()  # the recording wants the whole of the episode that is given up
+            self._recorder.open()
+        self._plan_episode(timing, row)
+        with _Stopping(self):
+            if self._crew is None:
+                self._crew = Crew(self.graph, self._options)
+                if self._recorder is not None:
+                    atexit.register(self.close)  # a caller who forgets to close wants the file all the same
+                    self._recorder.listen(self._crew.reports, partial(self._drivers, self._crew))
+            elif self._running is not None:
+                self._crew.ask({name: ("end", 0) for name in self._others})
+            self._running = self._salvaged = None
+            self._episode += 1
+            return self._go(self._crew, parameters, generator, initial)
+
+    def step(self, state: RunningState, action: Tensor) -> tuple[RunningState, dict[str, Input]]:
+        """Give the supervisor's output and wait for its next step.
+
+        Args:
+            state: what `reset` or `step` returned last.
+            action: (1, M).
+
+        Returns:
+            The next state and what the supervisor sees then.
+
+        Raises:
+            HorizonError: the timing ends here.
+            NodeFailure: a node failed; everything is stopped and closed.
+            ValueError: the state is not the latest one, or the action has another shape than the initial one.
+        """
+        check_step(self._running, state)
+        assert self._driver is not None
+        assert self._crew is not None
+        action = self._driver.runner.act(action, self._driver.tick)
+        with _Stopping(self):
+            self._driver.finish(action)
+            return self._observe(self._crew, action)
+
+    def run(self, policy: Policy, steps: int) -> RunningState:
+        """Take a number of steps with a policy, from what the supervisor sees to its action (1, M)."""
+        if self._running is None:
+            raise ValueError("run before reset: call reset first")
+        for _ in range(steps):
+            with _Stopping(self):
+                action = policy(self._seen)
+            self.step(self._running, action)
+        return self._running
+
+    def finish(self) -> Episode:
+        """End the episode and return what ran since the reset, up to the supervisor's last start.
+
+        After a failure or Ctrl-C it returns what had run until then.
+
+        Raises:
+            ValueError: nothing was recorded, or the process of a node died with its record.
+            NodeFailure: a node failed meanwhile.
+        """
+        if not self._record or (self._running is None and self._salvaged is None):
+            raise ValueError("no episode is recorded: make the runtime with record=True and reset it")
+        if self._running is None:
+            return self._salvaged_episode()
+        assert self._driver is not None
+        assert self._crew is not None
+        step = int(self._running.step[0])
+        with _Stopping(self):
+            logs = self._crew.ask({name: ("end", self._last(name, step)) for name in self._others})
+        self._running = None
+        logs[self.graph.supervisor] = self._driver.log()
+        episode = self._episode_of(step, logs)
+        if self._recorder is not None:
+            self._recorder.end(episode)
+        return episode
+
+    def close(self) -> None:
+        """Stop all nodes, close them, end their processes, finish the recording; safe to call twice.
+
+        Raises:
+            EpisodeFileError: the recording could not be written; the nodes are closed all the same.
+        """
+        running, self._running = self._running, None
+        crew, self._crew = self._crew, None
+        if crew is not None:
+            crew.stop()
+            if running is not None and self._driver is not None:
+                self._begun = int(running.step[0])
+                self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
+        if self._recorder is not None:
+            atexit.unregister(self.close)
+            try:
+                episode = None if running is None else self._salvaged_episode()
+            except ValueError:  # what the nodes have reported is all there is
+                episode = None
+            self._recorder.close(episode)
+
+    def _salvaged_episode(self) -> Episode:
+        if self._salvaged is None:
+            raise ValueError("nothing was recorded")
+        lost = [name for name in self.graph.index if name not in self._salvaged]
+        if lost:
+            raise ValueError(f'the record of "{lost[0]}" is lost with its process')
+        return self._episode_of(self._begun, self._salvaged)
+
+    def _drivers(self, crew: Crew) -> list[tuple[int, Driver | None]]:
+        """The drivers of the caller's process, by number of the node."""
+        drivers = [(position, seat.driver) for position, seat in crew.seats.items()]
+        return [*drivers, (self.graph.index[self.graph.supervisor], self._driver)]
+
+    @abstractmethod
+    def _plan_episode(self, timing: ComputationGraph | None, row: int) -> None:
+        """Decide what drives the nodes in the episode that starts."""
+
+    @abstractmethod
+    def _part(self, name: str) -> dict[str, Any]:
+        """Return what a node's driver must know."""
+
+    @abstractmethod
+    def _last(self, name: str, step: int) -> int:
+        """Return how many steps a node must have run when the episode ends at a supervisor step."""
+
+    @abstractmethod
+    def _episode_of(self, step: int, logs: Mapping[str, Any]) -> Episode:
+        """Put the nodes' records together."""
+
+    @property
+    @abstractmethod
+    def _steps(self) -> int | None:
+        """Supervisor steps that can be taken; None: no end."""
+
+    def _go(
+        self,
+        crew: Crew,
+        parameters: NodeParameters,
+        generator: torch.Generator,
+        initial: Mapping[str, State],
+    ) -> tuple[RunningState, dict[str, Input]]:
+        supervisor = self.graph.supervisor
+        runner = Runner(self.graph.node(supervisor), self.graph.inputs_of(supervisor))
+        outputs: dict[str, np.ndarray] = {}
+        # One after the other, so that the draws of `init` are those of a single process.
+        for node in self.graph.nodes:
+            payload = {
+                "episode": self._episode,
+                "generator": generator.get_state().numpy(),
+                "parameters": _arrays(parameters.get(node.name, {})),
+                "initial": _arrays(initial.get(node.name, {})),
+            }
+            if node.name == supervisor:
+                crew.supervisor_inbox.begin(self._episode)
+                answer = reset_runner(runner, payload)
+            else:
+                answer = crew.ask({node.name: ("reset", payload)})[node.name]
+            if "error" in answer:
+                raise InitialStateError(answer["error"])
+            outputs[node.name] = answer["output"]
+            generator.set_state(torch.from_numpy(answer["generator"].copy()))
+        origin = time.monotonic_ns() + (0 if self._factor == math.inf else HEAD_START)
+        payloads = {}
+        for node in self.graph.nodes:
+            payloads[node.name] = {
+                "initial_outputs": [outputs[c.sender] for c in self.graph.inputs_of(node.name)],
+                "origin": origin,
+                "factor": self._factor,
+                "record": self._record,
+            } | self._part(node.name)
+        if self._recorder is not None:
+            parts = {name: payload["part"] for name, payload in payloads.items()}
+            origin_ns = time.time_ns() + origin - time.monotonic_ns() if self._factor == 1.0 else None
+            self._recorder.begin(self._episode, self._plan, parts, origin_ns)
+        for name in self._others:
+            crew.tell(name, "go", payloads[name])
+        edges = [e for e, c in enumerate(self.graph.connections) if c.receiver == supervisor]
+        places = {e: place for place, e in enumerate(edges)}
+        outlets = [Outlet(edge, send) for edge, send in crew.outlets_of(supervisor)]
+        self._driver = make_driver(runner, crew.supervisor_inbox, places, outlets, payloads[supervisor])
+        return self._observe(crew, torch.from_numpy(outputs[supervisor]))
+
+    def _observe(self, crew: Crew, action: Tensor) -> tuple[RunningState, dict[str, Input]]:
+        driver = self._driver
+        assert driver is not None
+        for name in self._unled:
+            crew.tell(name, "credit", driver.tick)
+        seen = driver.begin()
+        if seen is None:
+            assert crew.failure is not None
+            raise crew.failure
+        self._seen = seen
+        try:
+            readings = driver.runner.observe(seen, action)
+        except Exception as error:
+            raise failure_of(self.graph.supervisor, driver.tick, error, traceback.format_exc()) from error
+        self._running = running_state(driver.tick, driver.time, self._steps, readings)
+        return self._running, seen
+
+    @property
+    def _unled(self) -> list[str]:
+        """Nodes that need credit, for they would run ahead without end."""
+        return []
+
+
+class _Stopping:
+    """Stops everything where what is inside fails: a node, the policy, Ctrl-C."""
+
+    def __init__(self, runtime: LiveRuntime) -> None:
+        self._runtime = runtime
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
+        if error is None or isinstance(error, InitialStateError):
+            return
+        try:
+            self._runtime.close()
+        except EpisodeFileError as unwritten:  # what stopped the graph is what must be heard of
+            error.add_note(str(unwritten))
+
+
+def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
+    return {key: np.array(value.detach().cpu().numpy()) for key, value in tensors.items()}

@@ -1,0 +1,162 @@
+"""The thread in which a node lives: it opens, steps and closes it, and tells when it failed."""
+
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from threading import Lock, Thread
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepkoco.graph.live.clocked import ClockedDriver, ClockedSchedule
+from deepkoco.graph.live.driver import Driver, Outlet, PlannedDriver
+from deepkoco.graph.live.failure import NodeFailure, failure_of
+from deepkoco.graph.live.inbox import Inbox
+from deepkoco.graph.live.runner import InitialStateError, Runner
+from deepkoco.graph.model.connection import Connection
+from deepkoco.graph.model.node import Node
+
+TICK, BUSY_SINCE, CLOSED_AT, BEAT = range(4)
+"""Columns of the board, int64: current tick, since when it steps (0: waits), when it was closed, heartbeat [ns]."""
+
+
+class Seat(Thread):
+    """Runs one node by the orders in its inbox.
+
+    Args:
+        position: number of the node in the graph.
+        make: gives the node.
+        name: its name.
+        inputs: its connections.
+        places: number of the graph's connection -> number of the input.
+        outlets: where its output goes.
+        board: (N, 4) int64, shared with who watches; see the constants above.
+        reply: takes (position, kind, payload): "reset", "end", "failed" with a `NodeFailure`, "closed".
+    """
+
+    def __init__(
+        self,
+        position: int,
+        make: Callable[[], Node],
+        name: str,
+        inputs: tuple[Connection, ...],
+        places: dict[int, int],
+        outlets: list[Outlet],
+        board: np.ndarray,
+        reply: Callable[[int, str, Any], None],
+    ) -> None:
+        super().__init__(name=f"node {name}", daemon=True)
+        self.position, self.node_name = position, name
+        self._make, self._inputs, self._places = make, inputs, places
+        self._outlets, self._board, self._reply = outlets, board[position], reply
+        self.inbox = Inbox()
+        self._node: Node | None = None
+        self.driver: Driver | None = None
+        self._closing = Lock()
+        self._board[TICK] = -1
+
+    def run(self) -> None:
+        """Live until the order to stop, or until the node fails."""
+        failure: NodeFailure | None = None
+        try:
+            with self._busy(-1):
+                self._node = self._make()
+                self._node.open()
+            self._reply(self.position, "opened", None)
+            self._serve(Runner(self._node, self._inputs))
+        except BaseException as error:  # also SystemExit: whatever ends the node ends the graph
+            tick = int(self._board[TICK])
+            failure = failure_of(self.node_name, tick, error, traceback.format_exc())
+        if failure is not None:
+            self._reply(self.position, "failed", failure)
+        self.close_node()
+
+    def close_node(self) -> None:
+        """Close the node, once, from whichever thread comes first: its own, or the one that has given it up."""
+        if not self._closing.acquire(blocking=False):
+            return
+        try:
+            if self._node is not None:
+                self._node.close()
+        except BaseException as error:
+            failed = NodeFailure(
+                self.node_name,
+                int(self._board[TICK]),
+                f"close raised {type(error).__name__}: {error}",
+                traceback.format_exc(),
+            )
+            self._reply(self.position, "failed", failed)
+        self._board[CLOSED_AT] = time.monotonic_ns()
+        self._reply(self.position, "closed", None)
+
+    def record(self) -> dict[str, Any] | None:
+        """Return what the node's episode has recorded so far; None where it has none."""
+        return None if self.driver is None else self.driver.log()
+
+    def _serve(self, runner: Runner) -> None:
+        while (order := self.inbox.next_order()).command != "stop":
+            if order.command == "reset":
+                self.driver = None
+                self._reply(self.position, "reset", self._reset(runner, order.payload))
+            elif order.command == "go":
+                self.driver = make_driver(runner, self.inbox, self._places, self._outlets, order.payload)
+                self._drive(self.driver, None)
+            elif order.command == "end" and self.driver is not None:
+                self._drive(self.driver, order.payload)
+                self._reply(self.position, "end", self.driver.log())
+
+    def _reset(self, runner: Runner, payload: Mapping[str, Any]) -> dict[str, Any]:
+        self.inbox.begin(payload["episode"])
+        with self._busy(-1):
+            try:
+                return reset_runner(runner, payload)
+            except InitialStateError as error:  # a mistake of the caller, not of the node
+                return {"error": str(error)}
+
+    def _drive(self, driver: Driver, until: int | None) -> None:
+        while (seen := driver.begin(until)) is not None:
+            with self._busy(driver.tick):
+                output = driver.runner.step(seen)
+                driver.finish(output)
+
+    def _busy(self, tick: int) -> "_Busy":
+        return _Busy(self._board, tick)
+
+
+class _Busy:
+    """Writes on the board since when a node is in its own code, for who watches over it."""
+
+    def __init__(self, board: np.ndarray, tick: int) -> None:
+        self._board, self._tick = board, tick
+
+    def __enter__(self) -> None:
+        self._board[TICK] = self._tick
+        self._board[BUSY_SINCE] = time.monotonic_ns()
+
+    def __exit__(self, *error: object) -> None:
+        self._board[BUSY_SINCE] = 0
+
+
+def reset_runner(runner: Runner, payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Start an episode of a runner with plain arrays; return its initial output and the generator's state."""
+    generator = torch.Generator()
+    generator.set_state(torch.from_numpy(payload["generator"].copy()))
+    tensors = {
+        part: {key: torch.from_numpy(np.array(value)) for key, value in payload[part].items()}
+        for part in ("parameters", "initial")
+    }
+    output = runner.reset(tensors["parameters"], generator, tensors["initial"])
+    return {"output": output.detach().cpu().numpy().copy(), "generator": generator.get_state().numpy()}
+
+
+def make_driver(
+    runner: Runner, inbox: Inbox, places: dict[int, int], outlets: list[Outlet], payload: Mapping[str, Any]
+) -> Driver:
+    """Make the driver of an episode from what "go" says."""
+    runner.begin([torch.from_numpy(np.array(output)) for output in payload["initial_outputs"]])
+    common = runner, inbox, places, outlets, payload["origin"], payload["factor"], payload["record"]
+    part = payload["part"]
+    if isinstance(part, ClockedSchedule):
+        return ClockedDriver(*common, schedule=part)
+    return PlannedDriver(*common, plan=part, steps=payload["steps"], follows=payload["follows"])

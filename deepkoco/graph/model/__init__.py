@@ -1,0 +1,1 @@
+"""What a robot is as a graph: nodes, connections, and the contract that they keep."""

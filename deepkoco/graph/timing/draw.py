@@ -1,0 +1,164 @@
+"""Timing: from rates and delay laws to a computation graph.
+
+Time is counted in integer ticks of 1/resolution seconds. The resolution is the smallest multiple of
+10^9 per second in which every tick k/f, phase and constant delay of the graph is a whole number (30 Hz
+makes it 3 * 10^9), so that comparisons of instants are exact; random delays are rounded to one tick.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepkoco.graph.delay import DelayError, RankCorrelation, RecordedDelays, Stalls
+from deepkoco.graph.model.graph import Graph, check_coupling
+from deepkoco.graph.timing.computation_graph import ComputationGraph
+from deepkoco.graph.timing.drawn import DrawnDelays
+from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, Times, run_rows
+from deepkoco.graph.timing.overrides import ChannelLaws, Delays, TimingError, read_overrides
+
+__all__ = ["Delays", "TimingError", "draw_timing", "extend_timing"]
+_MOST_STRETCH = 64  # an episode that takes this many times its nominal steps is not going to end
+
+
+def draw_timing(
+    graph: Graph,
+    generator: np.random.Generator | torch.Generator,
+    steps: int,
+    batch: int,
+    delays: Delays | None = None,
+    rows: int | None = None,
+    *,
+    correlations: Iterable[RankCorrelation | Mapping[str, Any]] | None = None,
+    stalls: Iterable[Stalls | Mapping[str, Any]] | None = None,
+    traces: RecordedDelays | None = None,
+) -> ComputationGraph:
+    """Draw delays and work out when every step runs and what it sees.
+
+    The phases stay those of the graph's own delays, whatever `delays` says: a schedule does not know
+    the delays that it will meet. More steps from the same generator state begin with the same timing.
+
+    Args:
+        graph: nodes and connections with their delay laws.
+        generator: where the draws come from; one number is drawn from it.
+        steps: supervisor steps to be taken; its next step, of which only the inputs count, ends the timing.
+        batch: number of environments B.
+        delays: overrides by node name (computation) or connection key "sender->receiver"
+            (communication): anything that `make_delay` takes; (R,) seconds, one constant for each
+            schedule; a description whose numbers are (R,) arrays; or R laws. R is `rows` if that is given,
+            else B.
+        rows: number R of different schedules, taken in turn by the environments; None: one for all
+            environments where all delays are constant, else one for each. There may be more than
+            environments: schedules for episodes to come.
+        correlations, stalls: in the place of those of the graph.
+        traces: recordings that are played in the place of the laws of their channels.
+
+    Returns:
+        The computation graph of the batch.
+
+    Raises:
+        TimingError: an override names nothing in the graph, or is no delay; or `generator` is none.
+    """
+    if steps < 1 or batch < 1 or (rows is not None and rows < 1):
+        raise TimingError(f"steps {steps}, batch {batch} and rows {rows} must be at least 1")
+    plan = graph.plan
+    own = dict(zip(plan.channels, plan.laws, strict=True))
+    nodes = plan.channels[: len(graph.nodes)]
+    laws = read_overrides(own, nodes, delays or {}, rows or batch, traces)
+    coupled = graph.correlations, graph.stalls
+    if correlations is not None or stalls is not None:
+        try:
+            coupled = check_coupling(
+                graph,
+                coupled[0] if correlations is None else correlations,
+                coupled[1] if stalls is None else stalls,
+            )
+        except DelayError as error:
+            raise TimingError(str(error)) from error
+    if rows is None:
+        rows = 1 if laws.constant and not coupled[1] else batch
+    if isinstance(generator, torch.Generator):
+        seed = int(torch.randint(2**62, (), generator=generator))
+    elif isinstance(generator, np.random.Generator):
+        seed = int(generator.integers(2**62))
+    else:
+        raise TimingError(
+            f"generator {generator!r} is no generator; give np.random.default_rng(SEED) or "
+            "torch.Generator().manual_seed(SEED)"
+        )
+    origin = Origin(graph, seed, laws, *coupled, rows, None)
+    return _work_out(origin, steps, np.arange(batch, dtype=np.int64) % rows)
+
+
+def extend_timing(timing: ComputationGraph, steps: int) -> ComputationGraph:
+    """Draw a timing again with more supervisor steps: what was is as it was, then it goes on.
+
+    Raises:
+        TimingError: the timing was not drawn but measured, or put together from several, or is not shorter.
+    """
+    if not isinstance(timing.origin, Origin):
+        raise TimingError("only a timing from draw_timing can be extended; this one was measured or joined")
+    if steps < timing.steps:
+        raise TimingError(f"the timing has {timing.steps} steps already; {steps} are fewer")
+    return _work_out(timing.origin, steps, timing.row)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """All that determines the delays of a timing; `kept` are the schedules left of `rows`, None: all."""
+
+    graph: Graph
+    seed: int
+    laws: ChannelLaws
+    correlations: tuple[RankCorrelation, ...]
+    stalls: tuple[Stalls, ...]
+    rows: int
+    kept: np.ndarray | None
+
+    def take(self, rows: np.ndarray) -> "Origin":
+        """Keep some of the schedules."""
+        return replace(self, kept=rows if self.kept is None else self.kept[rows])
+
+
+def _work_out(origin: Origin, steps: int, row: np.ndarray) -> ComputationGraph:
+    graph, plan = origin.graph, origin.graph.plan
+    resolution = plan.resolution(law for key, law in origin.laws.same.items() if law is not _own(plan, key))
+    rules = plan.rules(resolution)
+    capacity = planned = plan.capacity(steps)
+    drawn = DrawnDelays(graph, origin, resolution)
+    nothing = np.zeros((len(drawn.kept), 0), dtype=np.int64)
+    while True:
+        layout, columns = plan.columns(capacity, resolution)
+        draws = drawn.up_to(capacity)
+        times = empty_times(layout, len(drawn.kept), steps)
+        status = run_rows(steps, rules, columns, draws, nothing, times)
+        if status == DONE:
+            return ComputationGraph(layout, resolution, steps, row, *times, origin=origin)
+        if status == UNSTALLED:
+            drawn.draw_stalls()
+            continue
+        if status != FULL:
+            raise TimingError("no node can take its next step: blocking inputs wait for each other")
+        capacity = capacity * 2
+        if capacity.max() > _MOST_STRETCH * planned.max():
+            raise TimingError(
+                f'supervisor "{graph.supervisor}" does not come to its step {steps}: delays hold it up, or '
+                "nodes with advance=True and only blocking inputs drive each other without any tick"
+            )
+
+
+def empty_times(layout: Any, rows: int, steps: int) -> Times:
+    """Return arrays for the kernel to fill."""
+    return Times(
+        np.zeros((rows, layout.step_base[-1]), dtype=np.int64),
+        np.zeros((rows, layout.step_base[-1]), dtype=np.int64),
+        np.zeros((rows, layout.message_base[-1]), dtype=np.int64),
+        np.full((rows, layout.window_base[-1]), -1, dtype=np.int32),
+        np.zeros((rows, steps + 1, len(layout.names)), dtype=np.int32),
+    )
+
+
+def _own(plan: Any, key: str) -> Any:
+    return plan.laws[plan.places[key]]

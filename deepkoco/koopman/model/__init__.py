@@ -1,0 +1,1 @@
+"""The torch model: encoder, cost, and the rollout of its latents."""

@@ -1,0 +1,1 @@
+"""Logs of real or simulated units: read, checked and inspected."""

@@ -1,0 +1,1 @@
+"""What is checked of a log before it is used."""

@@ -1,0 +1,211 @@
+"""What is checked of a log once its channels are read: enough samples, live sensors, units that fit each other."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from deepkoco.logs.checks.derivative import Relation, relate, slip
+from deepkoco.logs.formats.log_file import LogError
+from deepkoco.logs.series import Series
+from deepkoco.logs.sidecar import ChannelColumn
+
+RATIO = 2.0  # an angle and its speed that differ by more than this are not in the units that are said
+AGREES = 0.6  # agreement from which a ratio is believed
+APART = 0.1  # agreement below which an angle and a speed have nothing in common
+MOVES = 8.0  # quanta of an angle that count as motion
+STANDS = 4.0  # deviations of its noise below which an angle's changes tell nothing: the joint stands still
+TURNS = 200.0  # range of an angle that more likely is in degrees [rad]
+LOST = 0.01  # [s] of a typical command that may be unknown before a stretch counts as a gap
+_DERIVATIVES = {"rad": "rad/s", "m": "m/s", "rad/s": "rad/s^2", "m/s": "m/s^2"}
+
+Span = tuple[float, float]
+
+
+def check_content(
+    path: Path, channels: Mapping[str, Series], min_samples: int, min_seconds: float, constant_command: bool
+) -> None:
+    """Check that there is enough in a log.
+
+    Raises:
+        LogError: a channel is too short or a command constant, or the channels do not overlap.
+    """
+    for name, series in channels.items():
+        wanted = min_samples if series.kind == "measurement" else 1
+        if len(series) < wanted:
+            raise LogError(
+                f'{path}: channel "{name}" is too short: {len(series)} samples, at least {wanted} needed; '
+                "record for longer"
+            )
+        if series.kind == "command" and not constant_command and np.ptp(series.value) == 0:
+            raise LogError(
+                f'{path}: command "{name}" is constant ({series.value[0]:g} {series.unit}) and teaches '
+                "nothing; record with an excitation (chirp, steps, prbs)"
+            )
+    measured = [series for series in channels.values() if series.kind == "measurement"]
+    if not measured:
+        return
+    start, stop = max(float(s.t[0]) for s in measured), min(float(s.t[-1]) for s in measured)
+    seconds = stop - start
+    if seconds < min_seconds:
+        raise LogError(
+            f"{path}: too short: the measurements cover {max(seconds, 0.0):.3g} s together, at least "
+            f"{min_seconds:g} s needed; if the log is longer, check the unit of the time column"
+        )
+    for name, series in channels.items():
+        outside = series.t[0] > stop or series.t[-1] < start - max(seconds, 0.0)
+        if series.kind == "command" and outside:
+            raise LogError(
+                f'{path}: command "{name}" ({series.t[0]:.6g} to {series.t[-1]:.6g} s) lies outside '
+                f"the measurements ({start:.6g} to {stop:.6g} s); check the units and clocks of the time columns"
+            )
+
+
+def check_units(
+    path: Path, channels: Mapping[str, Series], columns: Mapping[str, ChannelColumn]
+) -> list[str]:
+    """Compare each position with its speed, and ranges with what machines do.
+
+    Returns:
+        Doubts that are no reason to refuse the log.
+
+    Raises:
+        LogError: two channels contradict each other, so that a unit, a scale or a mapping is wrong.
+    """
+    doubts = []
+    for first, second in derivative_pairs(channels):
+        if columns[first].checked or columns[second].checked:
+            continue
+        a, b = channels[first], channels[second]
+        relation = relate(a.t, a.value, b.t, b.value)
+        if relation is not None and (
+            doubt := _contradiction(path, (first, a), (second, b), relation, columns)
+        ):
+            doubts.append(doubt)
+    for name, series in channels.items():
+        span = float(np.ptp(np.unwrap(series.value))) if series.unit == "rad" else 0.0
+        if columns[name].checked or series.kind != "measurement":
+            continue
+        # Steps of a scale that is far off look like turns to unwrapping; a few wild samples are another matter.
+        bulk = float(np.ptp(np.quantile(series.value, [0.02, 0.98]))) if series.unit == "rad" else 0.0
+        if (span > TURNS and np.ptp(series.value) > TURNS) or bulk > TURNS:
+            raise LogError(
+                f'{path}: channel "{name}" (column "{columns[name].value.name}") spans {np.ptp(series.value):.4g} rad, '
+                f"{np.ptp(series.value) / (2 * math.pi):.0f} turns; if it is in deg, say so in the sidecar; if it is "
+                'right, write "checked: true" there'
+            )
+    return doubts
+
+
+def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:
+    """Pairs of measured channels, the second the derivative of the first: by unit and number of the joint."""
+    pairs = []
+    measured = {name: series for name, series in channels.items() if series.kind == "measurement"}
+    for first, series in measured.items():
+        rates = [n for n, s in measured.items() if s.unit == _DERIVATIVES.get(series.unit)]
+        alike = [n for n in measured if measured[n].unit == series.unit]
+        if len(rates) == 1 and len(alike) == 1:
+            pairs.append((first, rates[0]))
+        else:
+            number = re.search(r"\d+$", first)
+            pairs += [(first, n) for n in rates if number and n.endswith(number.group())]
+    return pairs
+
+
+def _contradiction(
+    path: Path,
+    position: tuple[str, Series],
+    speed: tuple[str, Series],
+    relation: Relation,
+    columns: Mapping[str, ChannelColumn],
+) -> str | None:
+    (first, a), (second, b) = position, speed
+    said = (
+        f'{path}: channel "{first}" (column "{columns[first].value.name}", {columns[first].value.unit}) and channel '
+        f'"{second}" (column "{columns[second].value.name}", {columns[second].value.unit})'
+    )
+    remedy = 'correct the sidecar, or write "checked: true" at both channels if they are right'
+    quantum = smallest_step(a.value)
+    total = relation.integral
+    if np.ptp(a.value) == 0.0 or np.ptp(b.value) == 0.0:
+        dead = first if np.ptp(a.value) == 0.0 else second
+        moves = (
+            total > MOVES * max(quantum, 1e-3)
+            if dead == first
+            else relation.moved > MOVES * max(quantum, 1e-6)
+        )
+        if moves or (dead == first and np.ptp(b.value) > 1.0):
+            raise LogError(
+                f'{said}: "{dead}" never changes while the other moves; a dead sensor or a wrong column; {remedy}'
+            )
+        return None
+    if not relation.moved > MOVES * quantum:
+        return None
+    if relation.agreement > AGREES:
+        if 1.0 / RATIO < relation.ratio < RATIO:
+            return None
+        meaning = slip(relation.ratio)
+        raise LogError(
+            f"{said}: the first changes by {relation.ratio:.4g} times the integral of the second, not by 1; "
+            f"{meaning or 'a unit or a gear ratio (key scale) is wrong'}; {remedy}"
+        )
+    if relation.moved < STANDS * _noise(a.value):
+        return None
+    turned = relate(b.t, b.value, a.t, a.value)
+    if turned is not None and turned.agreement > AGREES and 1.0 / RATIO < turned.ratio < RATIO:
+        raise LogError(
+            f"{said}: the first is the derivative of the second (agreement {turned.agreement:.2f} of 1, the other way "
+            f"round {max(relation.agreement, 0):.2f}); the two columns are swapped; {remedy}"
+        )
+    if relation.agreement < APART:
+        raise LogError(
+            f"{said}: the second is not the derivative of the first (agreement {max(relation.agreement, 0):.2f} of 1); "
+            f"a wrong column, a wrong clock or frozen samples; {remedy}"
+        )
+    return (
+        f'"{second}" follows the derivative of "{first}" badly (agreement {relation.agreement:.2f} of 1); look at the '
+        "log with deepkoco inspect"
+    )
+
+
+def smallest_step(value: np.ndarray) -> float:
+    """Smallest difference between two different samples, 0 for a constant."""
+    steps = np.diff(np.unique(value))
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def _noise(value: np.ndarray) -> float:
+    """Standard deviation of what changes from sample to sample only, robust against jumps."""
+    return float(np.median(np.abs(np.diff(value, 2)))) / (0.6745 * math.sqrt(6.0)) if len(value) > 2 else 0.0
+
+
+def unknown_stretches(channels: Mapping[str, Series]) -> tuple[Span, ...]:
+    """Stretches [s] in which a command is not known or a measurement is filled in: nothing is to be learned there."""
+    spans: list[Span] = []
+    for series in channels.values():
+        if series.unknown is not None:
+            spans += [(float(a), float(b)) for a, b in series.unknown]
+        if series.kind == "command":
+            spans += gaps_in_command(series)
+    return tuple(sorted(spans))
+
+
+def gaps_in_command(series: Series) -> list[Span]:
+    """Gaps in a command that is sampled regularly and changes over them; one logged at changes only has none."""
+    if len(series) < 20:
+        return []
+    step = np.diff(series.t)
+    base = float(np.median(step))
+    regular = float(np.mean(step < 1.5 * base)) > 0.7 or bool(np.any(np.diff(series.value) == 0))
+    if not regular or base <= 0:
+        return []
+    typical = float(np.sqrt(np.mean((series.value - series.value.mean()) ** 2)))
+    jump = np.abs(np.diff(series.value))
+    # Over several steps the command may have gone anywhere and come back.
+    jump = np.where(step > 3.5 * base, np.maximum(jump, typical), jump)
+    lost = (step > 1.5 * base) & (jump * (step - base) > LOST * typical)
+    return [(float(series.t[k] + base), float(series.t[k + 1])) for k in np.flatnonzero(lost)]

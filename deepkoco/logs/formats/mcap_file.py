@@ -1,0 +1,155 @@
+"""Logs in MCAP: our own recordings, and topics of any writer in JSON or in the encodings of ROS."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from mcap.exceptions import McapError
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from zstandard import ZstdError
+
+from deepkoco.logs.formats.fields import TopicColumns
+from deepkoco.logs.formats.log_file import LogError, LogFile, Table
+from deepkoco.logs.formats.open_log import Wanted
+
+MAGIC = b"\x89MCAP0\r\n"
+Decoder = Callable[[bytes], Any]
+_DAMAGE = (McapError, ZstdError, struct.error, ValueError, OverflowError, RuntimeError, MemoryError)
+_OWN = "deepkoco"  # name of the metadata record that our own recordings begin with
+
+
+def read_mcap(path: Path, wanted: Wanted = None) -> LogFile:
+    """Read an MCAP file; a recording of our own runtimes has a topic `/node/NAME` for each node.
+
+    Raises:
+        LogError: it is damaged or cut off.
+    """
+    with path.open("rb") as file:
+        magic = file.read(len(MAGIC))
+    if magic != MAGIC:
+        raise LogError(
+            f"{path}: is no MCAP file; those begin with the letters MCAP{'; it is empty' if not magic else ''}"
+        )
+    if _is_own(path):
+        return _own_recording(path)
+    return _topics(path, wanted)
+
+
+def _records(path: Path) -> Iterator[McapRecord]:
+    count = 0
+    with path.open("rb") as file:
+        records = iter(StreamReader(file, validate_crcs=True).records)
+        while True:
+            try:
+                record = next(records)
+            except StopIteration:
+                return
+            except _DAMAGE as damage:
+                reason = " ".join(str(damage).split()) or type(damage).__name__
+                raise LogError(
+                    f"{path}: is cut off or damaged after {count} messages ({reason[:160]}); copy it again, or "
+                    'repair it with "mcap recover"'
+                ) from damage
+            count += isinstance(record, Message)
+            yield record
+
+
+def _is_own(path: Path) -> bool:
+    for record in _records(path):
+        if isinstance(record, Metadata):
+            return record.name == _OWN
+        if isinstance(record, Message | Channel):
+            return False
+    return False
+
+
+def _topics(path: Path, wanted: Wanted) -> LogFile:
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    decoders: dict[int, Decoder] = {}
+    topics: dict[str, TopicColumns] = {}
+    skipped: dict[str, str] = {}
+    origin: int | None = None
+    for record in _records(path):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            origin = record.log_time if origin is None else origin
+            channel = channels[record.channel_id]
+            topic = channel.topic
+            if topic in skipped or (wanted is not None and topic not in wanted):
+                continue
+            if channel.id not in decoders:
+                schema = schemas.get(channel.schema_id)
+                try:
+                    decoders[channel.id] = _decoder(channel, schema)
+                except LogError as error:
+                    skipped[topic] = str(error)
+                    continue
+                fields = None if wanted is None else wanted[topic]
+                topics.setdefault(topic, TopicColumns(schema.name if schema else "", origin, fields))
+            try:
+                content = decoders[channel.id](record.data)
+            except Exception as error:  # a decoder of a foreign library may raise anything on damaged bytes
+                raise LogError(
+                    f'{path}: topic "{topic}": message {len(topics[topic]) + 1} is no {channel.message_encoding}: '
+                    f"{' '.join(str(error).split())[:160]}"
+                ) from error
+            topics[topic].add(record.log_time, content)
+    tables = {topic: columns.table() for topic, columns in topics.items()}
+    return LogFile(path, "MCAP", tables, skipped, origin or 0)
+
+
+def _decoder(channel: Channel, schema: Schema | None) -> Decoder:
+    if channel.message_encoding == "json":
+        return json.loads
+    if channel.message_encoding not in ("cdr", "ros1"):
+        raise LogError(
+            f'its encoding "{channel.message_encoding}" is not known (json, cdr and ros1 are); convert it'
+        )
+    if schema is None:
+        raise LogError("its messages have no schema, so nothing says what their bytes mean")
+    from deepkoco.logs.formats.ros_bag import message_decoder
+
+    return message_decoder(schema.name, schema.encoding, schema.data.decode(), channel.message_encoding)
+
+
+def _own_recording(path: Path) -> LogFile:
+    from deepkoco.graph.episodes.storage import EpisodeFileError, read_episodes
+
+    try:
+        run = read_episodes(path)
+    except EpisodeFileError as error:
+        raise LogError(str(error)) from error
+    tables: dict[str, Table] = {}
+    for node in run.graph.nodes:
+        parts = []
+        for number, episode in enumerate(run.episodes):
+            columns: dict[str, Any] = {
+                "t_end": episode.t_end[node.name],
+                "t_start": episode.t_start[node.name],
+                "episode": np.full(len(episode.t_end[node.name]), number),
+            }
+            output = episode.outputs.get(node.name)
+            if output is not None and output.dtype.kind in "biuf":
+                flat = output.reshape(len(output), -1)
+                for place in range(flat.shape[1]):
+                    # The supervisor's last step may have no output.
+                    padded = np.full(len(columns["t_end"]), np.nan)
+                    padded[: len(flat)] = flat[:, place]
+                    columns[f"output[{place}]"] = padded
+            parts.append(pd.DataFrame(columns))
+        frame = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+        empty = frame.isna()
+        absent = {str(name): empty[name].to_numpy() for name in frame if bool(empty[name].to_numpy().any())}
+        tables[f"/node/{node.name}"] = Table(frame, f"steps of {node.name}", ("t_end", "t_start"), absent)
+    return LogFile(path, "MCAP", tables, row_name="step")

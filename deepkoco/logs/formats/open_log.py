@@ -1,0 +1,85 @@
+"""The formats that logs are stored in: a new one is one reader and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from deepkoco.logs.formats.log_file import LogError, LogFile
+
+Wanted = Mapping[str, Iterable[str]] | None
+"""Fields to read, by topic; None: all that are not too large."""
+
+
+def _csv(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.csv_file import read_csv
+
+    return read_csv(path)
+
+
+def _parquet(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.parquet_file import read_parquet
+
+    return read_parquet(path)
+
+
+def _mcap(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.mcap_file import read_mcap
+
+    return read_mcap(path, wanted)
+
+
+def _bag(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.ros_bag import read_bag
+
+    return read_bag(path, wanted)
+
+
+FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
+    ".csv": _csv,
+    ".parquet": _parquet,
+    ".pq": _parquet,
+    ".mcap": _mcap,
+    ".bag": _bag,
+    ".db3": _bag,
+}
+
+
+def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
+    """Read what a log file holds.
+
+    Args:
+        path: `.csv`, `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), or the folder of a ROS 2 bag.
+        wanted: fields to read, by topic; None reads all. Formats without topics are read whole.
+
+    Raises:
+        LogError: the file is missing, empty or damaged, its format is not known, or a library is missing.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            raise LogError(
+                f"{path}: is a folder; give the log file in it (only the folder of a ROS 2 bag, with its "
+                "metadata.yaml, is a log)"
+            )
+        reader = _bag
+    elif not path.is_file():
+        raise LogError(f"{path}: no such file")
+    else:
+        found = FORMATS.get(path.suffix.lower())
+        if found is None:
+            raise LogError(
+                f'{path}: format "{path.suffix}" is not known; known: {", ".join(FORMATS)} and the folder of '
+                "a ROS 2 bag"
+            )
+        reader = found
+    try:
+        log = reader(path, wanted)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if all(len(table.frame) == 0 for table in log.tables.values()):
+        if log.skipped:
+            topic, reason = next(iter(log.skipped.items()))
+            raise LogError(f'{path}: no topic can be read; "{topic}": {reason}')
+        raise LogError(f"{path}: has no rows of data")
+    return log

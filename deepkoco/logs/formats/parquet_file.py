@@ -1,0 +1,38 @@
+"""Logs in Parquet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow
+import pyarrow.parquet
+
+from deepkoco.logs.formats.log_file import LogError, LogFile, Table
+
+
+def read_parquet(path: Path) -> LogFile:
+    """Read a Parquet file; the index that pandas may have stored becomes a column if it has a name.
+
+    Raises:
+        LogError: it is damaged, or has a column name twice.
+    """
+    try:
+        # Through an open file, so that a folder named key=value above it adds no column.
+        with path.open("rb") as file:
+            table = pyarrow.parquet.ParquetFile(file).read()
+        names = table.column_names
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise LogError(f'{path}: column "{twice[0]}" is there {names.count(twice[0])} times; rename one')
+        frame = table.to_pandas()
+    except (pyarrow.ArrowException, ValueError, OSError, TypeError, OverflowError) as error:
+        if isinstance(error, LogError):
+            raise
+        raise LogError(
+            f"{path}: not readable as parquet: {' '.join(str(error).split())[:200]}; it may be cut off or no Parquet "
+            "file: copy it again"
+        ) from error
+    if any(name is not None for name in frame.index.names):
+        frame = frame.reset_index()
+    frame.columns = frame.columns.map(str)
+    return LogFile(path, "Parquet", {"": Table(frame)}, row_name="data row")

@@ -1,0 +1,181 @@
+"""What in a log asks for a second look, each in one sentence with what to do."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deepkoco.logs.checks.derivative import slip
+from deepkoco.logs.inspect.clock import Clock
+from deepkoco.logs.inspect.evidence import AGREES
+from deepkoco.logs.inspect.proposal import Choice, Proposal
+from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
+from deepkoco.logs.units import factor_between, parse_unit
+
+MANY = 8  # names listed before "and n more"
+OFF = 0.25  # of the logarithm of a ratio that is not what the units say
+_RATE = {"rad": "rad/s", "m": "m/s"}
+
+
+def doubts_of(survey: Survey, proposal: Proposal | None = None) -> list[str]:
+    """Sentences about clocks, columns and, with a proposal, units and commands."""
+    result = [*survey.log.notes]
+    result += [f'topic "{topic}" is left out: {reason}' for topic, reason in survey.log.skipped.items()]
+    mapped = (
+        {c.column.topic for c in proposal.choices if c.column is not None} if proposal is not None else None
+    )
+    for topic, clocks in survey.clocks.items():
+        if mapped is None or topic in mapped:
+            for clock in clocks:
+                result += _clock(survey, clock)
+    columns = [c for c in survey.columns if mapped is None or c.topic in mapped]
+    result += _columns(columns)
+    if proposal is not None:
+        result += _units(proposal) + _derivatives(survey, proposal) + _commands(survey, proposal)
+    return result
+
+
+def _clock(survey: Survey, clock: Clock) -> list[str]:
+    where = f'time "{clock.column}"' + (f" of {clock.topic}" if clock.topic else "")
+    result = []
+    if not clock.named and clock.unit != "s":
+        result.append(
+            f"{where} has no unit in its name and is taken to be in {clock.unit}, as its steps suggest; check it"
+        )
+    if clock.resets:
+        rows = ", ".join(str(row + 1) for row in clock.resets[:MANY]) + (
+            ", ..." if len(clock.resets) > MANY else ""
+        )
+        first = survey.where.get(clock.counter or "", math.nan)
+        remedy = (
+            f'the column "{clock.counter}" counts the parts; "where: {{{clock.counter}: {first:g}}}" takes one'
+            if clock.counter
+            else "split the log there"
+        )
+        result.append(f"{where} goes back at {survey.log.row_name} {rows}; {remedy}")
+    if clock.duplicates:
+        result.append(f"{where} repeats a stamp {clock.duplicates} times; keep one row per stamp")
+    if clock.missing:
+        result.append(f"{where} has {clock.missing} rows without a stamp")
+    if clock.gaps and clock.longest_gap_s and clock.rate_hz and clock.longest_gap_s * clock.rate_hz > 10:
+        result.append(f"{where} has {clock.gaps} gaps, the longest {clock.longest_gap_s:.3g} s")
+    return result
+
+
+def _columns(columns: list[ColumnSurvey]) -> list[str]:
+    result = []
+    for kind, said in (("constant", "never change"), ("text", "hold text"), ("empty", "hold no number")):
+        names = [f'"{c.label}"' for c in columns if c.kind == kind]
+        if names:
+            listed = ", ".join(names[:MANY]) + (f" and {len(names) - MANY} more" if len(names) > MANY else "")
+            verb = (
+                said
+                if len(names) > 1
+                else {"never change": "never changes"}.get(said, said.replace("hold", "holds", 1))
+            )
+            result.append(f"{listed} {verb}")
+    for column in columns:
+        if column.usable and column.missing:
+            burst = f", at most {column.longest_burst} in a row" if column.longest_burst > 1 else ""
+            result.append(
+                f'"{column.label}" has {column.missing} cells without a number in {column.bursts} places{burst}; '
+                'reading needs fill "drop" or "hold"'
+            )
+        if column.far:
+            result.append(f'"{column.label}" has {column.far} values far away from all others; glitches?')
+    return result
+
+
+def _units(proposal: Proposal) -> list[str]:
+    result = []
+    for choice in proposal.choices:
+        if choice.column is None:
+            continue
+        si = choice.channel.unit
+        if not choice.stated and choice.unit != si:
+            result.append(
+                f'"{choice.column.name}" names no unit; the numbers look like {choice.unit} and not like {si} '
+                f"({_range(choice)}); check it"
+            )
+        limit = max(abs(choice.channel.low), abs(choice.channel.high))
+        top = _largest(choice) * factor_between(choice.unit, si)
+        if choice.channel.kind == "command" and math.isfinite(limit) and top > 0:
+            if top > 20.0 * limit:
+                result.append(
+                    f'"{choice.column.name}" reaches {top:.3g} {si}, {top / limit:.0f} times the limit '
+                    f"of {proposal.system} ({limit:g} {si}); is it in another unit (m{si}, %)?"
+                )
+            elif top < limit / 200.0:
+                result.append(
+                    f'"{choice.column.name}" reaches only {top:.3g} {si} of the {limit:g} {si} that '
+                    f"{proposal.system} takes; is it in another unit, or on the other side of a gear (key scale)?"
+                )
+    return result
+
+
+def _derivatives(survey: Survey, proposal: Proposal) -> list[str]:
+    result = []
+    found = [c for c in proposal.choices if c.column is not None]
+    for first in found:
+        for second in found:
+            if (
+                second.channel.unit != _RATE.get(first.channel.unit)
+                or first.column is None
+                or second.column is None
+            ):
+                continue
+            relation = proposal.relations.get((first.column.label, second.column.label))
+            # Joints that move together look like each other's derivatives: of a speed, the angle that fits best.
+            others = [
+                proposal.relations.get((c.column.label, second.column.label)) for c in found if c.column
+            ]
+            if relation is None or any(o is not None and o.agreement > relation.agreement for o in others):
+                continue
+            clock = survey.clock(first.column)
+            if relation is None or relation.agreement < AGREES or clock is None:
+                continue
+            ratio = relation.ratio * factor_between(first.unit, first.channel.unit)
+            ratio /= factor_between(second.unit, second.channel.unit)
+            if parse_unit(proposal.time).quantity == "time" and clock.unit in ("s", "ms", "us", "ns"):
+                ratio /= factor_between(proposal.time, "s") / factor_between(clock.unit, "s")
+            if ratio != 0 and abs(math.log(abs(ratio))) < OFF and ratio > 0:
+                if second.unit not in ("rad/s", "m/s") and not second.stated:
+                    raw = relation.ratio
+                    result.append(
+                        f'"{first.column.name}" changes by {raw:.4g} times the integral of "{second.column.name}": '
+                        f"{second.unit} explains it, and so would a gear ratio of {abs(raw):.3g} (then write unit "
+                        f"{second.channel.unit} and scale {raw:.3g})"
+                    )
+                continue
+            meaning = slip(ratio) or "a unit, or a gear ratio that the key scale can undo"
+            result.append(
+                f'"{first.column.name}" in {first.unit} changes by {ratio:.4g} times the integral of '
+                f'"{second.column.name}" in {second.unit}, not by 1: {meaning}'
+            )
+    return result
+
+
+def _commands(survey: Survey, proposal: Proposal) -> list[str]:
+    result = []
+    for choice in proposal.choices:
+        if choice.channel.kind != "command" or choice.column is None:
+            continue
+        if choice.rival is not None and choice.sureness != "sure":
+            result.append(
+                f'"{choice.column.label}" and "{choice.rival}" could both be {choice.channel.name}; take what '
+                "reaches the joint: a measured torque where a controller inside the drive adds to the command"
+            )
+    return result
+
+
+def _largest(choice: Choice) -> float:
+    column = choice.column
+    assert column is not None
+    return max(abs(column.low or 0.0), abs(column.high or 0.0))
+
+
+def _range(choice: Choice) -> str:
+    column = choice.column
+    assert column is not None
+    return f"{np.format_float_positional(column.low or 0.0, 4)} to {np.format_float_positional(column.high or 0.0, 4)}"

@@ -1,0 +1,179 @@
+"""What the numbers themselves say: which column is the derivative of which, and which one drives the motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from deepkoco.logs.checks.derivative import Relation, relate
+from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
+from deepkoco.logs.units import factor_between
+
+MOST_ROWS = 20_000
+MOST_COLUMNS = 48  # columns whose pairs are all compared; of more, only those whose names allow it
+STRIDE = 0.2  # [s] over which a change of speed is explained: over less the noise of the sensors hides it
+AGREES = 0.6
+TOLERANCE = 0.08  # of the logarithm of a ratio that is said to be a unit
+POSITIONS = {"angle": ("rad", "deg", "rev", "mrad"), "length": ("m", "mm", "cm")}
+SPEEDS = {
+    "angular velocity": ("rad/s", "deg/s", "rpm", "rev/s", "mrad/s"),
+    "velocity": ("m/s", "mm/s", "cm/s"),
+}
+TIMES = ("s", "ms", "us", "ns")
+# Ranges beyond which a unit is less likely, in its own numbers.
+COMMON = {"rad": 60.0, "deg": 20_000.0, "rad/s": 150.0, "deg/s": 9_000.0, "m": 100.0, "m/s": 50.0}
+
+Samples = tuple[np.ndarray, np.ndarray]
+
+
+class Units(NamedTuple):
+    """Units of a position, its speed and the time column, and how much likelier they are than the next [nats]."""
+
+    position: str
+    speed: str
+    time: str
+    margin: float
+
+
+def samples_of(survey: Survey) -> dict[str, Samples]:
+    """Stamps and values of every column that may be a channel, by label."""
+    result = {}
+    for column in survey.columns:
+        if column.usable:
+            t, value = survey.samples(column)
+            result[column.label] = (t[:MOST_ROWS], value[:MOST_ROWS])
+    return result
+
+
+def derivatives(
+    columns: list[ColumnSurvey], samples: Mapping[str, Samples]
+) -> dict[tuple[str, str], Relation]:
+    """Relations of all pairs (position, speed) that the names do not rule out."""
+    moving = [c for c in columns if c.kind == "number" and len(samples[c.label][0]) > 10]
+    few = len(moving) <= MOST_COLUMNS
+    firsts = [c for c in moving if _may(c, ("angle", "length", "angular velocity"), few)]
+    seconds = [c for c in moving if _may(c, ("angular velocity", "velocity", "angular acceleration"), few)]
+    found = {}
+    for first, second in product(firsts, seconds):
+        if first.label == second.label:
+            continue
+        relation = relate(*samples[first.label], *samples[second.label])
+        if relation is not None:
+            found[first.label, second.label] = relation
+    return found
+
+
+def drives(angle: Samples, speed: Samples | None, inputs: Mapping[str, Samples]) -> dict[str, float]:
+    """Share of the changes of a joint's speed that each input explains, of what gravity and friction leave.
+
+    Changes of the speed over 0.2 s are regressed on the integrals of sin and cos of the angle, the speed, its sign and
+    a constant, without and with the input, which holds from its stamp to the next.
+
+    Args:
+        angle: stamps [s] and angles [rad].
+        speed: stamps [s] and speeds; None takes the differences of the angle.
+        inputs: candidates by name.
+    """
+    t, turn = angle
+    if len(t) < 40:
+        return {}
+    rate = np.gradient(turn, t) if speed is None else np.interp(t, *speed)
+    step = np.diff(t)
+    stride = int(max(2, round(STRIDE / float(np.median(step)))))
+    if len(t) < 4 * stride:
+        return {}
+    whole = (t[stride:] - t[:-stride]) < 2.0 * float(np.median(t[stride:] - t[:-stride]))
+    change = (rate[stride:] - rate[:-stride])[whole]
+    base = [
+        np.sin(turn),
+        np.cos(turn),
+        rate,
+        np.tanh(rate / max(0.05 * float(np.std(rate)), 1e-9)),
+        np.ones(len(t)),
+    ]
+    matrix = np.stack([_integral(f, t, stride)[whole] for f in base], axis=1)
+    left = _residual(matrix, change)
+    result = {}
+    for name, (stamps, value) in inputs.items():
+        if len(stamps) < 2 or np.ptp(value) == 0:
+            continue
+        held = value[np.maximum(np.searchsorted(stamps, t, side="right") - 1, 0)]
+        column = _integral(held, t, stride)[whole][:, None]
+        more = _residual(np.concatenate([matrix, column], axis=1), change)
+        result[name] = 1.0 - more / left if left > 0 else 0.0
+    return result
+
+
+def choose_units(
+    position: ColumnSurvey,
+    speed: ColumnSurvey,
+    quantities: tuple[str, str],
+    relation: Relation,
+    time: str,
+    named: bool,
+) -> Units:
+    """Most likely units of a position and its speed, from names, the ratio of the two, and their ranges.
+
+    Args:
+        position, speed: the columns.
+        quantities: of the two, such as ("angle", "angular velocity").
+        relation: of the raw numbers, with the time in the unit `time`.
+        time: unit that the time was taken to be in.
+        named: whether the time's name says so.
+    """
+    scored = []
+    for first, second, clock in product(POSITIONS[quantities[0]], SPEEDS[quantities[1]], TIMES):
+        score = _prior(position, first) + _prior(speed, second)
+        score += 0.0 if clock == time else -20.0 if named else -3.0
+        if relation.agreement > AGREES and math.isfinite(relation.ratio) and relation.ratio != 0:
+            # The relation was taken with the time in `time`; in `clock` every integral is larger by their factor.
+            wanted = factor_between(second, SPEEDS[quantities[1]][0]) / factor_between(
+                first, POSITIONS[quantities[0]][0]
+            )
+            wanted *= factor_between(clock, "s") / factor_between(time, "s")
+            off = math.log(abs(relation.ratio) / wanted) / TOLERANCE
+            score -= min(0.5 * off**2, 12.0)
+        scored.append((score, first, second, clock))
+    scored.sort(key=lambda entry: -entry[0])
+    _, first, second, clock = scored[0]
+    return Units(first, second, clock, scored[0][0] - scored[1][0])
+
+
+def _prior(column: ColumnSurvey, unit: str) -> float:
+    if column.hints.unit is not None:
+        return 0.0 if factor_of(column.hints.unit) == factor_of(unit) else -30.0
+    score = {"rad": 1.0, "rad/s": 1.0, "m": 1.0, "m/s": 1.0, "deg": 0.0, "deg/s": 0.0}.get(unit, -2.0)
+    span = (column.high or 0.0) - (column.low or 0.0)
+    limit = COMMON.get(unit)
+    return score - (2.5 if limit is not None and span > limit else 0.0)
+
+
+def factor_of(unit: str) -> tuple[str, float]:
+    """Quantity and size of a unit, equal for two spellings of one."""
+    from deepkoco.logs.units import parse_unit
+
+    found = parse_unit(unit)
+    return found.quantity, found.factor
+
+
+def _may(column: ColumnSurvey, quantities: tuple[str, ...], unknown: bool) -> bool:
+    if column.hints.unit is not None:
+        return factor_of(column.hints.unit)[0] in quantities
+    says = [column.hints.speaks_for(q) for q in quantities]
+    return max(says) > 0 or (unknown and max(says) == 0)
+
+
+def _integral(value: np.ndarray, t: np.ndarray, stride: int) -> np.ndarray:
+    total = np.append(0.0, np.cumsum(value[:-1] * np.diff(t)))
+    return total[stride:] - total[:-stride]
+
+
+def _residual(matrix: np.ndarray, target: np.ndarray) -> float:
+    scale = np.linalg.norm(matrix, axis=0)
+    scale[scale == 0] = 1.0
+    weights, *_ = np.linalg.lstsq(matrix / scale, target, rcond=1e-10)
+    return float(np.sum((target - matrix / scale @ weights) ** 2))

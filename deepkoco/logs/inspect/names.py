@@ -1,0 +1,179 @@
+"""What the name of a column says: quantity, unit, joint, and whether it is commanded, wanted or measured."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from deepkoco.logs.units import UnitError, known_units, parse_unit
+
+# How strongly a word speaks for a quantity [nats].
+WORDS: dict[str, dict[str, float]] = {
+    "angle": {
+        **dict.fromkeys(("theta", "angle", "jpos", "qpos"), 3.0),
+        **dict.fromkeys(("pos", "position", "q", "phi", "alpha", "encoder", "enc", "th", "positions"), 2.0),
+        **dict.fromkeys(("beta", "psi", "pitch", "roll", "yaw", "joint", "rot", "rotation"), 1.0),
+    },
+    "angular velocity": {
+        **dict.fromkeys(
+            ("omega", "vel", "velocity", "speed", "dq", "qdot", "qvel", "jvel", "velocities"), 3.0
+        ),
+        **dict.fromkeys(("dtheta", "thetadot", "angvel", "qd", "gyro", "dphi", "dalpha", "dpos"), 3.0),
+        **dict.fromkeys(("rate", "w", "spd"), 1.0),
+    },
+    "angular acceleration": dict.fromkeys(("acc", "accel", "acceleration", "ddq", "qdd", "ddtheta"), 3.0),
+    "torque": {
+        **dict.fromkeys(("torque", "tau", "trq"), 3.0),
+        **dict.fromkeys(("effort", "moment", "tq", "efforts"), 2.0),
+        **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "data"), 1.0),
+    },
+    "voltage": {
+        **dict.fromkeys(("voltage", "volt", "volts"), 3.0),
+        **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "pwm", "data"), 1.0),
+        "v": 0.5,
+    },
+    "current": {**dict.fromkeys(("current", "curr", "amps"), 3.0), "i": 1.0},
+    "force": {
+        **dict.fromkeys(("force", "thrust"), 3.0),
+        **dict.fromkeys(("u", "input", "command", "cmd"), 1.0),
+    },
+    "length": dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position"), 2.0),
+    "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed"), 2.0),
+    "time": {
+        **dict.fromkeys(("time", "timestamp", "stamp", "t", "datetime", "date"), 3.0),
+        **dict.fromkeys(("sec", "secs", "seconds", "clock"), 2.0),
+    },
+}
+COMMANDED = (
+    "cmd",
+    "command",
+    "commanded",
+    "con",
+    "ctrl",
+    "control",
+    "action",
+    "input",
+    "u",
+    "demand",
+    "applied",
+    "plant",
+)
+WANTED = (
+    "des",
+    "desired",
+    "ref",
+    "reference",
+    "target",
+    "goal",
+    "setpoint",
+    "sp",
+    "feedforward",
+    "ff",
+    "error",
+    "err",
+)
+MEASURED = ("meas", "measured", "act", "actual", "fb", "feedback", "est", "state", "states", "filt")
+COUNTING = ("episode", "seq", "index", "frame", "row", "step", "run", "trial", "unnamed", "iteration")
+# Words at the end of a name that are units; single letters count only where nothing else is left of the unit.
+SUFFIXES = {
+    "rad": "rad", "deg": "deg", "degrees": "deg", "rad_s": "rad/s", "rad_per_s": "rad/s", "radps": "rad/s",
+    "rads": "rad/s",
+    "deg_s": "deg/s", "deg_per_s": "deg/s", "dps": "deg/s", "degps": "deg/s", "rpm": "rpm", "nm": "N m", "n_m": "N m",
+    "mnm": "mN m", "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms",
+    "us": "us",
+    "usec": "us", "micros": "us", "ns": "ns", "nsec": "ns", "nanos": "ns", "volt": "V", "volts": "V", "mv": "mV",
+    "v": "V", "m": "m", "mm": "mm", "cm": "cm", "m_s": "m/s", "mps": "m/s", "ma": "mA", "turns": "rev", "rev": "rev",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class NameHints:
+    """What a name says.
+
+    Attributes:
+        words: its parts in lower case, without unit and numbers.
+        unit: unit that it names, None if none.
+        number: number of the joint, None if none.
+        joint: what stands in the last brackets, if that is no unit.
+        commanded, wanted, measured, counting: whether a word says so.
+    """
+
+    words: tuple[str, ...]
+    unit: str | None
+    number: int | None
+    joint: str | None
+    commanded: bool
+    wanted: bool
+    measured: bool
+    counting: bool
+
+    def speaks_for(self, quantity: str) -> float:
+        """Evidence of the words for a quantity [nats], below 0 where they speak for another one."""
+        scores = {name: self._score(name) for name in WORDS}
+        others = max((score for name, score in scores.items() if name != quantity), default=0.0)
+        own = scores.get(quantity, 0.0)
+        return own if own >= others else own - others
+
+    def _score(self, quantity: str) -> float:
+        table = WORDS[quantity]
+        score = max((table.get(word, 0.0) for word in self.words), default=0.0)
+        derived = {"dot", "dt", "d", "derivative"} & set(self.words)
+        if derived and quantity in ("angle", "length"):
+            return 0.0
+        if derived and quantity in ("angular velocity", "velocity"):
+            base = "angle" if quantity == "angular velocity" else "length"
+            return max(score, max((WORDS[base].get(word, 0.0) for word in self.words), default=0.0))
+        return score
+
+
+def read_name(name: str) -> NameHints:
+    """Take a name like `theta_deg`, `pos [rad]`, `tau_meas1` or `position[shoulder]` apart."""
+    unit, joint, rest = None, None, name
+    bracket = re.search(r"[\[(]([^\[\])(]*)[\])]\s*$", name)
+    if bracket is not None:
+        rest = name[: bracket.start()]
+        inside = bracket.group(1).strip()
+        # A joint may be called "m" or "s"; a unit stands after a space or in a name without a point.
+        if _known(inside) and not inside.isdecimal():
+            unit = inside
+        else:
+            joint = inside
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", rest)
+    parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", spaced) if part]
+    if unit is None and joint is None:
+        parts, unit = _unit_suffix(parts)
+    words: list[str] = []
+    number = int(joint) if joint is not None and joint.isdecimal() else None
+    for part in parts:
+        match = re.fullmatch(r"([A-Za-z]*)(\d+)", part)
+        if match is not None:
+            number = int(match.group(2)) if number is None else number
+            part = match.group(1)
+        if part:
+            words.append(part.lower())
+    found = set(words)
+    return NameHints(
+        tuple(words),
+        unit,
+        number,
+        joint,
+        *(bool(found & set(group)) for group in (COMMANDED, WANTED, MEASURED, COUNTING)),
+    )
+
+
+def _unit_suffix(parts: list[str]) -> tuple[list[str], str | None]:
+    for length in (3, 2, 1):
+        if len(parts) > length:
+            text = "_".join(parts[-length:])
+            unit = SUFFIXES.get(text.lower()) or (text if text in known_units() else None)
+            if unit is not None:
+                return parts[:-length], unit
+    return parts, None
+
+
+def _known(text: str) -> bool:
+    try:
+        parse_unit(text)
+    except UnitError:
+        return False
+    return bool(text)

@@ -1,0 +1,339 @@
+"""Which column is which channel of a system: a proposal with reasons and how sure it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from deepkoco.logs.checks.derivative import Relation, slip
+from deepkoco.logs.inspect.evidence import (
+    AGREES,
+    POSITIONS,
+    Samples,
+    Units,
+    choose_units,
+    derivatives,
+    drives,
+    factor_of,
+)
+from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
+from deepkoco.logs.sidecar import ChannelColumn, Column
+from deepkoco.logs.units import factor_between, parse_unit
+from deepkoco.systems import Channel, System
+
+NOTHING = 2.0  # evidence that a channel needs to be mapped at all [nats]
+BEST = 8  # columns by name that are tried for a channel
+SURE, LIKELY = 0.9, 0.6
+_RATES = {"angle": "angular velocity", "length": "velocity"}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The column proposed for one channel.
+
+    Attributes:
+        channel: of the system.
+        column: proposed column, None if none fits.
+        unit: unit that its numbers are in.
+        stated: whether the name says the unit.
+        probability: weight among all columns and none.
+        reasons: why, in words.
+        rival: the next best column, None if there is none.
+    """
+
+    channel: Channel
+    column: ColumnSurvey | None
+    unit: str
+    stated: bool
+    probability: float
+    reasons: tuple[str, ...]
+    rival: str | None = None
+
+    @property
+    def sureness(self) -> str:
+        """ "sure", "likely", "a guess" or "none"."""
+        if self.column is None:
+            return "none"
+        return "sure" if self.probability >= SURE else "likely" if self.probability >= LIKELY else "a guess"
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A mapping of a whole log.
+
+    Attributes:
+        system: name of the system.
+        choices: one per channel, in the system's order, commands last.
+        time: unit of the times.
+        score: evidence of all channels [nats].
+        relations: of the pairs (position, speed) that were compared, by label.
+    """
+
+    system: str
+    choices: tuple[Choice, ...]
+    time: str
+    score: float
+    relations: dict[tuple[str, str], Relation]
+
+    @property
+    def complete(self) -> bool:
+        """Whether there is a command and a measurement for all that is needed."""
+        kinds = {c.channel.kind for c in self.choices if c.column is not None}
+        return kinds == {"command", "measurement"}
+
+
+class Proposer:
+    """Proposes mappings of one log; the numbers are compared once for all systems."""
+
+    def __init__(self, survey: Survey, samples: dict[str, Samples]) -> None:
+        self.survey, self.samples = survey, samples
+        self.columns = [c for c in survey.columns if c.usable and len(samples[c.label][0]) > 1]
+        self.relations = derivatives(self.columns, samples)
+        self._driven: dict[tuple[str, str | None, str], dict[str, float]] = {}
+
+    def propose(self, system: System) -> Proposal:
+        """Propose a mapping for a system."""
+        taken: set[str] = set()
+        choices: list[Choice] = []
+        score, time = 0.0, "s"
+        for number, (position, rate, commands) in enumerate(_joints(system)):
+            pair, units, gained = self._pair(position, rate, number, system, taken)
+            score += gained
+            time = units.time if units is not None else time
+            choices += pair
+            taken |= {c.column.label for c in pair if c.column is not None}
+            for command in commands:
+                choice, gained = self._command(command, pair, number, system, taken)
+                choices.append(choice)
+                score += gained
+                if choice.column is not None:
+                    taken.add(choice.column.label)
+        order = {c.name: k for k, c in enumerate((*system.measurements, *system.commands))}
+        choices.sort(key=lambda choice: order[choice.channel.name])
+        return Proposal(system.name, tuple(choices), time, score, self.relations)
+
+    def _pair(
+        self, position: Channel | None, rate: Channel | None, joint: int, system: System, taken: set[str]
+    ) -> tuple[list[Choice], Units | None, float]:
+        channels = [c for c in (position, rate) if c is not None]
+        firsts, seconds = (self._ranked(c, joint, system, taken) for c in (position, rate))
+        scored = []
+        for (a, said_a, why_a), (b, said_b, why_b) in product(firsts, seconds):
+            if a is not None and b is not None and a.label == b.label:
+                continue
+            more, why = self._together(a, b)
+            scored.append((said_a + said_b + more, a, b, [*why_a, *why], [*why_b, *why]))
+        scored.sort(key=lambda entry: -entry[0])
+        best = scored[0]
+        units = self._units(best[1], best[2], position, rate)
+        choices = []
+        for channel, place in zip(channels, (1, 2) if position is not None else (2,), strict=True):
+            probability, rival = _weight(scored, place)
+            column = best[place]
+            unit = channel.unit if units is None else (units.position if place == 1 else units.speed)
+            if column is not None and (units is None or best[3 - place] is None):
+                unit = column.hints.unit or _lone_unit(column, channel)
+            stated = column is not None and column.hints.unit is not None
+            if column is not None and stated and factor_of(column.hints.unit or "") == factor_of(unit):
+                unit = column.hints.unit or unit
+            choices.append(Choice(channel, column, unit, stated, probability, tuple(best[place + 2]), rival))
+        both = units is not None and best[1] is not None and best[2] is not None
+        return choices, units if both else None, best[0]
+
+    def _command(
+        self, channel: Channel, pair: Sequence[Choice], joint: int, system: System, taken: set[str]
+    ) -> tuple[Choice, float]:
+        shares = self._shares(pair)
+        top = max(shares.values(), default=0.0)
+        scored = []
+        for column, said, why in self._ranked(channel, joint, system, taken):
+            share = 0.0 if column is None else shares.get(column.label, 0.0)
+            more = 5.0 * share if top > 0.05 else 0.0
+            if column is not None and top > 0.05 and share > 0.02:
+                best = " (most of all)" if share == top else ""
+                why = [
+                    *why,
+                    f"explains {100 * share:.0f} % of what gravity and friction leave of the motion{best}",
+                ]
+            scored.append((said + more, column, None, why, []))
+        scored.sort(key=lambda entry: -entry[0])
+        probability, rival = _weight(scored, 1)
+        column = scored[0][1]
+        unit = channel.unit if column is None else column.hints.unit or channel.unit
+        stated = column is not None and column.hints.unit is not None
+        return Choice(channel, column, unit, stated, probability, tuple(scored[0][3]), rival), scored[0][0]
+
+    def _shares(self, pair: Sequence[Choice]) -> dict[str, float]:
+        """What each column explains of the acceleration of a joint."""
+        angle = next((c for c in pair if c.column is not None and c.channel.unit in ("rad", "m")), None)
+        speed = next((c for c in pair if c.column is not None and c.channel.unit in ("rad/s", "m/s")), None)
+        if angle is None or angle.column is None:
+            return {}
+        used = {c.column.label for c in pair if c.column is not None}
+        key = (angle.column.label, speed.column.label if speed and speed.column else None, angle.unit)
+        if key not in self._driven:
+            t, value = self.samples[key[0]]
+            turn = np.unwrap(value * factor_between(angle.unit, angle.channel.unit))
+            inputs = {c.label: self.samples[c.label] for c in self.columns if c.label not in used}
+            self._driven[key] = drives((t, turn), self.samples[key[1]] if key[1] else None, inputs)
+        return self._driven[key]
+
+    def _ranked(
+        self, channel: Channel | None, joint: int, system: System, taken: set[str]
+    ) -> list[tuple[ColumnSurvey | None, float, list[str]]]:
+        """Columns by what name and kind say about them, with "none"."""
+        if channel is None:
+            return [(None, 0.0, [])]
+        rows = []
+        for column in self.columns:
+            if column.label not in taken:
+                said, why = self._said(column, channel, joint, system)
+                rows.append((column, said, why))
+        rows.sort(key=lambda row: -row[1])
+        most = BEST if channel.kind == "measurement" else len(rows)
+        return [*rows[:most], (None, NOTHING, [])]
+
+    def _said(
+        self, column: ColumnSurvey, channel: Channel, joint: int, system: System
+    ) -> tuple[float, list[str]]:
+        hints, why = column.hints, []
+        quantity = parse_unit(channel.unit).quantity
+        if channel.default is not None:
+            # A log need not show it: only its own name, and values that it can have, speak for a column.
+            inside = channel.low <= (column.low or 0.0) and (column.high or 0.0) <= channel.high
+            named = bool({channel.name, f"{channel.name}d"} & set(hints.words))
+            return (6.0, [f'its name says "{channel.name}"']) if inside and named else (-6.0, [])
+        score = hints.speaks_for(quantity)
+        if score > 0:
+            why.append(f"its name says {quantity}")
+        if hints.unit is not None:
+            fits = parse_unit(hints.unit).quantity == quantity
+            score += 3.0 if fits else -6.0
+            if fits:
+                why.append(f"its name says {hints.unit}")
+        if column.name == channel.name:
+            score += 4.0
+            why.append("it is called as the channel")
+        if channel.kind == "command":
+            named = hints.commanded or (hints.wanted and not hints.measured)
+            score += 1.0 * named - 0.5 * hints.measured
+            # A command that is an angle is a goal, of which the measured angle is not one.
+            score += (2.0 * named - 2.0 * (not named)) * (quantity in POSITIONS)
+            if named:
+                why.append("its name says that it is a command")
+            score -= 2.0 * ("feedforward" in hints.words or "ff" in hints.words)
+        else:
+            score += -5.0 * (hints.commanded or hints.wanted) + 1.0 * hints.measured
+        if column.kind == "constant":
+            score -= 4.0
+        return score + self._numbered(column, joint, system), why
+
+    def _numbered(self, column: ColumnSurvey, joint: int, system: System) -> float:
+        """Evidence of the number in a name: the k-th number there is belongs to joint k."""
+        numbers = sorted({c.hints.number for c in self.columns if c.hints.number is not None})
+        named = list(
+            dict.fromkeys(c.hints.joint for c in self.columns if c.hints.joint and c.hints.number is None)
+        )
+        if column.hints.number is not None and len(numbers) > 0:
+            right = numbers.index(column.hints.number) == joint
+            return (2.0 if right else -4.0) if system.joints > 1 else (0.2 if right else -1.0)
+        if column.hints.joint in named:
+            return 0.5 if named.index(column.hints.joint) == joint else -0.5
+        return 0.0
+
+    def _together(self, a: ColumnSurvey | None, b: ColumnSurvey | None) -> tuple[float, list[str]]:
+        """Evidence that b is the derivative of a."""
+        if a is None or b is None:
+            return 0.0, []
+        relation = self.relations.get((a.label, b.label))
+        if relation is None:
+            return (-0.5, []) if a.topic == b.topic else (-1.0, [])
+        if relation.agreement < AGREES:
+            return -4.0 * (AGREES - max(relation.agreement, 0.0)), []
+        said = f'"{b.name}" is the derivative of "{a.name}" (ratio {relation.ratio:.3g}, fits {relation.agreement:.2f})'
+        known = relation.agreement > 0.9 and (0.8 < relation.ratio < 1.25 or slip(relation.ratio) is not None)
+        return 6.0 * (relation.agreement - 0.5) + 3.0 * known, [said]
+
+    def _units(
+        self, a: ColumnSurvey | None, b: ColumnSurvey | None, position: Channel | None, rate: Channel | None
+    ) -> Units | None:
+        if a is None or b is None or position is None or rate is None:
+            return None
+        quantity = parse_unit(position.unit).quantity
+        clock = self.survey.clock(a)
+        if quantity not in POSITIONS or clock is None:
+            return None
+        relation = self.relations.get((a.label, b.label), Relation(math.nan, 0.0, 0.0, 0.0))
+        time = clock.unit if clock.unit in ("s", "ms", "us", "ns") else "s"
+        return choose_units(a, b, (quantity, _RATES[quantity]), relation, time, clock.named)
+
+
+def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
+    """The proposal as channels of a sidecar, commands last; channels without a column are left out."""
+    channels = {}
+    for choice in proposal.choices:
+        column = choice.column
+        if column is None:
+            continue
+        clock = survey.clock(column)
+        time = None
+        if clock is not None:
+            unit = proposal.time if not clock.named and clock.unit != "iso8601" else clock.unit
+            usual = survey.log.table(column.topic).times[:1] == (clock.column,)
+            time = None if column.topic and usual else Column(clock.column, unit)
+        channels[choice.channel.name] = ChannelColumn(
+            Column(column.name, choice.unit), choice.channel.kind, time, column.topic
+        )
+    return channels
+
+
+def restrict(proposal: Proposal, names: Sequence[str]) -> Proposal:
+    """The proposal with only some of its channels."""
+    return replace(proposal, choices=tuple(c for c in proposal.choices if c.channel.name in names))
+
+
+def _joints(system: System) -> list[tuple[Channel | None, Channel | None, list[Channel]]]:
+    """Position, speed and commands of each joint; what belongs to no joint comes alone."""
+    quantity = {c.name: parse_unit(c.unit).quantity for c in system.measurements}
+    positions = [c for c in system.measurements if quantity[c.name] in _RATES]
+    rates = [c for c in system.measurements if c not in positions]
+    groups: list[tuple[Channel | None, Channel | None, list[Channel]]] = []
+    commands = list(system.commands)
+    for k, position in enumerate(positions):
+        wanted = _RATES[quantity[position.name]]
+        rate = next((c for c in rates if quantity[c.name] == wanted), None)
+        if rate is not None:
+            rates.remove(rate)
+        mine = [commands[k]] if k < len(commands) else []
+        groups.append((position, rate, mine))
+    groups += [(None, rate, []) for rate in rates]
+    left = commands[len(positions) :]
+    if left and groups:
+        groups[-1][2].extend(left)
+    return groups
+
+
+def _weight(scored: list, place: int) -> tuple[float, str | None]:
+    """Weight of the best column among all, each with its best partner, and the next best one."""
+    best: dict[str | None, float] = {}
+    for entry in scored:
+        label = None if entry[place] is None else entry[place].label
+        best[label] = max(best.get(label, -math.inf), entry[0])
+    winner = None if scored[0][place] is None else scored[0][place].label
+    top = best[winner]
+    total = sum(math.exp(score - top) for score in best.values())
+    others = sorted(
+        ((s, label) for label, s in best.items() if label not in (winner, None)), key=lambda e: -e[0]
+    )
+    rival = others[0][1] if others and top - others[0][0] < 4.0 else None
+    return 1.0 / total, rival
+
+
+def _lone_unit(column: ColumnSurvey, channel: Channel) -> str:
+    """Unit of a position or speed that has no partner: degrees where the range is beyond radians."""
+    span = (column.high or 0.0) - (column.low or 0.0)
+    return {"rad": "deg", "rad/s": "deg/s"}.get(channel.unit, channel.unit) if span > 150.0 else channel.unit

@@ -1,0 +1,165 @@
+"""What a log file holds, column by column, before anything says what the columns mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepkoco.fit.data.noise import quantum_of
+from deepkoco.logs.formats import LogFile
+from deepkoco.logs.formats.log_file import LogError
+from deepkoco.logs.inspect.clock import Clock, find_clocks, stamps
+from deepkoco.logs.inspect.names import NameHints, read_name
+from deepkoco.logs.series import far_values
+
+
+@dataclass(frozen=True)
+class ColumnSurvey:
+    """One column.
+
+    Attributes:
+        topic, name: where it is.
+        kind: "number", "constant", "clock", "counter", "text" or "empty".
+        rows: rows that its message or line has it in.
+        missing: of these, rows without a finite value.
+        bursts: stretches of missing values.
+        longest_burst: rows of the longest one.
+        low, high: range, None without a number.
+        quantum: step of the grid that all values lie on, 0 if there is none.
+        held: share of the values that repeat the one before.
+        far: values far away from all others.
+        clock: column of the stamps of its values, None if the table has no clock.
+        hints: what the name says.
+    """
+
+    topic: str
+    name: str
+    kind: str
+    rows: int
+    missing: int
+    bursts: int
+    longest_burst: int
+    low: float | None
+    high: float | None
+    quantum: float
+    held: float
+    far: int
+    clock: str | None
+    hints: NameHints
+
+    @property
+    def usable(self) -> bool:
+        """Whether it may be a channel."""
+        return self.kind in ("number", "constant")
+
+    @property
+    def label(self) -> str:
+        """Its name with the topic."""
+        return f"{self.topic} {self.name}".strip()
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A whole file: clocks and columns by topic, in the file's order; `parts` of a table that a reset cuts."""
+
+    log: LogFile
+    clocks: dict[str, list[Clock]]
+    columns: tuple[ColumnSurvey, ...]
+    where: dict[str, float]
+
+    def samples(self, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps [s] and values of the first stretch of a column in which time goes forward, both finite."""
+        clock = self.clock(column)
+        if clock is None:
+            return np.zeros(0), np.zeros(0)
+        t, value = stamps(self.log, clock), self.log.values(column.topic, column.name)
+        stop = clock.resets[0] if clock.resets else len(t)
+        good = np.flatnonzero(np.isfinite(t[:stop]) & np.isfinite(value[:stop]))
+        t, value = t[good], value[good]
+        keep = np.append(True, np.diff(t) > 0)[: len(t)]
+        t, value = t[keep], value[keep]
+        far = far_values(value)
+        return t[~far], value[~far]
+
+    def clock(self, column: ColumnSurvey) -> Clock | None:
+        """The clock of a column."""
+        return next((c for c in self.clocks.get(column.topic, []) if c.column == column.clock), None)
+
+
+def survey_log(log: LogFile) -> Survey:
+    """Look at every column of a log file."""
+    clocks = {topic: find_clocks(log, topic) for topic in log.tables}
+    columns = []
+    for topic, table in log.tables.items():
+        for name in table.frame.columns:
+            columns.append(_column(log, topic, str(name), clocks[topic]))
+    where = {}
+    for topic, found in clocks.items():
+        if found and found[0].counter is not None:
+            where[found[0].counter] = float(log.values(topic, found[0].counter)[0])
+    return Survey(log, clocks, tuple(columns), where)
+
+
+def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnSurvey:
+    hints = read_name(name)
+    table = log.table(topic)
+    absent = table.absent.get(name)
+    here = np.ones(len(table.frame), dtype=bool) if absent is None else ~absent
+    kind = "clock" if any(clock.column == name for clock in clocks) else "number"
+    try:
+        values = log.values(topic, name)[here]
+    except LogError:
+        kind = "clock" if kind == "clock" else "text"
+        return ColumnSurvey(topic, name, kind, int(here.sum()), 0, 0, 0, None, None, 0.0, 0.0, 0, None, hints)
+    finite = np.isfinite(values)
+    good = values[finite]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~finite, [False]]).astype(np.int8)))
+    bursts = edges[1::2] - edges[::2]
+    if kind == "number" and not len(good):
+        kind = "empty"
+    elif kind == "number" and np.ptp(good) == 0:
+        kind = "constant"
+    elif kind == "number" and _counts(good, hints, name):
+        kind = "counter"
+    return ColumnSurvey(
+        topic=topic,
+        name=name,
+        kind=kind,
+        rows=int(here.sum()),
+        missing=int((~finite).sum()),
+        bursts=len(bursts),
+        longest_burst=int(bursts.max()) if len(bursts) else 0,
+        low=float(good.min()) if len(good) else None,
+        high=float(good.max()) if len(good) else None,
+        quantum=quantum_of(good) if len(good) > 2 else 0.0,
+        held=float(np.mean(np.diff(good) == 0)) if len(good) > 1 else 0.0,
+        far=int(far_values(values).sum()),
+        clock=_clock_of(name, clocks),
+        hints=hints,
+    )
+
+
+def _counts(values: np.ndarray, hints: NameHints, name: str) -> bool:
+    step = np.diff(values)
+    whole = bool(np.all(values == np.round(values)))
+    by_ones = (
+        whole
+        and len(step) > 0
+        and bool(np.all((step == 1) | (step == 0)))
+        and float(values[-1] - values[0]) >= 1
+    )
+    return (whole and hints.counting) or (by_ones and np.ptp(values) > 20) or name.startswith("Unnamed")
+
+
+def _clock_of(name: str, clocks: list[Clock]) -> str | None:
+    """The clock that is named after the column (`t_torque`), else the table's first."""
+    for clock in clocks[1:]:
+        if clock.column.lower() in (
+            f"t_{name}".lower(),
+            f"{name}_t".lower(),
+            f"{name}_time".lower(),
+            f"time_{name}".lower(),
+        ):
+            return clock.column
+    return clocks[0].column if clocks else None

@@ -1,0 +1,273 @@
+"""Measured logs: time-stamped channels of one unit, read from and written to files."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from deepkoco.logs.checks.channel_checks import (
+    Span,
+    check_content,
+    check_units,
+    derivative_pairs,
+    unknown_stretches,
+)
+from deepkoco.logs.checks.frozen import check_share, frozen_stretches, summarised, without_frozen
+from deepkoco.logs.formats import LogFile, open_log
+from deepkoco.logs.formats.log_file import HEADER, LogError
+from deepkoco.logs.series import ChannelReader, Series
+from deepkoco.logs.sidecar import (
+    KINDS,
+    ChannelColumn,
+    Column,
+    Sidecar,
+    dump_sidecar,
+    load_sidecar,
+    sidecar_path,
+)
+from deepkoco.logs.units import UnitError, factor_between, parse_unit
+
+__all__ = ["LogError", "Recording", "Series", "read_log", "write_log"]
+
+FILLS = ("drop", "hold")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A measured log in SI units.
+
+    Attributes:
+        channels: channel name -> series.
+        path: file it was read from, None if it never was in a file.
+        system: name of the system that was measured, None if the log does not say.
+        meta: anything else the sidecar says.
+        unknown: stretches (start, stop) [s] in which a command is not known, or a measurement was filled in or frozen.
+        warnings: what reading had to assume or doubts.
+    """
+
+    channels: dict[str, Series]
+    path: Path | None = None
+    system: str | None = None
+    meta: dict[str, Any] = field(default_factory=dict)
+    unknown: tuple[Span, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def names(self, kind: str) -> tuple[str, ...]:
+        """Return the names of the channels of one kind, "command" or "measurement"."""
+        return tuple(name for name, series in self.channels.items() if series.kind == kind)
+
+    @property
+    def start(self) -> float:
+        """First time stamp at which every measurement is there [s]."""
+        return max(float(self.channels[name].t[0]) for name in self.names("measurement"))
+
+    @property
+    def stop(self) -> float:
+        """Last time stamp at which every measurement is there [s]."""
+        return min(float(self.channels[name].t[-1]) for name in self.names("measurement"))
+
+    def between(self, start: float, stop: float) -> "Recording":
+        """Cut out [start, stop] [s]; of a command the sample that still holds at `start` is kept."""
+        channels = {}
+        for name, series in self.channels.items():
+            first = int(np.searchsorted(series.t, start, side="left"))
+            last = int(np.searchsorted(series.t, stop, side="right"))
+            if series.kind == "command" and (first == len(series) or series.t[first] > start):
+                first = max(first - 1, 0)
+            channels[name] = replace(series, t=series.t[first:last], value=series.value[first:last])
+        return replace(self, channels=channels)
+
+
+def read_log(
+    path: str | Path,
+    mapping: Mapping[str, Any] | str | Path | None = None,
+    system: str | None = None,
+    *,
+    channels: Iterable[tuple[str, str, str]] | None = None,
+    systems: Sequence[str] = (),
+    fill: str | None = None,
+    min_samples: int = 20,
+    min_seconds: float = 1.0,
+    allow_constant_command: bool = False,
+    allow_implausible: bool = False,
+) -> Recording:
+    """Read a measured log with its sidecar and check it.
+
+    Values are converted to SI units, stamps to seconds. A row in which both a channel and its time stamp
+    are empty carries no sample of it. A command with a time column of its own may repeat a sample
+    (same stamp, same value) on later rows: the repetitions are dropped. Stamps of files with topics count
+    from the file's first message.
+
+    Args:
+        path: the log: `.csv` (comma, semicolon, tab or bar; one header row), `.parquet`, `.mcap`, `.bag` of ROS 1,
+            `.db3` or folder of a ROS 2 bag.
+        mapping: content or path of the sidecar; None takes `path` with the suffix `.yaml`.
+        system: name that the log must belong to; None takes what the sidecar says.
+        channels: (name, unit, kind) of every channel that the system has; None accepts any channel.
+        systems: names of the systems that exist; a name outside is an error. Empty: not checked.
+        fill: what to do with a missing value: None raises, "drop" leaves the sample out, "hold" repeats
+            the one before.
+        min_samples: fewest samples of a measurement.
+        min_seconds: shortest duration of a log [s].
+        allow_constant_command: accept a log in which a command never changes (a free swing).
+        allow_implausible: accept channels that contradict each other and values far from all others.
+
+    Raises:
+        LogError: the log cannot be used; the message says which file and column and what to do.
+    """
+    path = Path(path)
+    if fill is not None and fill not in FILLS:
+        raise LogError(f'fill "{fill}" is none of {", ".join(FILLS)}')
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise LogError(f"{path}: is a folder; give the log file in it")
+    if not path.exists():
+        raise LogError(f"{path}: no such file")
+    sidecar = load_sidecar(path, mapping)
+    name = _check_system(sidecar, system, systems)
+    specs = None if channels is None else {channel: (unit, kind) for channel, unit, kind in channels}
+    targets = _target_units(sidecar, specs)
+    readers = _readers(path, sidecar, fill)
+    if allow_implausible:
+        sidecar = replace(
+            sidecar, channels={n: replace(c, checked=True) for n, c in sidecar.channels.items()}
+        )
+    series = {
+        channel: readers[column.file].read(column, targets[channel], column.time != sidecar.time)
+        for channel, column in sidecar.channels.items()
+    }
+    check_content(path, series, min_samples, min_seconds, allow_constant_command)
+    notes = [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
+    frozen = frozen_stretches(series, derivative_pairs(series))
+    frozen = [f for f in frozen if not sidecar.channels[f.channel].checked]
+    measured = series
+    series = {n: without_frozen(s, [f for f in frozen if f.channel == n]) for n, s in series.items()}
+    check_share(path, measured, series)
+    notes += summarised(frozen)
+    doubts = check_units(path, series, sidecar.channels)
+    unknown = tuple(sorted({*unknown_stretches(series), *((f.start, f.stop) for f in frozen)}))
+    if unknown:
+        seconds = sum(end - begin for begin, end in unknown if end < np.inf)
+        notes.append(
+            f"{len(unknown)} stretches ({seconds:.3g} s) in which a command or a measurement is not known; "
+            "fits leave out the windows there"
+        )
+    return Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))
+
+
+def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None, ChannelReader]:
+    """One reader for each file that the channels are in; times count from the origin of the first."""
+    files: dict[str | None, dict[str, set[str]]] = {}
+    for column in sidecar.channels.values():
+        time = {HEADER} if column.time is None else {HEADER, column.time.name}
+        wanted = files.setdefault(column.file, {}).setdefault(column.topic, set())
+        wanted |= {column.value.name, *time, *sidecar.where}
+    logs = {
+        file: open_log(path if file is None else path.parent / file, topics) for file, topics in files.items()
+    }
+    origin = next(iter(logs.values())).origin_ns
+    _check_where(path, sidecar, logs.values())
+    return {file: ChannelReader(log, sidecar.where, origin, fill) for file, log in logs.items()}
+
+
+def _check_where(path: Path, sidecar: Sidecar, logs: Iterable[LogFile]) -> None:
+    there = {str(name) for log in logs for table in log.tables.values() for name in table.frame.columns}
+    for name in sidecar.where:
+        if name not in there:
+            raise LogError(f'{sidecar.source}: where: no column "{name}" in {path}; correct the mapping')
+
+
+def write_log(path: str | Path, recording: Recording) -> Path:
+    """Write a recording as CSV with its sidecar; reading it back gives the same numbers, bit for bit.
+
+    Channels with the same time stamps share a time column, others get one of their own. Both files
+    appear whole or not at all, and nothing is overwritten.
+
+    Raises:
+        LogError: one of the files exists, or the recording has no channel.
+    """
+    path = Path(path)
+    if path.suffix != ".csv":
+        raise LogError(f"{path}: logs are written as CSV; give a name that ends in .csv")
+    if not recording.channels:
+        raise LogError(f"{path}: the recording has no channel")
+    for target in (path, sidecar_path(path)):
+        if target.exists():
+            raise LogError(f"{target}: exists; choose another name or move it away")
+    columns: dict[str, np.ndarray] = {}
+    times: dict[str, np.ndarray] = {}
+    described: dict[str, ChannelColumn] = {}
+    ordered = sorted(recording.channels.items(), key=lambda item: -len(item[1]))
+    for name, series in ordered:
+        time = next((column for column, t in times.items() if np.array_equal(t, series.t)), None)
+        if time is None:
+            time = _free("t" if not times else f"t_{name}", (*recording.channels, *times))
+            columns[time] = times[time] = series.t
+        columns[name] = series.value
+        described[name] = ChannelColumn(Column(name, series.unit), series.kind, Column(time, "s"))
+    frame = pd.DataFrame({name: pd.Series(values) for name, values in columns.items()})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sidecar = dump_sidecar(recording.system, described, recording.meta)
+    _write_whole({sidecar_path(path): sidecar, path: frame.to_csv(index=False, lineterminator="\n")})
+    return path
+
+
+def _free(name: str, taken: Iterable[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _write_whole(texts: Mapping[Path, str]) -> None:
+    """Write files that do not exist yet, all or none."""
+    partial = {target: target.with_name(f".{target.name}.{os.getpid()}.tmp") for target in texts}
+    placed: list[Path] = []
+    try:
+        for target, text in texts.items():
+            partial[target].write_text(text, encoding="utf-8")
+        for target in texts:
+            os.replace(partial[target], target)
+            placed.append(target)
+    except BaseException:
+        for left in (*partial.values(), *placed):
+            left.unlink(missing_ok=True)
+        raise
+
+
+def _check_system(sidecar: Sidecar, system: str | None, systems: Sequence[str]) -> str | None:
+    for name in (system, sidecar.system):
+        if name is not None and systems and name not in systems:
+            raise LogError(f'{sidecar.source}: unknown system "{name}"; known: {", ".join(systems)}')
+    if system and sidecar.system and system != sidecar.system:
+        raise LogError(
+            f'{sidecar.source}: the log is of system "{sidecar.system}", asked for "{system}"; '
+            "give the right log or correct the sidecar"
+        )
+    return system or sidecar.system
+
+
+def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None) -> dict[str, str]:
+    """Check the channels against the system's and return the unit that each is converted to."""
+    if specs is None:
+        return {name: parse_unit(column.value.unit).si for name, column in sidecar.channels.items()}
+    targets = {}
+    for name, column in sidecar.channels.items():
+        where = f'{sidecar.source}: channel "{name}" (column "{column.value.name}")'
+        if name not in specs:
+            raise LogError(f"{where}: the system has no such channel; it has {', '.join(specs)}")
+        unit, kind = specs[name]
+        if column.kind != kind:
+            raise LogError(f"{where}: kind is {column.kind}, the system has it as {kind}")
+        try:
+            factor_between(column.value.unit, unit)
+        except UnitError as error:
+            raise LogError(f"{where}: {error}") from error
+        targets[name] = unit
+    for kind in KINDS:
+        if not any(column.kind == kind for column in sidecar.channels.values()):
+            wanted = ", ".join(name for name, spec in specs.items() if spec[1] == kind)
+            raise LogError(f"{sidecar.source}: no {kind} channel is mapped; map at least one of: {wanted}")
+    return targets

@@ -1,0 +1,257 @@
+"""One channel of a log: samples with their own time stamps, and how they are read from a file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepkoco.logs.formats.log_file import LogError, LogFile, iso_seconds
+from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
+from deepkoco.logs.units import UnitError, factor_between, parse_unit
+
+FAR = 5.0  # a value this many ranges of the others away from them is no measurement
+LATEST = 1e11  # [s]: a stamp later than the year 5000 is in another unit
+
+
+@dataclass(frozen=True)
+class Series:
+    """One channel: samples with their own time stamps.
+
+    Attributes:
+        t: (n,) float64 time stamps [s], strictly increasing; a command holds from its stamp to the next.
+        value: (n,) float64 samples in `unit`.
+        unit: SI unit, for example "rad/s".
+        kind: "command" or "measurement".
+        unknown: (k, 2) float64 stretches [s] in which a value was missing and another stands in its place.
+    """
+
+    t: np.ndarray
+    value: np.ndarray
+    unit: str
+    kind: str
+    unknown: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", np.ascontiguousarray(self.t, dtype=np.float64))
+        object.__setattr__(self, "value", np.ascontiguousarray(self.value, dtype=np.float64))
+        if self.t.ndim != 1 or self.t.shape != self.value.shape:
+            raise ValueError(f"t {self.t.shape} and value {self.value.shape} are not vectors of one length")
+        if self.kind not in KINDS:
+            raise ValueError(f'kind "{self.kind}" is none of {", ".join(KINDS)}')
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def hold(self, t: np.ndarray) -> np.ndarray:
+        """Sample the series at times `t` [s] by zero-order hold; before the first sample the first holds."""
+        index = np.searchsorted(self.t, t, side="right") - 1
+        return self.value[np.maximum(index, 0)]
+
+
+class ChannelReader:
+    """Reads the channels of one file.
+
+    Args:
+        log: the file.
+        where: value that a column must have in the rows that count; other rows are left out.
+        origin_ns: what times are counted from [ns since 1970].
+        fill: what to do with a missing value: None raises, "drop" leaves the sample out, "hold" repeats the one before.
+    """
+
+    def __init__(self, log: LogFile, where: Mapping[str, float], origin_ns: int, fill: str | None) -> None:
+        self.log, self.where, self.fill = log, where, fill
+        self.shift = (log.origin_ns - origin_ns) / 1e9
+        self.notes: list[str] = []
+
+    def read(self, channel: ChannelColumn, target: str, own_time: bool) -> Series:
+        """Read one channel in the unit `target`; with `own_time` a command may repeat a sample.
+
+        Raises:
+            LogError: a column is missing, holds text, or its samples have no increasing finite stamps and values.
+        """
+        stamp = self._time_column(channel)
+        if not channel.topic:
+            for part in (channel.value, stamp):
+                _check_header(self.log, part)
+        row = self._rows(channel)
+        time = self._times(channel.topic, stamp)[row]
+        scale = channel.scale * factor_between(channel.value.unit, target)
+        with np.errstate(over="ignore"):
+            value = self.log.values(channel.topic, channel.value.name)[row] * scale
+        some = ~(np.isnan(time) & np.isnan(value))
+        time, value, row = time[some], value[some], row[some]
+        self._refuse(stamp, row, ~np.isfinite(time), "without a time stamp", "drop those rows")
+        self._refuse(
+            stamp, row, np.abs(time) > LATEST, "later than the year 5000", "check the unit of the time"
+        )
+        if not channel.checked:
+            value = self._without_far(channel, row, value, target)
+        series_row, time, value, unknown = self._filled(channel, row, time, value)
+        keep = self._increasing(channel, stamp, series_row, time, value, own_time)
+        return Series(time[keep], value[keep], target, channel.kind, unknown)
+
+    def _time_column(self, channel: ChannelColumn) -> Column:
+        if channel.time is not None:
+            return channel.time
+        table = self.log.table(channel.topic)
+        if not table.times:
+            raise LogError(
+                f'{self.log.path}: topic "{channel.topic}" has no time of its own; say which field holds it, "time: '
+                '{column: FIELD, unit: s}"'
+            )
+        return Column(table.times[0], "s")
+
+    def _rows(self, channel: ChannelColumn) -> np.ndarray:
+        table = self.log.table(channel.topic)
+        keep = np.ones(len(table.frame), dtype=bool)
+        absent = table.absent.get(channel.value.name)
+        if absent is not None:
+            keep &= ~absent
+        for name, wanted in self.where.items():
+            if name in table.frame.columns:
+                keep &= self.log.values(channel.topic, name) == wanted
+                if not keep.any():
+                    raise LogError(
+                        f'{self.log.path}: no {self.log.row_name} has {wanted:g} in the column "{name}"'
+                    )
+        return np.flatnonzero(keep)
+
+    def _times(self, topic: str, stamp: Column) -> np.ndarray:
+        if stamp.unit == ISO:
+            seconds = iso_seconds(self.log, topic, stamp.name)
+        else:
+            seconds = self.log.values(topic, stamp.name) * factor_between(stamp.unit, "s")
+        return seconds + (stamp.offset + self.shift) if stamp.offset + self.shift else seconds
+
+    def _without_far(
+        self, channel: ChannelColumn, row: np.ndarray, value: np.ndarray, unit: str
+    ) -> np.ndarray:
+        far = far_values(value)
+        if not far.any():
+            return value
+        worst = value[far][np.argmax(np.abs(value[far]))]
+        what = f"far from all others ({worst:.6g} {unit})"
+        if self.fill is None:
+            advice = 'drop them (fill "drop"), or write "checked: true" at the channel if they are right'
+            self._refuse(channel.value, row, far, what, advice)
+        self.notes.append(f'column "{channel.value.name}": {int(far.sum())} samples {what} taken as missing')
+        return np.where(far, np.nan, value)
+
+    def _filled(
+        self, channel: ChannelColumn, row: np.ndarray, time: np.ndarray, value: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        missing = ~np.isfinite(value)
+        if not missing.any():
+            return row, time, value, None
+        if self.fill is None:
+            unit = channel.value.unit
+            advice = 'drop those rows or fill them (fill "drop" or "hold")'
+            self._refuse(channel.value, row, missing, f"NaN or infinite ({unit})", advice)
+        good = np.flatnonzero(~missing)
+        how = "left out" if self.fill == "drop" else "repeated from the one before"
+        self.notes.append(f'column "{channel.value.name}": {int(missing.sum())} missing samples {how}')
+        unknown = _stretches(time, missing)
+        if self.fill == "drop" or len(good) == 0:
+            # Without its value a command is not known there; a measurement is simply not there.
+            return row[good], time[good], value[good], unknown if channel.kind == "command" else None
+        last = np.searchsorted(good, np.arange(len(value)), side="right") - 1
+        kept = np.flatnonzero(last >= 0)
+        return row[kept], time[kept], value[good[last[kept]]], unknown
+
+    def _increasing(
+        self,
+        channel: ChannelColumn,
+        stamp: Column,
+        row: np.ndarray,
+        time: np.ndarray,
+        value: np.ndarray,
+        own_time: bool,
+    ) -> np.ndarray:
+        """Indices of the samples that count: exact repetitions do not."""
+        if not len(time):
+            return np.zeros(0, dtype=np.intp)
+        again = np.append(False, (np.diff(time) == 0) & (np.diff(value) == 0))
+        if again.any() and not (own_time and channel.kind == "command"):
+            self.notes.append(
+                f'column "{channel.value.name}": {int(again.sum())} samples written twice with one stamp taken once'
+            )
+        keep = np.flatnonzero(~again)
+        step = np.append(np.inf, np.diff(time[keep]))
+        advice = "sort or split the log" + self._episodes(channel.topic, row[keep][step < 0])
+        self._refuse(
+            stamp, row[keep], step < 0, f"earlier than the {self.log.row_name.split()[-1]} before", advice
+        )
+        self._refuse(stamp, row[keep], step == 0, "with a duplicate time stamp", "keep one row per stamp")
+        return keep
+
+    def _episodes(self, topic: str, resets: np.ndarray) -> str:
+        """A hint to a column that counts the stretches between resets of the clock."""
+        if not len(resets):
+            return ""
+        name = counting_column(self.log, topic, resets)
+        if name is None:
+            return ""
+        first = self.log.values(topic, name)[0]
+        return f'; the column "{name}" counts its parts: write "where: {{{name}: {first:g}}}" in the sidecar for one'
+
+    def _refuse(self, column: Column, row: np.ndarray, bad: np.ndarray, what: str, advice: str) -> None:
+        if not bad.any():
+            return
+        rows = row[bad] + 1
+        listed = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
+        first = " (the first row below the header is 1)" if self.log.row_name == "data row" else ""
+        raise LogError(
+            f'{self.log.path}: column "{column.name}": {len(rows)} sample{"s" * (len(rows) > 1)} {what}, at '
+            f"{self.log.row_name} {listed}{first}; {advice}"
+        )
+
+
+def counting_column(log: LogFile, topic: str, resets: np.ndarray) -> str | None:
+    """Name of a column whose value changes at these rows and nowhere else."""
+    frame = log.table(topic).frame
+    for name in frame.columns:
+        try:
+            values = log.values(topic, str(name))
+        except LogError:
+            continue
+        if np.array_equal(np.flatnonzero(np.diff(values) != 0) + 1, resets):
+            return str(name)
+    return None
+
+
+def far_values(value: np.ndarray) -> np.ndarray:
+    """True where a value is several ranges of all others away from them: a glitch, not a measurement."""
+    finite = value[np.isfinite(value)]
+    if len(finite) < 20:
+        return np.zeros(len(value), dtype=bool)
+    low, high = np.quantile(finite, [0.02, 0.98])
+    reach = FAR * (high - low)
+    if reach == 0 or not np.isfinite(reach):
+        return np.abs(np.nan_to_num(value, nan=0.0)) > 1e6 * max(abs(float(high)), 1.0)
+    with np.errstate(invalid="ignore"):
+        return np.isfinite(value) & ((value < low - reach) | (value > high + reach))
+
+
+def _stretches(time: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """(k, 2) from the first missing sample to the first good one, or to the end of the log."""
+    edges = np.diff(np.concatenate([[0], missing.astype(np.int8), [0]]))
+    begin, end = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return np.stack([time[begin], np.append(time, np.inf)[end]], axis=1)
+
+
+def _check_header(log: LogFile, column: Column) -> None:
+    header = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.name)
+    if header is None or column.unit == ISO:
+        return
+    try:
+        stated = parse_unit(header.group(1))
+    except UnitError:
+        return  # brackets in a header need not hold a unit
+    if stated != parse_unit(column.unit):
+        raise LogError(
+            f'{log.path}: column "{column.name}": mixed units, the header says {header.group(1)}, the '
+            f"mapping says {column.unit}; correct the mapping"
+        )

@@ -1,0 +1,289 @@
+"""The sidecar of a log: which column is which channel, in which unit, command or measurement."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deepkoco.logs.formats.log_file import HEADER, RECEIVED, LogError
+from deepkoco.logs.units import UnitError, parse_unit
+
+__all__ = [
+    "EXAMPLE",
+    "ISO",
+    "KINDS",
+    "ChannelColumn",
+    "Column",
+    "LogError",
+    "Sidecar",
+    "dump_sidecar",
+    "load_sidecar",
+    "sidecar_path",
+]
+
+KINDS = ("command", "measurement")
+EXAMPLE = """
+system: rod_pendulum
+time: {column: t, unit: s}
+channels:
+  torque: {column: command, unit: N m, kind: command}
+  theta: {column: theta, unit: rad, kind: measurement}"""
+
+
+ISO = "iso8601"
+"""In the place of the unit of a time column: it holds dates like 2024-05-01T12:00:00.125."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the file and the unit it is written in; of a time column also what to add to it [s]."""
+
+    name: str
+    unit: str
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class ChannelColumn:
+    """Where one channel is found.
+
+    Attributes:
+        value: column, or field of the topic.
+        kind: "command" or "measurement".
+        time: its time column; None takes what the topic has (the header's stamp, else when it was received).
+        topic: topic of a file that has topics.
+        file: another file than the log, relative to its folder.
+        scale: what values are multiplied by besides their unit: a gear ratio, or -1 for the other direction.
+        checked: whether the user vouches for the units, so that implausible values are no error.
+    """
+
+    value: Column
+    kind: str
+    time: Column | None
+    topic: str = ""
+    file: str | None = None
+    scale: float = 1.0
+    checked: bool = False
+
+
+@dataclass(frozen=True)
+class Sidecar:
+    """What the columns of a log mean; `where` keeps the rows in which a column has a value."""
+
+    source: str
+    system: str | None
+    time: Column | None
+    channels: dict[str, ChannelColumn]
+    meta: dict[str, Any]
+    where: dict[str, float] = field(default_factory=dict)
+
+
+def sidecar_path(path: str | Path) -> Path:
+    """Return the place of the sidecar of a log: same folder, same stem, `.yaml`."""
+    path = Path(path)
+    return path.with_name(f"{path.name}.yaml") if path.is_dir() else path.with_suffix(".yaml")
+
+
+def load_sidecar(log: Path, mapping: Mapping[str, Any] | str | Path | None = None) -> Sidecar:
+    """Read and check the sidecar of a log.
+
+    Args:
+        log: the log that the mapping belongs to.
+        mapping: the content of a sidecar, or the path of one; None takes the file next to the log.
+
+    Raises:
+        LogError: no sidecar is there, or a key, kind or unit in it is wrong.
+    """
+    if isinstance(mapping, Mapping):
+        source, content = f"mapping of {log}", dict(mapping)
+    else:
+        file = sidecar_path(log) if mapping is None else Path(mapping)
+        source = str(file)
+        if not file.is_file():
+            raise LogError(
+                f"{log}: no sidecar {file} says what its columns mean; write one or pass a mapping:{EXAMPLE}"
+            )
+        try:
+            content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise LogError(f"{source}: not readable as YAML: {error}") from error
+    return _parse(source, content)
+
+
+def dump_sidecar(
+    system: str | None,
+    channels: Mapping[str, ChannelColumn],
+    meta: Mapping[str, Any],
+    where: Mapping[str, float] | None = None,
+) -> str:
+    """Write the content of a sidecar as YAML; the first channel's time column is the common one."""
+    common = next(iter(channels.values())).time
+    content: dict[str, Any] = {"system": system} if system else {}
+    if common is not None:
+        content["time"] = _time_entry(common)
+    if where:
+        content["where"] = dict(where)
+    content["channels"] = {}
+    for name, channel in channels.items():
+        entry: dict[str, Any] = {"file": channel.file} if channel.file else {}
+        place = {"topic": channel.topic, "field": channel.value.name}
+        entry |= place if channel.topic else {"column": channel.value.name}
+        entry |= {"unit": channel.value.unit, "kind": channel.kind}
+        if channel.scale != 1.0:
+            entry["scale"] = channel.scale
+        if channel.time is not None and channel.time != common:
+            alike = common is not None and (channel.time.unit, channel.time.offset) == (
+                common.unit,
+                common.offset,
+            )
+            entry["time"] = channel.time.name if alike else _time_entry(channel.time)
+        if channel.checked:
+            entry["checked"] = True
+        content["channels"][name] = entry
+    if meta:
+        content["meta"] = dict(meta)
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+
+def _time_entry(time: Column) -> dict[str, Any]:
+    entry: dict[str, Any] = {"column": time.name, "unit": time.unit}
+    return entry | {"offset": time.offset} if time.offset else entry
+
+
+def _parse(source: str, content: Any) -> Sidecar:
+    optional = ("time", "system", "meta", "where")
+    content = _keys(source, "the file", content, required=("channels",), optional=optional)
+    if not isinstance(content["channels"], Mapping) or not content["channels"]:
+        raise LogError(f"{source}: channels: name at least one channel, for example:{EXAMPLE}")
+    given = content.get("time")
+    common = None if given is None else _time(source, "time", given)
+    channels = {str(n): _channel(source, f"channels.{n}", e, common) for n, e in content["channels"].items()}
+    _refuse_mixed_units(source, channels)
+    meta = content.get("meta") or {}
+    if not isinstance(meta, Mapping):
+        raise LogError(f"{source}: meta: expected keys and values, got {meta!r}")
+    system = content.get("system")
+    where = _where(source, content.get("where"))
+    return Sidecar(source, None if system is None else str(system), common, channels, dict(meta), where)
+
+
+def _channel(source: str, where: str, content: Any, common: Column | None) -> ChannelColumn:
+    optional = ("column", "topic", "field", "joint", "time", "file", "scale", "checked")
+    entry = _keys(source, where, content, required=("unit", "kind"), optional=optional)
+    if entry["kind"] not in KINDS:
+        raise LogError(f'{source}: {where}: kind "{entry["kind"]}" is none of {", ".join(KINDS)}')
+    topic = str(entry["topic"]) if entry.get("topic") is not None else ""
+    place = "field" if topic else "column"
+    if entry.get(place) is None:
+        raise LogError(f'{source}: {where}: key "{place}" is missing; for example:{EXAMPLE}')
+    if entry.get("column" if topic else "field") is not None:
+        raise LogError(f"{source}: {where}: give a column, or a topic and a field of it")
+    name = str(entry[place])
+    if entry.get("joint") is not None:
+        if not topic:
+            raise LogError(
+                f"{source}: {where}: joint: only messages of a topic name their joints; give the column"
+            )
+        name = f"{name}[{entry['joint']}]"
+    value = _column(source, where, {"column": name, "unit": entry["unit"]})
+    time = _own_time(source, where, entry.get("time"), common, bool(topic))
+    scale, checked, file = entry.get("scale", 1.0), entry.get("checked", False), entry.get("file")
+    if (
+        isinstance(scale, bool)
+        or not isinstance(scale, int | float)
+        or not math.isfinite(scale)
+        or scale == 0
+    ):
+        raise LogError(f"{source}: {where}: scale: {scale!r} is no number other than 0, such as 6.33 or -1")
+    if not isinstance(checked, bool):
+        raise LogError(f"{source}: {where}: checked: write true or false, got {checked!r}")
+    if time is None and not topic:
+        raise LogError(f'{source}: the file: key "time" is missing; for example:{EXAMPLE}')
+    return ChannelColumn(
+        value, entry["kind"], time, topic, None if file is None else str(file), float(scale), checked
+    )
+
+
+def _where(source: str, content: Any) -> dict[str, float]:
+    if content is None:
+        return {}
+    wrong = not isinstance(content, Mapping) or any(
+        isinstance(v, bool) or not isinstance(v, int | float) for v in content.values()
+    )
+    if wrong:
+        raise LogError(
+            f'{source}: where: expected columns and numbers, such as "episode: 0", got {content!r}'
+        )
+    return {str(name): float(value) for name, value in content.items()}
+
+
+def _refuse_mixed_units(source: str, channels: Mapping[str, ChannelColumn]) -> None:
+    units: dict[tuple[str | None, str, str], str] = {}
+    for channel in channels.values():
+        for column in (channel.value, channel.time):
+            if column is None:
+                continue
+            first = units.setdefault((channel.file, channel.topic, column.name), column.unit)
+            if first != column.unit:
+                raise LogError(
+                    f'{source}: column "{column.name}" is given mixed units, {first} and {column.unit}; keep the one '
+                    "it is written in"
+                )
+
+
+def _keys(
+    source: str, where: str, content: Any, required: Sequence[str], optional: Sequence[str]
+) -> dict[str, Any]:
+    if not isinstance(content, Mapping):
+        raise LogError(f"{source}: {where}: expected keys and values, got {content!r}; for example:{EXAMPLE}")
+    for key in required:
+        if content.get(key) is None:
+            raise LogError(f'{source}: {where}: key "{key}" is missing; for example:{EXAMPLE}')
+    unknown = [str(key) for key in content if key not in (*required, *optional)]
+    if unknown:
+        raise LogError(
+            f'{source}: {where}: unknown key "{unknown[0]}"; known: {", ".join((*required, *optional))}'
+        )
+    return dict(content)
+
+
+def _column(source: str, where: str, content: Any) -> Column:
+    entry = _keys(source, where, content, required=("column", "unit"), optional=())
+    if isinstance(entry["unit"], (list, tuple, Mapping)):
+        raise LogError(f"{source}: {where}: one column has one unit, got {entry['unit']!r}; split the column")
+    try:
+        parse_unit(entry["unit"])
+    except UnitError as error:
+        raise LogError(f'{source}: {where}: column "{entry["column"]}": {error}') from error
+    return Column(str(entry["column"]), str(entry["unit"]))
+
+
+def _own_time(source: str, where: str, content: Any, common: Column | None, topic: bool) -> Column | None:
+    if content is None:
+        return common
+    if isinstance(content, str):
+        known = topic and content in (HEADER, RECEIVED)
+        return Column(
+            content, "s" if known or common is None else common.unit, common.offset if common else 0.0
+        )
+    return _time(source, f"{where}.time", content)
+
+
+def _time(source: str, where: str, content: Any) -> Column:
+    if isinstance(content, str) and content in (HEADER, RECEIVED):
+        return Column(content, "s")
+    entry = _keys(source, where, content, required=("column", "unit"), optional=("offset",))
+    offset = entry.get("offset", 0.0)
+    if isinstance(offset, bool) or not isinstance(offset, int | float) or not math.isfinite(offset):
+        raise LogError(f"{source}: {where}: offset: {offset!r} is no number of seconds")
+    if entry["unit"] == ISO:
+        return Column(str(entry["column"]), ISO, float(offset))
+    column = _column(source, where, {key: entry[key] for key in ("column", "unit")})
+    if parse_unit(column.unit).quantity != "time":
+        raise LogError(
+            f'{source}: {where}: unit "{column.unit}" is no unit of time; use s, ms, us, ns or {ISO}'
+        )
+    return Column(column.name, column.unit, float(offset))

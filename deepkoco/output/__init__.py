@@ -1,0 +1,1 @@
+"""What all results share: new folders, pictures and their style."""

@@ -1,0 +1,37 @@
+"""What a report shows: a figure with its heading, how to read it and the table behind it, all in one style."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from typing import NamedTuple
+
+import matplotlib
+import pandas as pd
+from matplotlib.figure import Figure
+
+
+class Picture(NamedTuple):
+    """One figure of a report.
+
+    Attributes:
+        name: File stem.
+        title: Heading.
+        caption: A sentence or two on how to read it.
+        figure: The drawing.
+        table: What it draws, units in the column names.
+    """
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
+    table: pd.DataFrame
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The project's style for all figures made inside."""
+    with matplotlib.rc_context(fname=str(files("deepkoco.output").joinpath("figures.mplstyle"))):
+        yield

@@ -1,0 +1,1 @@
+"""The systems that the package knows, one file each."""

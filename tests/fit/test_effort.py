@@ -1,0 +1,172 @@
+"""Commands to efforts over the integration steps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.fit.data.windows import CommandSeries, Windows
+from deepkoco.fit.simulate.command_effort import TooManyLagsError, _Held, step_efforts
+from deepkoco.systems import ExtendedSystem, make_system
+from deepkoco.systems.bodies.rod_pendulum import RodPendulum
+
+
+def windows_of(t, value, t0, step, steps) -> Windows:
+    empty = torch.zeros(len(t0), 2, 0, dtype=torch.float64)
+    command = CommandSeries(np.array(t, dtype=float), np.array(value, dtype=float))
+    state = torch.zeros(len(t0), 2, dtype=torch.float64)
+    log = np.zeros(len(t0), dtype=int)
+    return Windows((command,), log, np.array(t0), step, steps, empty, empty, empty.bool(), (), state, log > 0)
+
+
+def efforts(windows, **values):
+    system = ExtendedSystem(make_system("rod_pendulum"), tuple({n.split("__")[0] for n in values}))
+    named = {n.replace("__", "."): torch.tensor([v], dtype=torch.float64) for n, v in values.items()}
+    start, slope = step_efforts(system, windows, system.default_parameters() | named, 1)
+    return start[0].numpy(), slope[0].numpy()
+
+
+def test_held_command_is_the_effort():
+    windows = windows_of([0.0, 0.5], [1.0, -2.0], [0.1, 0.6], 0.01, 20)
+    start, slope = efforts(windows)
+    assert start == pytest.approx(np.repeat([[1.0], [-2.0]], 20, axis=1), abs=1e-6)
+    assert slope == pytest.approx(0.0, abs=1e-4)
+
+
+def test_jump_inside_a_step_keeps_integral_and_double_integral():
+    # The command jumps from 0 to 1 after 0.004 of a step of 0.01: the integral is 0.006, the double
+    # integral 0.006^2 / 2.
+    windows = windows_of([0.0, 1.004], [0.0, 1.0], [1.0], 0.01, 1)
+    start, slope = efforts(windows)
+    a, b, h = start[0, 0], slope[0, 0], 0.01
+    assert a * h + b * h**2 / 2 == pytest.approx(0.006, abs=1e-9)
+    assert a * h**2 / 2 + b * h**3 / 6 == pytest.approx(0.006**2 / 2, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["actuation_delay__delay", "sensing_delay__delay"])
+def test_delay_shifts_the_effort(name):
+    windows = windows_of([0.0, 1.0], [0.0, 1.0], [0.9], 0.01, 20)
+    start, slope = efforts(windows, **{name: 0.03})
+    middle = (start + 0.5 * 0.01 * slope)[0]
+    assert middle[:13] == pytest.approx(0.0, abs=1e-6)
+    assert middle[13:] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_lag_answers_a_step_exponentially():
+    windows = windows_of([0.0, 1.0], [0.0, 1.0], [1.0], 0.01, 30)
+    start, slope = efforts(windows, lag__time_constant=0.05)
+    mean = (start + 0.5 * 0.01 * slope)[0]
+    edge = 0.01 * np.arange(31)
+    integral = edge - 0.05 * (1.0 - np.exp(-edge / 0.05))
+    assert mean == pytest.approx(np.diff(integral) / 0.01, abs=1e-6)
+
+
+def test_dead_zone_acts_on_the_command():
+    windows = windows_of([0.0, 0.5], [0.2, -1.0], [0.1, 0.6], 0.01, 10)
+    start, _ = efforts(windows, dead_zone__width=0.3)
+    assert start[0] == pytest.approx(0.0, abs=1e-9)
+    assert start[1] == pytest.approx(-0.7, abs=1e-6)
+
+
+def test_delay_far_before_the_log_holds_the_first_command():
+    windows = windows_of([0.0], [1.5], [0.0], 0.01, 5)
+    start, _ = efforts(windows, actuation_delay__delay=0.3)
+    assert start == pytest.approx(1.5, abs=1e-6)
+    assert replace(windows, step=0.02).length == pytest.approx(0.1)
+
+
+def test_efforts_change_smoothly_with_the_delay():
+    """A held command that jumps every 2 ms: the integral up to a node is linear in the delay within a piece."""
+    rng = np.random.default_rng(0)
+    windows = windows_of(0.002 * np.arange(600), rng.normal(size=600), [0.5], 0.0047, 40)
+
+    def area(delay):
+        start, slope = efforts(windows, actuation_delay__delay=delay)
+        return 0.0047 * start + 0.5 * 0.0047**2 * slope
+
+    # No node of a step crosses a jump between these delays (nodes are multiples of 0.1 ms off the jumps).
+    bent = area(0.00001) - 2.0 * area(0.00004) + area(0.00007)
+    assert np.abs(bent).max() < 1e-12
+    assert np.abs(area(0.00007) - area(0.00001)).max() > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("short", "long"), [(0.0, 0.04), (0.013, 0.04), (0.04, 0.04), (0.04, 0.0400001), (1e-4, 0.3)]
+)
+def test_lags_in_a_row_answer_as_the_differential_equation(short, long):
+    """Irregular commands through two lags, against the state-space solution at much finer times."""
+    rng = np.random.default_rng(3)
+    t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.001, 0.03, 60))])
+    command = CommandSeries(t, rng.standard_normal(len(t)))
+    series = _Held(command, command.value[None], [np.array([long]), np.array([short])])
+    step, steps = 0.01, 60
+    a, b = series.steps(np.array([0]), np.zeros((1, 1)), np.array([0.2]), step, steps)
+    fine = 500  # points of each piece of constant command
+    state, at, out = np.full(2, command.value[0]), [0.0], [command.value[0]]
+    for begin, end, u in zip(t[:-1], t[1:], command.value[:-1], strict=True):
+        for _ in range(fine):
+            h = (end - begin) / fine
+            # Each lag follows its input, held at the middle of the substep.
+            before = state[0]
+            state[0] = u + (before - u) * (np.exp(-h / short) if short else 0.0)
+            given = u + (before - u) * np.exp(-0.5 * h / short) if short else u
+            state[1] = given + (state[1] - given) * np.exp(-h / long)
+            at.append(at[-1] + h)
+            out.append(state[1])
+    once = np.concatenate([[0.0], np.cumsum(0.5 * (np.diff(at) * (np.array(out[1:]) + np.array(out[:-1]))))])
+    edges = 0.2 + step * np.arange(steps + 1)
+    wanted = np.diff(np.interp(edges, at, once)) / step
+    assert (a + 0.5 * step * b)[0, 0] == pytest.approx(wanted, abs=3e-5)
+    # The slope keeps the double integral too.
+    twice = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(at) * (once[1:] + once[:-1]))])
+    inside = np.diff(np.interp(edges, at, twice)) - step * np.interp(edges[:-1], at, once)
+    assert (a * step**2 / 2 + b * step**3 / 6)[0, 0] == pytest.approx(inside, abs=1e-7)
+
+
+def test_a_log_of_one_command_has_settled_behind_its_lag():
+    windows = windows_of([0.0], [1.5], [0.0], 0.01, 5)
+    start, slope = efforts(windows, lag__time_constant=0.05, actuation_delay__delay=0.02)
+    assert start == pytest.approx(1.5, abs=1e-9)
+    assert slope == pytest.approx(0.0, abs=1e-6)
+
+
+class TwiceLagged(RodPendulum):
+    """A pendulum whose motor has two lags of its own."""
+
+    def command_timing(self, index, parameters):
+        own = tuple(torch.tensor(lag, dtype=torch.float64) for lag in (0.02, 0.03))
+        return super().command_timing(index, parameters)._replace(lag=own)
+
+
+def test_a_third_lag_in_a_row_is_refused_and_one_of_zero_changes_nothing():
+    system = ExtendedSystem(TwiceLagged(), ("lag",))
+    windows = windows_of([0.0, 1.0], [0.0, 1.0], [1.0], 0.01, 30)
+    p = system.default_parameters()
+    without = step_efforts(system, windows, p, 1)
+    two = _Held(windows.commands[0], np.array([[0.0, 1.0]]), [np.array([0.02]), np.array([0.03])]).steps(
+        np.array([0]), np.zeros((1, 1)), windows.t0, 0.01, 30
+    )
+    assert without[0].numpy() == pytest.approx(two[0], abs=1e-12)
+    with pytest.raises(
+        TooManyLagsError, match=r'rod_pendulum: the command ".*" goes through 3 lags in a row'
+    ):
+        step_efforts(system, windows, p | {"lag.time_constant": torch.tensor([0.01], dtype=torch.float64)}, 1)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_a_lane_of_infinite_efforts_leaves_the_others_as_they_are():
+    system = ExtendedSystem(make_system("rod_pendulum"), ("gain", "lag"))
+    rng = np.random.default_rng(5)
+    windows = windows_of(0.01 * np.arange(100), rng.normal(size=100), [0.2, 0.5], 0.01, 20)
+
+    def lanes(*factors):
+        given = {
+            "gain.factor": torch.tensor(factors, dtype=torch.float64),
+            "lag.time_constant": torch.tensor(0.05, dtype=torch.float64),
+        }
+        return step_efforts(system, windows, system.default_parameters() | given, len(factors))
+
+    for alone, beside in zip(lanes(0.8, 1.2), lanes(0.8, np.inf, 1.2), strict=True):
+        assert torch.equal(beside[[0, 2]], alone)
+        assert not torch.isfinite(beside[1]).all()

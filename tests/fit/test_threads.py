@@ -1,0 +1,18 @@
+"""The number of threads is restored, whatever happens."""
+
+import pytest
+import torch
+
+from deepkoco.fit.threads import one_thread
+
+
+def _fail_on_one_thread() -> None:
+    with one_thread():
+        raise ArithmeticError(f"{torch.get_num_threads()} thread")
+
+
+def test_one_thread_inside_and_as_before_outside():
+    before = torch.get_num_threads()
+    with pytest.raises(ArithmeticError, match=r"^1 thread$"):
+        _fail_on_one_thread()
+    assert torch.get_num_threads() == before

@@ -1,0 +1,202 @@
+"""A node that raises, hangs or dies stops the graph: one error that names it, and all others are closed."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from live_nodes import act, devices
+
+from deepkoco.graph import read_episodes, replay_timing
+from deepkoco.graph.live import ConcurrentRuntime, NodeFailure, WallClockRuntime
+
+RUNTIMES = {
+    "threads": lambda graph: ConcurrentRuntime(graph, time_limit=0.5),
+    "processes": lambda graph: ConcurrentRuntime(graph, processes={"motor": 1}, time_limit=0.5),
+    "one process": lambda graph: ConcurrentRuntime(
+        graph, processes={"motor": 1, "camera": 1}, time_limit=0.5
+    ),
+    "wall clock": lambda graph: WallClockRuntime(graph, time_limit=0.5),
+}
+REASONS = {
+    "raise": "ValueError: encoder cable is off",
+    "hang": "has not returned for 0.5 s",
+    "sleep": "has not returned for 0.5 s",
+    "die": "its process has died \\(exit status -9\\)",
+}
+CASES = [
+    (runtime, fault)
+    for runtime in RUNTIMES
+    for fault in REASONS
+    if not (runtime == "threads" and fault == "die") and (fault != "sleep" or runtime == "wall clock")
+]
+
+
+@pytest.mark.parametrize(("kind", "fault"), CASES)
+def test_a_failing_node_stops_the_graph_within_100_ms(tmp_path, kind, fault):
+    graph = devices(tmp_path, fault)
+    runtime = RUNTIMES[kind](graph)
+    runtime.reset({}, torch.Generator())
+    message = f'node "motor" at its tick 3: {REASONS[fault]}; the graph is stopped'
+    with pytest.raises(NodeFailure, match=message) as caught:
+        runtime.run(act, 1000)
+    failure = caught.value
+    assert (failure.node, failure.tick) == ("motor", 3)
+    # A process that was killed takes its nodes with it; all others are closed, once.
+    gone = {"motor", "camera"} if (kind, fault) == ("one process", "die") else {"motor"}
+    closed = {"motor", "camera"} - (gone if fault == "die" else set())
+    assert set(failure.closed_after) == closed
+    assert max(failure.closed_after.values(), default=0.0) < 0.1
+    for name in closed:
+        assert len(graph.node(name).marks("close")) == 1
+    if fault == "raise":
+        assert "raise_error" in failure.details
+        assert failure.__notes__ == [failure.details]
+
+
+@pytest.mark.parametrize("kind", ["processes", "wall clock"])
+def test_what_ran_until_a_failure_is_kept(tmp_path, kind):
+    graph = devices(tmp_path, "raise", at=12)
+    runtime = RUNTIMES[kind](graph)
+    runtime.reset({}, torch.Generator())
+    with pytest.raises(NodeFailure):
+        runtime.run(act, 1000)
+    episode = runtime.finish()
+    motor = episode.outputs["motor"]
+    assert 10 <= len(motor) <= 12
+    assert motor[:, 0].tolist() == [k * (k + 1) / 2 for k in range(1, len(motor) + 1)]
+    timing = replay_timing(graph, episode.measured)
+    for edge, connection in enumerate(graph.connections):
+        np.testing.assert_array_equal(timing.windows_of(edge), episode.windows[connection.key])
+
+
+def test_a_record_that_died_with_its_process_is_missed_by_name(tmp_path):
+    runtime = RUNTIMES["processes"](devices(tmp_path, "die"))
+    runtime.reset({}, torch.Generator())
+    with pytest.raises(NodeFailure):
+        runtime.run(act, 1000)
+    with pytest.raises(ValueError, match='the record of "motor" is lost with its process'):
+        runtime.finish()
+
+
+def test_a_process_that_stands_still_is_noticed_by_its_heartbeat(tmp_path):
+    graph = devices(tmp_path)
+    with WallClockRuntime(graph, beat_limit=1.0) as runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(act, 2)
+        os.kill(int(graph.node("motor").marks("open")[0].split()[0]), signal.SIGSTOP)
+        with pytest.raises(NodeFailure, match=r'node "motor".*shows no life for 1 s') as caught:
+            runtime.run(act, 1000)
+        assert set(caught.value.closed_after) == {"camera"}
+
+
+def test_a_policy_that_raises_closes_the_nodes(tmp_path):
+    graph = devices(tmp_path)
+    runtime = ConcurrentRuntime(graph, processes={"motor": 1})
+
+    def policy(inputs):
+        raise ZeroDivisionError("no gain")
+
+    runtime.reset({}, torch.Generator())
+    with pytest.raises(ZeroDivisionError):
+        runtime.run(policy, 3)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+    with pytest.raises(ValueError, match="reset first"):
+        runtime.run(act, 1)
+    # A reset starts anew.
+    with runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(act, 2)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [2, 2]
+
+
+def test_a_close_that_raises_does_not_keep_the_others_from_closing(tmp_path):
+    graph = devices(tmp_path, "bad close")
+    with ConcurrentRuntime(graph, processes={"motor": 1}) as runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(act, 2)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+
+
+def test_ctrl_c_closes_the_nodes_and_leaves_the_record(tmp_path):
+    graph = devices(tmp_path)
+    runtime = WallClockRuntime(graph, time_limit=5.0)
+    runtime.reset({}, torch.Generator())
+
+    def policy(inputs):
+        if int(inputs["motor"].seq[0, -1]) >= 5:
+            # As a terminal does it: Ctrl-C reaches the processes of the nodes first, which leave it to the caller.
+            for name in ("motor", "camera"):
+                os.kill(int(graph.node(name).marks("open")[0].split()[0]), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+        return act(inputs)
+
+    with pytest.raises(KeyboardInterrupt):
+        runtime.run(policy, 1000)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+    assert len(runtime.finish().outputs["motor"]) >= 5
+
+
+SCRIPT = """
+    import sys
+    sys.path[:0] = {paths!r}
+    import torch
+    from live_nodes import act, devices
+    from deepkoco.graph.live import ConcurrentRuntime
+    if __name__ == "__main__":
+        processes = {{"motor": 1, "camera": 1}}
+        with ConcurrentRuntime(devices({folder!r}), processes=processes, real_time_factor=1.0) as runtime:
+            runtime.reset({{}}, torch.Generator())
+            print("runs", flush=True)
+            runtime.run(act, 100000)
+"""
+FORGETFUL = """
+    import sys
+    sys.path[:0] = {paths!r}
+    import torch
+    from live_nodes import act, devices
+    from deepkoco.graph.live import ConcurrentRuntime
+    if __name__ == "__main__":
+        runtime = ConcurrentRuntime(devices({folder!r}), processes={{"motor": 1}}, record={folder!r} + "/run.mcap")
+        runtime.reset({{}}, torch.Generator())
+        runtime.run(act, 3)
+"""
+
+
+def start(text: str, folder: Path) -> subprocess.Popen[str]:
+    here = Path(__file__).parent
+    script = folder / "script.py"
+    script.write_text(textwrap.dedent(text.format(paths=[str(here), str(here.parent)], folder=str(folder))))
+    environment = {**os.environ, "PYTHONPATH": str(here.parents[2]), "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen([sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def test_a_script_that_ends_without_closing_leaves_the_nodes_closed_and_the_recording_whole(tmp_path):
+    caller = start(FORGETFUL, tmp_path)
+    caller.communicate(timeout=60)
+    assert caller.returncode == 0
+    assert read_episodes(tmp_path / "run.mcap").complete
+    graph = devices(tmp_path)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+
+
+def test_a_killed_caller_leaves_the_nodes_closed(tmp_path):
+    caller = start(SCRIPT, tmp_path)
+    assert caller.stdout is not None
+    assert caller.stdout.readline() == "runs\n"
+    caller.kill()
+    caller.wait()
+    caller.stdout.close()
+    graph = devices(tmp_path)
+    deadline = time.monotonic() + 10
+    marks: list[int] = []
+    while marks != [1, 1] and time.monotonic() < deadline:
+        marks = [len(graph.node(name).marks("close")) for name in ("motor", "camera")]
+        time.sleep(0.01)
+    assert marks == [1, 1]

@@ -1,0 +1,113 @@
+"""Measured times are replayed under the rules that drawn ones follow."""
+
+from random import Random
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from deepkoco.graph import (
+    Connection,
+    Graph,
+    MeasuredTiming,
+    Supervisor,
+    TimingError,
+    draw_timing,
+    replay_timing,
+)
+from deepkoco.graph.timing.kernel import LOST
+from tests.graph.timing_reference import Accumulate, graphs, random_graph
+
+
+def agent() -> Supervisor:
+    return Supervisor("agent", 10, initial_action=torch.zeros(1))
+
+
+def in_seconds(ticks: np.ndarray, resolution: int) -> np.ndarray:
+    return np.where(ticks < LOST, ticks / resolution, np.inf)
+
+
+@settings(max_examples=60, deadline=None)
+@given(graph=graphs(), steps=st.integers(1, 5))
+def test_replaying_the_times_of_an_episode_gives_the_same_windows(graph, steps):
+    timing = draw_timing(graph, np.random.default_rng(0), steps, 1)
+    in_seconds = lambda ticks: ticks / timing.resolution  # noqa: E731
+    measured = MeasuredTiming(
+        {node.name: in_seconds(timing.steps_of(n)[0]) for n, node in enumerate(graph.nodes)},
+        {node.name: in_seconds(timing.steps_of(n)[1]) for n, node in enumerate(graph.nodes)},
+        {c.key: in_seconds(timing.messages_of(e)[1]) for e, c in enumerate(graph.connections)},
+    )
+    again = replay_timing(graph, measured)
+    np.testing.assert_array_equal(again.boundary[:, -1], timing.boundary[:, -1])
+    for e in range(len(graph.connections)):
+        np.testing.assert_array_equal(again.windows_of(e), timing.windows_of(e))
+
+
+def test_a_lost_message_is_skipped_in_a_replay():
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
+    ticks = np.arange(4) / 10
+    received = np.array([0.01, np.inf, 0.21, 0.31])
+    measured = MeasuredTiming({"n0": ticks, "agent": ticks + 0.05}, {"n0": ticks, "agent": ticks + 0.06}, {
+        "n0->agent": received
+    })  # fmt: skip
+    assert replay_timing(graph, measured).windows_of(0)[:, 0].tolist() == [0, 0, 2, 3]
+
+
+def test_measured_times_that_cannot_be_are_refused():
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
+    ticks = np.arange(4) / 10
+    good = {"n0": ticks, "agent": ticks}
+    with pytest.raises(TimingError, match='node "n0": step 1 starts before'):
+        replay_timing(graph, MeasuredTiming(good, good | {"n0": ticks + 0.15}, {"n0->agent": ticks}))
+    with pytest.raises(TimingError, match='"n0->agent": message 0 arrives before it is sent'):
+        replay_timing(graph, MeasuredTiming(good, good, {"n0->agent": ticks - 0.01}))
+    endless = {"n0": np.array([0.0, 0.1, 0.2, np.inf]), "agent": ticks}
+    with pytest.raises(TimingError, match='node "n0": step 3 never starts or never ends'):
+        replay_timing(graph, MeasuredTiming(good, endless, {"n0->agent": ticks}))
+    bad = {"n0": ticks, "agent": np.array([0.0, 0.1, np.nan, 0.3])}
+    with pytest.raises(TimingError, match='"agent": measured time 2 is not a number'):
+        replay_timing(graph, MeasuredTiming(bad, good, {"n0->agent": ticks}))
+    square = {"n0": ticks.reshape(2, 2), "agent": ticks}
+    with pytest.raises(TimingError, match=r'"n0": measured times have shape \(2, 2\)'):
+        replay_timing(graph, MeasuredTiming(square, good, {"n0->agent": ticks}))
+    with pytest.raises(TimingError, match="has no measured times"):
+        replay_timing(graph, MeasuredTiming(good, good, {}))
+
+
+def test_a_lost_message_of_a_blocking_connection_does_not_hold_back_later_ones():
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent", blocking=True)])
+    ticks = np.arange(4) / 10
+    received = np.array([0.01, np.inf, 0.21, 0.31])
+    late = {"n0": ticks, "agent": ticks + 0.05}
+    measured = MeasuredTiming(late, {"n0": ticks, "agent": ticks + 0.06}, {"n0->agent": received})
+    assert replay_timing(graph, measured).windows_of(0)[:, 0].tolist() == [0, 0, 2, 3]
+    # Message 1 comes after the step that awaited it: it is taken by the next, before message 2.
+    measured = MeasuredTiming(
+        late, {"n0": ticks, "agent": ticks + 0.06}, {"n0->agent": np.array([0.01, 0.17, 0.21, 0.31])}
+    )
+    assert replay_timing(graph, measured).windows_of(0)[:, 0].tolist() == [0, 0, 2, 3]
+
+
+@settings(max_examples=60, deadline=None)
+@given(graph=graphs(lossy=True), steps=st.integers(1, 5))
+# A step waits for a message that is sent at that instant and gets lost.
+@example(graph=random_graph(Random(49131), lossy=True), steps=1)
+@example(graph=random_graph(Random(87), lossy=True), steps=1)
+def test_replaying_an_episode_with_losses_and_stalls_gives_the_same_windows(graph, steps):
+    timing = draw_timing(graph, np.random.default_rng(0), steps, 1)
+    columns = [
+        [in_seconds(t, timing.resolution) for t in timing.steps_of(n)] for n in range(len(graph.nodes))
+    ]
+    measured = MeasuredTiming(
+        {node.name: start for node, (start, _) in zip(graph.nodes, columns, strict=True)},
+        {node.name: end for node, (_, end) in zip(graph.nodes, columns, strict=True)},
+        {
+            c.key: in_seconds(timing.messages_of(e)[1], timing.resolution)
+            for e, c in enumerate(graph.connections)
+        },
+    )
+    again = replay_timing(graph, measured)
+    for e in range(len(graph.connections)):
+        np.testing.assert_array_equal(again.windows_of(e), timing.windows_of(e))

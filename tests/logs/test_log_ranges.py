@@ -1,0 +1,34 @@
+"""Angles whose range no machine has are refused, also where their steps look like turns."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepkoco.logs.checks.channel_checks import check_units
+from deepkoco.logs.recording import LogError
+from deepkoco.logs.series import Series
+from deepkoco.logs.sidecar import ChannelColumn, Column
+
+
+def checked(value: np.ndarray) -> list[str]:
+    t = 0.01 * np.arange(len(value))
+    column = ChannelColumn(Column("theta", "rad"), "measurement", None)
+    return check_units(Path("log.csv"), {"theta": Series(t, value, "rad", "measurement")}, {"theta": column})
+
+
+SWING = np.sin(0.03 * np.arange(2000))
+
+
+@pytest.mark.parametrize("factor", [300.0, 3000.0, 3e5])
+def test_a_scale_that_is_far_off_is_refused(factor):
+    with pytest.raises(LogError, match="if it is in deg"):
+        checked(factor * SWING)
+
+
+def test_a_wrapped_angle_and_single_wild_samples_are_not():
+    assert checked(np.mod(0.3 * np.arange(2000), 2 * math.pi)) == []
+    wild = SWING.copy()
+    wild[[3, 700]] = 1e6
+    assert checked(wild) == []
