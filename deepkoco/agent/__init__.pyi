@@ -1,0 +1,10 @@
+from .config import (
+    TrainingConfig as TrainingConfig,
+)
+from .policy import (
+    KoopmanPolicy as KoopmanPolicy,
+    load_policy as load_policy,
+)
+from .training import (
+    Trainer as Trainer,
+)
