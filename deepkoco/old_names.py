@@ -204,7 +204,9 @@ def find_moved(rows: Sequence[tuple[str, str, str]]) -> None:
     sys.meta_path.insert(0, MovedModules(moved_modules(rows)))
 
 
-def names_on_demand(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def names_on_demand(
+    package: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package whose names are imported when they are asked for.
 
     The names are those of the stub `__init__.pyi` beside `file`. A control loop on a robot, the process of a unit and

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepkoco.fit.solve.per_log_differences import KEY
+from deepkoco.fit.data.per_log_differences import KEY
 from deepkoco.logs.recording import LogError, Recording, read_log
 from deepkoco.systems import any_system
 

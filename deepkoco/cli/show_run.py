@@ -31,7 +31,7 @@ def show_run(args: argparse.Namespace) -> int:
     from deepkoco.analysis.measures.modes import ModesError
     from deepkoco.analysis.page.analyse import AnalysisOptions, analyse
     from deepkoco.analysis.page.page import PageExistsError, check_free, data_folder, write_page
-    from deepkoco.analysis.page.run_folder import RunFolderError, read_trained
+    from deepkoco.analysis.run_folder import RunFolderError, read_trained
     from deepkoco.envs.film import FilmError
     from deepkoco.envs.task_factory import TaskError
 

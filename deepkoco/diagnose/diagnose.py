@@ -22,6 +22,7 @@ from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.evidence.forward import Selected, Selection, Step, learned_instead
+from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_bending,
     doubts_of_commands,
@@ -30,14 +31,10 @@ from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_names,
 )
 from deepkoco.diagnose.evidence.selection import DETECTION, FURTHER, Ranking
-from deepkoco.diagnose.evidence.shortage import missing_for_diagnosis
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
 from deepkoco.diagnose.healthy import describe_healthy, extended, learn_baseline
 from deepkoco.diagnose.lost_commands.search import why_not_searched
 from deepkoco.diagnose.progress import Progress, silent
-from deepkoco.diagnose.report.versions import versions
-from deepkoco.diagnose.residuals.noise_causes import scatter_findings
-from deepkoco.diagnose.residuals.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.residuals.residuals import (
     SLOTS,
     MissingTorque,
@@ -50,6 +47,8 @@ from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice
 from deepkoco.diagnose.verdict.findings import estimates, evidence_for, finding, localise, motion_of
+from deepkoco.diagnose.verdict.noise_causes import scatter_findings
+from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.diagnose.verdict.verdict import fitful, rivalled, verdict_of
 from deepkoco.fit.data.windows import window_length
@@ -57,6 +56,7 @@ from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
+from deepkoco.output.versions import versions
 from deepkoco.systems import ExtendedSystem, System, any_system
 
 MOST_ALLOWED = 3  # times that a baseline learns further causes which its healthy logs allow

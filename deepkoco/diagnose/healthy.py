@@ -28,10 +28,10 @@ from deepkoco.diagnose.per_log_refits import run_to_run
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, within_bounds
+from deepkoco.fit.data.per_log_differences import may_differ
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.solve.dispersion import dispersion
-from deepkoco.fit.solve.per_log_differences import may_differ
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System

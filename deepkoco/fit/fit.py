@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.fit.data.per_log_differences import effects_in
 from deepkoco.fit.data.windows import Windows, halved
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.simulate.push import Push, push_torque
@@ -16,7 +17,6 @@ from deepkoco.fit.simulate.simulator import predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch, scaled_inverse, state_steps
 from deepkoco.fit.solve.nuisances import Nuisances
-from deepkoco.fit.solve.per_log_differences import effects_in
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import ExtendedSystem, Parameter
 

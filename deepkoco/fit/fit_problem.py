@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deepkoco.fit.data.per_log_differences import may_differ
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, channel_delays
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
-from deepkoco.fit.solve.per_log_differences import may_differ
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, Parameter, System, any_system

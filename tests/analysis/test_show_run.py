@@ -13,7 +13,7 @@ import deepkoco.analysis.page.analyse as analyse_module
 from deepkoco.agent.stored_controller import StoredController, write_controller
 from deepkoco.analysis.measures import view
 from deepkoco.analysis.page.page import data_folder
-from deepkoco.analysis.page.run_folder import RunFolderError, read_trained
+from deepkoco.analysis.run_folder import RunFolderError, read_trained
 from deepkoco.cli.command_line import main
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.planning import PlannerConfig

@@ -9,7 +9,7 @@ import yaml
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import refit, start_from
-from deepkoco.diagnose.residuals import residual_model
+from deepkoco.diagnose.evidence import residual_model
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, window_length
 from deepkoco.fit.fit import FitProblem

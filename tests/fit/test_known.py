@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.fit.data.per_log_differences import known_of
 from deepkoco.fit.data.windows import cut_windows
-from deepkoco.fit.solve.per_log_differences import known_of
 from deepkoco.logs.recording import LogError, Recording, Series
 from deepkoco.systems import make_system
 

@@ -14,7 +14,7 @@ from deepkoco.agent.buffer import Episode
 from deepkoco.agent.collection import box_sizes, collect_episodes, episode_costs
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
 from deepkoco.analysis.measures.steps import Steps, join_steps
-from deepkoco.analysis.page.run_folder import TrainedRun
+from deepkoco.analysis.run_folder import TrainedRun
 from deepkoco.envs.task_factory import make_task_factory
 from deepkoco.koopman.latent_model import Array, LatentModel
 

@@ -42,8 +42,8 @@ from deepkoco.analysis.measures.wrapped_model import WrappedModel
 from deepkoco.analysis.page.film_run import film_run
 from deepkoco.analysis.page.page import Page
 from deepkoco.analysis.page.plan_film import PlanFilm
-from deepkoco.analysis.page.run_folder import TrainedRun
 from deepkoco.analysis.page.words import facts, lead, tiles
+from deepkoco.analysis.run_folder import TrainedRun
 from deepkoco.koopman.exported import ExportedModel
 from deepkoco.koopman.latent_model import LatentModel
 from deepkoco.output.picture import Picture, house_style

@@ -9,7 +9,7 @@ from deepkoco.agent.policy import KoopmanPolicy
 from deepkoco.analysis.measures.collect import make_envs
 from deepkoco.analysis.measures.replays import ReplayError, film_episode, follow_plan
 from deepkoco.analysis.page.plan_film import PlanFilm, make_film, shadow_steps
-from deepkoco.analysis.page.run_folder import TrainedRun
+from deepkoco.analysis.run_folder import TrainedRun
 from deepkoco.envs.task_factory import TaskError
 
 MOST_STEPS = 200

@@ -12,7 +12,7 @@ import torch
 import deepkoco
 from deepkoco.analysis.measures.comparison import EpisodeCost
 from deepkoco.analysis.measures.horizon import HorizonErrors
-from deepkoco.analysis.page.run_folder import TrainedRun
+from deepkoco.analysis.run_folder import TrainedRun
 
 
 def lead(run: TrainedRun, pairs: int) -> str:

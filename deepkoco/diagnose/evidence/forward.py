@@ -24,6 +24,7 @@ from deepkoco.diagnose.evidence.elimination import (
     without_kinds,
 )
 from deepkoco.diagnose.evidence.refine_ranking import front_settled, with_fit
+from deepkoco.diagnose.evidence.residual_model import ResidualModel
 from deepkoco.diagnose.evidence.sanity_checks import at_bound
 from deepkoco.diagnose.evidence.seen_when_healthy import Claim, allowed
 from deepkoco.diagnose.evidence.selection import (
@@ -38,7 +39,6 @@ from deepkoco.diagnose.evidence.selection import (
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.lost_commands.report import best_losses, instead_of_push
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
-from deepkoco.diagnose.residuals.residual_model import ResidualModel
 from deepkoco.diagnose.residuals.residuals import (
     SLOTS,
     MissingTorque,

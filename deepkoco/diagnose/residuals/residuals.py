@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.fit.data.per_log_differences import effects_in
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import predict, trajectories
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
-from deepkoco.fit.solve.per_log_differences import effects_in
 from deepkoco.systems import ExtendedSystem
 
 __all__ = [

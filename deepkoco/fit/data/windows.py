@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.data.noise import Noise, estimate_noise
-from deepkoco.fit.solve.per_log_differences import Known, known_of
+from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import Motion, System
 

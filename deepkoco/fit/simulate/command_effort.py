@@ -9,8 +9,8 @@ import torch
 from scipy.linalg import solve_banded
 from torch import Tensor
 
+from deepkoco.fit.data.per_log_differences import of_log
 from deepkoco.fit.data.windows import CommandSeries, Windows
-from deepkoco.fit.solve.per_log_differences import of_log
 from deepkoco.systems import System
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.command_effort import command_efforts
 from deepkoco.fit.simulate.sensor_filter import filtered
-from deepkoco.fit.solve.per_log_differences import amounts, of_windows
 from deepkoco.systems import ExtendedSystem, Motion, System
 
 # The sign of dry friction is smoothed over at least SHARPEST [rad/s], and over as much speed as the joint

@@ -10,13 +10,13 @@ from torch import Tensor
 
 from deepkoco.graph.execution import cells
 from deepkoco.graph.execution.policy import Policy, as_function, given_actions
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.contract import check_action, check_batch, check_output, check_state, located
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Input, State, Supervisor
 from deepkoco.graph.supergraph import join_slots
 from deepkoco.graph.timing.computation_graph import concatenate
-from deepkoco.graph.timing.schedule import Schedule
 
 
 class EagerExecutor:

@@ -9,12 +9,12 @@ from torch import Tensor
 
 from deepkoco.graph.execution.eager import EagerExecutor
 from deepkoco.graph.execution.policy import Policy, recorded_names
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Input, State
 from deepkoco.graph.supergraph import merge_slots
 from deepkoco.graph.timing.computation_graph import ComputationGraph
-from deepkoco.graph.timing.schedule import Schedule
 
 __all__ = ["EXECUTORS", "BatchedRuntime", "HorizonError", "NodeParameters", "RuntimeState", "Trace"]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.model.node import State
-from deepkoco.graph.timing.schedule import Schedule
 
 NodeParameters = Mapping[str, Mapping[str, Tensor]]
 Trace = list[tuple[int, np.ndarray, Tensor]]

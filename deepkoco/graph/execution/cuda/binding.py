@@ -16,7 +16,7 @@ from deepkoco.graph.execution.cuda.recent import Recent
 from deepkoco.graph.execution.cuda.state import DeviceState, carry_of, named_carry, parameters_of
 from deepkoco.graph.execution.cuda.supervisor_step import SupervisorStep, Uses
 from deepkoco.graph.execution.policy import PolicyFunction
-from deepkoco.graph.timing.schedule import Schedule
+from deepkoco.graph.execution.schedule import Schedule
 
 Work = Callable[[], None]
 

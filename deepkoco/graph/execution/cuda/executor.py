@@ -23,10 +23,10 @@ from deepkoco.graph.execution.cuda.state import DeviceState, LazyInputs, named_c
 from deepkoco.graph.execution.cuda.supervisor_step import Carry, SupervisorStep, Uses
 from deepkoco.graph.execution.eager import EagerExecutor
 from deepkoco.graph.execution.policy import Policy, as_function, given_actions
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Input, State
-from deepkoco.graph.timing.schedule import Schedule
 
 SCHEDULES, BINDINGS = 2, 4  # kept for use again; each binding holds a batch of environments
 

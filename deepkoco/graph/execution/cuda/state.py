@@ -8,9 +8,9 @@ from torch import Tensor
 
 from deepkoco.graph.execution.cuda.packing import Buffers, Name
 from deepkoco.graph.execution.cuda.supervisor_step import Carry
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import RuntimeState
 from deepkoco.graph.model.node import Input, State
-from deepkoco.graph.timing.schedule import Schedule
 
 if TYPE_CHECKING:
     from deepkoco.graph.execution.cuda.binding import Binding

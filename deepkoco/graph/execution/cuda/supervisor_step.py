@@ -16,9 +16,9 @@ from torch.utils._pytree import tree_leaves
 from deepkoco.graph.execution.cuda.modes import Watching
 from deepkoco.graph.execution.cuda.rings import Cells, merged
 from deepkoco.graph.execution.cuda.tables import PassTables, Read
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, State, Supervisor
-from deepkoco.graph.timing.schedule import Schedule
 
 TIMES = ("seq", "t_sent", "t_received", "t_start")
 Uses = frozenset[tuple[str, str]]

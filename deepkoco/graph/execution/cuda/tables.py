@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.timing.schedule import Schedule
 
 
 class Read(NamedTuple):

@@ -22,10 +22,10 @@ from deepkoco.graph.execution.fused.source import kernel_source
 from deepkoco.graph.execution.fused.state import FusedState, LazyInputs, Place
 from deepkoco.graph.execution.fused.trace import TraceError
 from deepkoco.graph.execution.policy import Policy, PolicyFunction, as_function, given_actions
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, State
-from deepkoco.graph.timing.schedule import Schedule
 
 FEW = 4  # up to this many environments, one lane each is faster than blocks that are mostly empty
 

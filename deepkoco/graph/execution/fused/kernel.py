@@ -11,8 +11,8 @@ from deepkoco.graph.execution.fused.memory import Memory
 from deepkoco.graph.execution.fused.program import Program
 from deepkoco.graph.execution.fused.record import NUMBER, NUMPY, Field
 from deepkoco.graph.execution.fused.source import KernelSource
+from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.timing.schedule import Schedule
 
 _i64 = np.int64
 NODE = np.dtype(

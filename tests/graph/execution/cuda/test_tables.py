@@ -7,7 +7,7 @@ from deepkoco.graph import Connection, Graph, Supervisor, draw_timing
 from deepkoco.graph.execution.cuda.packing import Packing, clone, load
 from deepkoco.graph.execution.cuda.recent import Recent
 from deepkoco.graph.execution.cuda.tables import PassTables
-from deepkoco.graph.timing.schedule import Schedule
+from deepkoco.graph.execution.schedule import Schedule
 from experiments.rollout_work import Relay
 
 
