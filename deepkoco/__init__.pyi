@@ -1,5 +1,7 @@
 from .interchange.loaded_model import (
     LoadedModel as LoadedModel,
+)
+from .interchange.loaded_model import (
     load as load,
 )
 

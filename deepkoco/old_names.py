@@ -27,7 +27,7 @@ MOVED = (
         "learning linearity modes plans points pruning replays rollout saliency sensitivity steps "
         "view wrapped_model",
     ),
-    ("deepkoco.analysis", "deepkoco.analysis.page", "analyse film_run plan_film run_folder words"),
+    ("deepkoco.analysis", "deepkoco.analysis.page", "analyse film_run plan_film words"),
     ("deepkoco.commands", "deepkoco.cli", "export_command>export show_command>show"),
     ("deepkoco.diagnose", "deepkoco.cli", "command>diagnose"),
     ("deepkoco.diagnose", "deepkoco.diagnose", "design>experiment_design refits>per_log_refits"),
@@ -35,14 +35,14 @@ MOVED = (
         "deepkoco.diagnose",
         "deepkoco.diagnose.evidence",
         "allowed>seen_when_healthy beyond>sanity_checks classes elimination forward hints>start_values "
-        "pushed>event_windows screening selection settling>refine_ranking shortage",
+        "pushed>event_windows residual_model screening selection settling>refine_ranking",
     ),
     (
         "deepkoco.diagnose",
         "deepkoco.diagnose.lost_commands",
         "loss_pattern>sequence losses>report lost>search",
     ),
-    ("deepkoco.diagnose", "deepkoco.diagnose.report", "page remains>unexplained_text versions words>text"),
+    ("deepkoco.diagnose", "deepkoco.diagnose.report", "page remains>unexplained_text words>text"),
     (
         "deepkoco.diagnose",
         "deepkoco.diagnose.report.figures",
@@ -52,10 +52,14 @@ MOVED = (
     (
         "deepkoco.diagnose",
         "deepkoco.diagnose.residuals",
-        "friction_curve missing_curve noise_left>whiteness residual_model scatter "
-        "scattered>noise_causes signatures spectrum",
+        "friction_curve missing_curve noise_left>whiteness scatter signatures spectrum",
     ),
-    ("deepkoco.diagnose", "deepkoco.diagnose.verdict", "advice findings unknown"),
+    (
+        "deepkoco.diagnose",
+        "deepkoco.diagnose.verdict",
+        "advice findings scattered>noise_causes shortage unknown",
+    ),
+    ("deepkoco.diagnose", "deepkoco.output", "versions"),
     ("deepkoco.diagnose.design", "deepkoco.cli", "command>design_experiment"),
     (
         "deepkoco.diagnose.design",
@@ -64,20 +68,19 @@ MOVED = (
     ),
     ("deepkoco.graph", "deepkoco.graph", "realtime>live"),
     ("deepkoco.graph", "deepkoco.graph.episodes", "episode episode_tables>tables fitting storage"),
-    ("deepkoco.graph", "deepkoco.graph.execution", "cells cuda eager fused policy runtime state"),
+    ("deepkoco.graph", "deepkoco.graph.execution", "cells cuda eager fused policy runtime schedule state"),
     ("deepkoco.graph", "deepkoco.graph.model", "connection contract graph node"),
     (
         "deepkoco.graph",
         "deepkoco.graph.timing",
-        "computation_graph drawn_delays>drawn overrides replay schedule timing_kernel>kernel "
-        "timing_plan>plan",
+        "computation_graph drawn_delays>drawn overrides replay timing_kernel>kernel timing_plan>plan",
     ),
     ("deepkoco.graph", "deepkoco.logs", "log_files>formats log_series>series recording sidecar units"),
     ("deepkoco.graph", "deepkoco.logs.checks", "derivative log_checks>channel_checks log_frozen>frozen"),
     ("deepkoco.graph.storage", "deepkoco.graph.episodes", "export"),
     ("deepkoco.identify", "deepkoco.cli", "command>identify"),
     ("deepkoco.identify", "deepkoco.fit", "question>fit_problem trial>fit_types"),
-    ("deepkoco.identify", "deepkoco.fit.data", "noise windows"),
+    ("deepkoco.identify", "deepkoco.fit.data", "known>per_log_differences noise windows"),
     ("deepkoco.identify", "deepkoco.fit.delays", "hidden_delay linear_delays trainable_delay"),
     (
         "deepkoco.identify",
@@ -87,7 +90,7 @@ MOVED = (
     (
         "deepkoco.identify",
         "deepkoco.fit.solve",
-        "dispersion identifiability known>per_log_differences levenberg_marquardt methods "
+        "dispersion identifiability levenberg_marquardt methods "
         "normal>normal_equations nuisances prior search>cma sharpen>residual_noise "
         "zeros>encoder_zeros",
     ),

@@ -3,6 +3,8 @@ from .config import (
 )
 from .policy import (
     KoopmanPolicy as KoopmanPolicy,
+)
+from .policy import (
     load_policy as load_policy,
 )
 from .training import (

@@ -1,45 +1,103 @@
 from .delay import (
     Autoregressive as Autoregressive,
+)
+from .delay import (
     Delay as Delay,
+)
+from .delay import (
     DelayError as DelayError,
+)
+from .delay import (
     Deterministic as Deterministic,
+)
+from .delay import (
     Empirical as Empirical,
+)
+from .delay import (
     Gamma as Gamma,
+)
+from .delay import (
     Gaussian as Gaussian,
+)
+from .delay import (
     LogNormal as LogNormal,
+)
+from .delay import (
     Lossy as Lossy,
+)
+from .delay import (
     Mixture as Mixture,
+)
+from .delay import (
     OrnsteinUhlenbeck as OrnsteinUhlenbeck,
+)
+from .delay import (
     OverrunProcess as OverrunProcess,
+)
+from .delay import (
     RankCorrelation as RankCorrelation,
+)
+from .delay import (
     RecordedDelays as RecordedDelays,
+)
+from .delay import (
     Stalls as Stalls,
+)
+from .delay import (
     Uniform as Uniform,
+)
+from .delay import (
     make_delay as make_delay,
 )
 from .episodes.episode import (
     Episode as Episode,
+)
+from .episodes.episode import (
     Note as Note,
+)
+from .episodes.episode import (
     common_part as common_part,
+)
+from .episodes.episode import (
     record_episodes as record_episodes,
+)
+from .episodes.episode import (
     replay_episode as replay_episode,
 )
 from .episodes.storage import (
     EpisodeFileError as EpisodeFileError,
+)
+from .episodes.storage import (
     EpisodeWriter as EpisodeWriter,
+)
+from .episodes.storage import (
     RecordedRun as RecordedRun,
+)
+from .episodes.storage import (
     read_episodes as read_episodes,
+)
+from .episodes.storage import (
     write_episodes as write_episodes,
 )
 from .execution.runtime import (
     BatchedRuntime as BatchedRuntime,
+)
+from .execution.runtime import (
     HorizonError as HorizonError,
+)
+from .execution.runtime import (
     RuntimeState as RuntimeState,
 )
 from .live import (
     ConcurrentRuntime as ConcurrentRuntime,
+)
+from .live import (
     NodeFailure as NodeFailure,
+)
+from .live import (
     SimulatedRuntime as SimulatedRuntime,
+)
+from .live import (
     WallClockRuntime as WallClockRuntime,
 )
 from .model.connection import (
@@ -53,8 +111,14 @@ from .model.graph import (
 )
 from .model.node import (
     GraphError as GraphError,
+)
+from .model.node import (
     Input as Input,
+)
+from .model.node import (
     Node as Node,
+)
+from .model.node import (
     Supervisor as Supervisor,
 )
 from .timing.computation_graph import (
@@ -62,10 +126,16 @@ from .timing.computation_graph import (
 )
 from .timing.draw import (
     TimingError as TimingError,
+)
+from .timing.draw import (
     draw_timing as draw_timing,
+)
+from .timing.draw import (
     extend_timing as extend_timing,
 )
 from .timing.replay import (
     MeasuredTiming as MeasuredTiming,
+)
+from .timing.replay import (
     replay_timing as replay_timing,
 )

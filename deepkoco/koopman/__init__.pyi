@@ -9,5 +9,7 @@ from .losses import (
 )
 from .model.model import (
     KoopmanModel as KoopmanModel,
+)
+from .model.model import (
     ModelConfig as ModelConfig,
 )

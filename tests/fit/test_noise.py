@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.fit.data.noise import estimate_noise, quantum_of
+from deepkoco.fit.data.noise import estimate_noise
+from deepkoco.logs.quantum import quantum_of
 
 
 @settings(max_examples=20, deadline=None)

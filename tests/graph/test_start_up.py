@@ -3,8 +3,6 @@
 import subprocess
 import sys
 
-import pytest
-
 NEEDLESS = (
     "cv2",
     "gymnasium",
@@ -36,28 +34,3 @@ print(runtime.executor, *sorted(set({NEEDLESS}) & set(sys.modules)))
 def test_the_first_step_of_a_graph_imports_no_tables_pictures_or_compilers() -> None:
     run = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["fused"]
-
-
-# In a process of its own: here other tests have imported what is to be found.
-SUBMODULES = """
-import deepkoco.graph as graph
-names = "cuda derivative log_checks log_files log_series realtime recording sidecar storage units".split()
-assert set(names) <= set(dir(graph)), dir(graph)
-for name in names:
-    assert getattr(graph, name).__name__ == "deepkoco.graph." + name
-assert {*graph.__all__, "TYPE_CHECKING"} <= set(dir(graph))
-assert not hasattr(graph, "cameras")
-"""
-
-EXPORT = """
-import deepkoco.graph.episodes.storage as storage
-assert {"episode_table", "export", "export_episodes"} <= set(dir(storage)), dir(storage)
-assert storage.export.__name__ == "deepkoco.graph.episodes.export"
-assert storage.export_episodes is storage.export.export_episodes
-assert not hasattr(storage, "exports")
-"""
-
-
-@pytest.mark.parametrize("program", [SUBMODULES, EXPORT], ids=["graph", "storage"])
-def test_what_is_imported_late_is_found_and_listed(program: str) -> None:
-    subprocess.run([sys.executable, "-c", program], check=True)

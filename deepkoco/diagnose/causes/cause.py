@@ -67,7 +67,7 @@ class Cause:
         choices: Number of discrete values that were tried, which the penalty must pay for.
         valley: Values, by full names, along a valley of the cost through given ones; None where there is none.
         scatter: For a cause that changes how measurements scatter: its test; None for the others.
-        traced: Whether it is searched for in the data itself (deepkoco.diagnose.lost_commands.search) and not by fits of parameters.
+        traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
         effect: Name of the placed effect that carries it (or "event").
         joint: Joint that it acts on; None for the whole system.
         index: Which command or channel, where it belongs to one.

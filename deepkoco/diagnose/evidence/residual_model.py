@@ -5,9 +5,9 @@ with all others and with the baseline's parameters by multiple shooting. How man
 the training data that this fit does not see; those that later ones made idle are dropped. Whether the whole is kept
 is decided on the held-out windows.
 
-Source: forward selection, Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 3.3.2; the score test as
-    in :mod:`deepkoco.diagnose.evidence.screening`. The library of terms is in the spirit of Brunton, Proctor, Kutz, PNAS
-    113(15), 2016 (SINDy), but the regression is on simulated trajectories, not on derivatives.
+Source: forward selection, Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 3.3.2; the score test
+    as in :mod:`deepkoco.diagnose.evidence.screening`. The library of terms is in the spirit of Brunton, Proctor, Kutz,
+    PNAS 113(15), 2016 (SINDy), but the regression is on simulated trajectories, not on derivatives.
 """
 
 from __future__ import annotations

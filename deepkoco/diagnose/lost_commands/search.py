@@ -5,8 +5,8 @@ measurements is simulated once; a pattern of losses is a sum of such responses w
 pay for saying which ticks they are. Neighbouring ticks do nearly the same to a slow machine: how many were lost is
 found better than which.
 
-Source: detection of a sequence (:mod:`deepkoco.diagnose.lost_commands.sequence`) under the two-part code of minimum description
-    length (Rissanen 1978).
+Source: detection of a sequence (:mod:`deepkoco.diagnose.lost_commands.sequence`) under the two-part code of minimum
+    description length (Rissanen 1978).
 """
 
 from __future__ import annotations

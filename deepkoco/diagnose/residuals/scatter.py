@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.fit.data.noise import quantum_of
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
+from deepkoco.logs.quantum import quantum_of
 from deepkoco.systems import System
 
 SPEC = 0.15  # relative uncertainty of the noise that a data sheet gives

@@ -14,9 +14,9 @@ import numpy as np
 from deepkoco.diagnose.diagnosis import Evidence
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.residuals.scatter import residual_and_slope
-from deepkoco.fit.data.noise import quantum_of
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
+from deepkoco.logs.quantum import quantum_of
 from deepkoco.systems import System
 
 CHANCE = 5.0  # standard deviations of a correlation of unrelated samples

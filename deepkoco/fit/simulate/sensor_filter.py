@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from deepkoco.fit.simulate.simulator import Nodes
+from deepkoco.fit.simulate.nodes import Nodes
 
 
 def filtered(nodes: Nodes, time_constant: Tensor, h: float) -> Nodes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.command_effort import command_efforts
+from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.sensor_filter import filtered
 from deepkoco.systems import ExtendedSystem, Motion, System
 
@@ -20,20 +21,6 @@ from deepkoco.systems import ExtendedSystem, Motion, System
 # only; spread over the step it gives the right impulse, since the smoothed sign is odd about the reversal.
 SHARPEST = 0.03
 CROSSING = 0.3
-
-
-class Nodes(NamedTuple):
-    """States at the n + 1 nodes of the steps and their derivatives; lanes are the last axis.
-
-    Attributes:
-        value: Per state (n + 1, W, L).
-        left: Per state (n, W, L), derivative at the start of each step.
-        right: Per state (n, W, L), derivative at its end: a command may jump at the node.
-    """
-
-    value: tuple[Tensor, ...]
-    left: tuple[Tensor, ...]
-    right: tuple[Tensor, ...]
 
 
 def trajectories(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from deepkoco.fit.data.noise import Noise, quantum_of, residual_noise
+from deepkoco.fit.data.noise import Noise, residual_noise
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
+from deepkoco.logs.quantum import quantum_of
 
 
 def sharpen_noise(windows: Windows, fit: Fit) -> tuple[Noise, ...]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
-from functools import cached_property
 from typing import Any
 
 from deepkoco.graph.delay import (
@@ -15,7 +14,6 @@ from deepkoco.graph.delay import (
 )
 from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.node import GraphError, Node, Supervisor
-from deepkoco.graph.timing.plan import TimingPlan
 
 
 class Graph:
@@ -49,6 +47,8 @@ class Graph:
         self.connections = tuple(connections)
         self.supervisor = supervisor
         self.index = {node.name: position for position, node in enumerate(self.nodes)}
+        self.kept: dict[str, Any] = {}
+        """What others work out of this graph once and keep with it."""
         self._check()
         self.order = self._topological_order()
         self.phases = self._phases()
@@ -57,12 +57,8 @@ class Graph:
     @property
     def constant(self) -> bool:
         """Whether all delays are constant, so that every episode has the same timing."""
-        return self.plan.constant and not self.stalls
-
-    @cached_property
-    def plan(self) -> TimingPlan:
-        """What every timing of this graph has in common."""
-        return TimingPlan(self)
+        laws = [node.delay for node in self.nodes] + [connection.law for connection in self.connections]
+        return not self.stalls and all(law.constant for law in laws)
 
     def node(self, name: str) -> Node:
         """Return the node of that name."""

@@ -2,41 +2,14 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError
 from deepkoco.graph.timing.kernel import LOST
-
-if TYPE_CHECKING:
-    from deepkoco.graph.model.graph import Graph
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where the steps, messages and windows of a graph lie in the columns of a computation graph.
-
-    Attributes:
-        names: (N,) nodes in the order of the graph.
-        connections: (E,) keys of the connections.
-        sender, receiver, window: (E,) per connection.
-        step_base: (N + 1,) node n's step k is column step_base[n] + k.
-        message_base: (E + 1,) connection e's message i is column message_base[e] + i.
-        window_base: (E + 1,) what step k of the receiver sees on connection e are the `window[e]` columns
-            from window_base[e] + k * window[e].
-        supervisor: index of the supervisor.
-    """
-
-    names: tuple[str, ...]
-    connections: tuple[str, ...]
-    sender: np.ndarray
-    receiver: np.ndarray
-    window: np.ndarray
-    step_base: np.ndarray
-    message_base: np.ndarray
-    window_base: np.ndarray
-    supervisor: int
+from deepkoco.graph.timing.layout import Layout, layout_of
 
 
 class Vertices(NamedTuple):
@@ -85,7 +58,7 @@ class ComputationGraph:
         """Number of environments."""
         return len(self.row)
 
-    def check_graph(self, graph: "Graph") -> None:
+    def check_graph(self, graph: Graph) -> None:
         """Check that this is a timing of a graph; rates and delays may be others.
 
         Raises:
@@ -162,25 +135,7 @@ class ComputationGraph:
         return replace(self, row=row.reshape(-1), origin=origin, **chosen)
 
 
-def layout_of(graph: "Graph", capacity: np.ndarray) -> Layout:
-    """Lay out the columns for at most capacity[n] steps of node n."""
-    sender = np.array([graph.index[c.sender] for c in graph.connections], dtype=np.int64)
-    receiver = np.array([graph.index[c.receiver] for c in graph.connections], dtype=np.int64)
-    window = np.array([c.window for c in graph.connections], dtype=np.int64)
-    return Layout(
-        names=tuple(node.name for node in graph.nodes),
-        connections=tuple(connection.key for connection in graph.connections),
-        sender=sender,
-        receiver=receiver,
-        window=window,
-        step_base=_bases(capacity),
-        message_base=_bases(capacity[sender]),
-        window_base=_bases(capacity[receiver] * window),
-        supervisor=graph.index[graph.supervisor],
-    )
-
-
-def concatenate(graph: "Graph", parts: list[ComputationGraph]) -> ComputationGraph:
+def concatenate(graph: Graph, parts: list[ComputationGraph]) -> ComputationGraph:
     """Join the environments of several computation graphs of one graph into one batch."""
     capacity = np.max([np.diff(part.layout.step_base) for part in parts], axis=0)
     layout = layout_of(graph, capacity)
@@ -215,7 +170,3 @@ def _join(
             wide[:, base[i] : base[i] + old[i + 1] - old[i]] = array[:, old[i] : old[i + 1]]
         joined.append(wide)
     return np.concatenate(joined)
-
-
-def _bases(sizes: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)

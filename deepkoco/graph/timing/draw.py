@@ -6,7 +6,6 @@ makes it 3 * 10^9), so that comparisons of instants are exact; random delays are
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,9 @@ from deepkoco.graph.model.graph import Graph, check_coupling
 from deepkoco.graph.timing.computation_graph import ComputationGraph
 from deepkoco.graph.timing.drawn import DrawnDelays
 from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, Times, run_rows
-from deepkoco.graph.timing.overrides import ChannelLaws, Delays, TimingError, read_overrides
+from deepkoco.graph.timing.origin import Origin
+from deepkoco.graph.timing.overrides import Delays, TimingError, read_overrides
+from deepkoco.graph.timing.plan import plan_of
 
 __all__ = ["Delays", "TimingError", "draw_timing", "extend_timing"]
 _MOST_STRETCH = 64  # an episode that takes this many times its nominal steps is not going to end
@@ -63,7 +64,7 @@ def draw_timing(
     """
     if steps < 1 or batch < 1 or (rows is not None and rows < 1):
         raise TimingError(f"steps {steps}, batch {batch} and rows {rows} must be at least 1")
-    plan = graph.plan
+    plan = plan_of(graph)
     own = dict(zip(plan.channels, plan.laws, strict=True))
     nodes = plan.channels[: len(graph.nodes)]
     laws = read_overrides(own, nodes, delays or {}, rows or batch, traces)
@@ -105,25 +106,8 @@ def extend_timing(timing: ComputationGraph, steps: int) -> ComputationGraph:
     return _work_out(timing.origin, steps, timing.row)
 
 
-@dataclass(frozen=True)
-class Origin:
-    """All that determines the delays of a timing; `kept` are the schedules left of `rows`, None: all."""
-
-    graph: Graph
-    seed: int
-    laws: ChannelLaws
-    correlations: tuple[RankCorrelation, ...]
-    stalls: tuple[Stalls, ...]
-    rows: int
-    kept: np.ndarray | None
-
-    def take(self, rows: np.ndarray) -> "Origin":
-        """Keep some of the schedules."""
-        return replace(self, kept=rows if self.kept is None else self.kept[rows])
-
-
 def _work_out(origin: Origin, steps: int, row: np.ndarray) -> ComputationGraph:
-    graph, plan = origin.graph, origin.graph.plan
+    graph, plan = origin.graph, plan_of(origin.graph)
     resolution = plan.resolution(law for key, law in origin.laws.same.items() if law is not _own(plan, key))
     rules = plan.rules(resolution)
     capacity = planned = plan.capacity(steps)

@@ -1,17 +1,14 @@
 """Drawn delays in ticks, block after block, as the timing kernel reads them."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from deepkoco.graph.delay import DelayError
 from deepkoco.graph.delay.source import DelaySource
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.timing.kernel import LOST, Draws
+from deepkoco.graph.timing.origin import Origin
 from deepkoco.graph.timing.overrides import TimingError
-
-if TYPE_CHECKING:
-    from deepkoco.graph.timing.draw import Origin
+from deepkoco.graph.timing.plan import plan_of
 
 _BLOCK = 64  # supervisor steps in the first block; each further one doubles what there is
 _STALLS = 4  # drawn at a time
@@ -28,8 +25,8 @@ class DrawnDelays:
         kept: schedules for which delays are handed out.
     """
 
-    def __init__(self, graph: Graph, origin: "Origin", resolution: int) -> None:
-        plan, laws, rows = graph.plan, origin.laws, origin.rows
+    def __init__(self, graph: Graph, origin: Origin, resolution: int) -> None:
+        plan, laws, rows = plan_of(graph), origin.laws, origin.rows
         self._plan, self._laws, self._resolution = plan, laws, resolution
         self._origin = origin
         self.kept = np.arange(rows) if origin.kept is None else origin.kept

@@ -3,20 +3,26 @@
 import math
 from collections.abc import Iterable
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepkoco.graph.delay import Delay, exact_fraction, exact_seconds
-from deepkoco.graph.timing.computation_graph import Layout, layout_of
+from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.timing.kernel import Columns, Rules
-
-if TYPE_CHECKING:
-    from deepkoco.graph.model.graph import Graph
+from deepkoco.graph.timing.layout import Layout, layout_of
 
 NANO = 10**9
 _FINEST = 10**13  # ticks per second: beyond, int64 would not hold a day
+_KEY = "timing plan"
 _KEPT = 8  # layouts for different numbers of steps
+
+
+def plan_of(graph: Graph) -> "TimingPlan":
+    """Return what every timing of this graph has in common; worked out once."""
+    plan = graph.kept.get(_KEY)
+    if plan is None:
+        plan = graph.kept[_KEY] = TimingPlan(graph)
+    return plan
 
 
 class TimingPlan:
@@ -26,7 +32,7 @@ class TimingPlan:
         graph: does not change any more.
     """
 
-    def __init__(self, graph: "Graph") -> None:
+    def __init__(self, graph: Graph) -> None:
         self._graph = graph
         self.channels = (*(n.name for n in graph.nodes), *(c.key for c in graph.connections))
         """Names of the delays: nodes (computation), then connections (communication)."""

@@ -10,6 +10,7 @@ from deepkoco.graph.timing.computation_graph import ComputationGraph
 from deepkoco.graph.timing.draw import empty_times
 from deepkoco.graph.timing.kernel import DONE, LOST, Draws, run_rows
 from deepkoco.graph.timing.overrides import TimingError
+from deepkoco.graph.timing.plan import plan_of
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def replay_timing(graph: Graph, measured: MeasuredTiming, batch: int = 1) -> Com
     Raises:
         TimingError: times are missing, not finite, or run backwards.
     """
-    plan = graph.plan
+    plan = plan_of(graph)
     resolution = plan.resolution(())
     start, end = {}, {}
     for node in graph.nodes:

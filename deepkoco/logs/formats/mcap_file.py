@@ -17,7 +17,7 @@ from zstandard import ZstdError
 
 from deepkoco.logs.formats.fields import TopicColumns
 from deepkoco.logs.formats.log_file import LogError, LogFile, Table
-from deepkoco.logs.formats.open_log import Wanted
+from deepkoco.logs.formats.wanted import Wanted
 
 MAGIC = b"\x89MCAP0\r\n"
 Decoder = Callable[[bytes], Any]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 from deepkoco.logs.formats.log_file import LogError, LogFile
-
-Wanted = Mapping[str, Iterable[str]] | None
-"""Fields to read, by topic; None: all that are not too large."""
+from deepkoco.logs.formats.wanted import Wanted
 
 
 def _csv(path: Path, wanted: Wanted) -> LogFile:

@@ -11,7 +11,7 @@ from typing import Any
 
 from deepkoco.logs.formats.fields import TopicColumns
 from deepkoco.logs.formats.log_file import LogError, LogFile
-from deepkoco.logs.formats.open_log import Wanted
+from deepkoco.logs.formats.wanted import Wanted
 
 FALLBACK = "ROS2_HUMBLE"
 """Definitions of the usual messages for bags that carry none (ROS 2 bags in sqlite3 before Iron)."""

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepkoco.fit.data.noise import quantum_of
 from deepkoco.logs.formats import LogFile
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.inspect.clock import Clock, find_clocks, stamps
 from deepkoco.logs.inspect.names import NameHints, read_name
+from deepkoco.logs.quantum import quantum_of
 from deepkoco.logs.series import far_values
 
 

@@ -1,0 +1,68 @@
+"""Modules and names that have moved."""
+
+import importlib
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+from deepkoco.old_names import MOVED, MOVED_NAMES, moved_modules
+
+TABLE = moved_modules(MOVED)
+
+
+def test_every_moved_module_has_a_new_place() -> None:
+    for old, new in TABLE.items():
+        assert importlib.util.find_spec(new) is not None, f"{old}: there is no {new}"
+
+
+@pytest.mark.parametrize(
+    "old",
+    ["deepkoco.identify.trial", "deepkoco.graph.units", "deepkoco.graph.storage.read", "deepkoco.identify"],
+)
+def test_a_moved_module_is_the_module_at_the_new_place(old: str) -> None:
+    sys.modules.pop(old, None)
+    with pytest.warns(DeprecationWarning, match=f"{old} has moved to deepkoco"):
+        module = importlib.import_module(old)
+    assert module.__name__ != old
+    assert module is importlib.import_module(module.__name__)
+    assert module.__spec__.name == module.__name__
+
+
+@pytest.mark.parametrize(("package", "name"), MOVED_NAMES)
+def test_a_moved_name_is_the_object_at_the_new_place(package: str, name: str) -> None:
+    home = MOVED_NAMES[package, name]
+    with pytest.warns(DeprecationWarning, match=f"{package}.{name} has moved to {home}.{name}"):
+        found = getattr(importlib.import_module(package), name)
+    assert found is getattr(importlib.import_module(home), name)
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("deepkoco.diagnose", "diagnose"),
+        ("deepkoco.diagnose.report", "write_report"),
+        ("deepkoco.diagnose.healthy", "learn_baseline"),
+        ("deepkoco.graph.timing", "draw_timing"),
+        ("deepkoco.koopman.lifting", "Identity"),
+        ("deepkoco.koopman.model", "KoopmanModel"),
+        ("deepkoco.cli", "main"),
+    ],
+)
+def test_names_of_modules_that_became_packages_are_still_there(module: str, name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert callable(getattr(importlib.import_module(module), name))
+
+
+def test_a_name_that_never_was_is_not_found() -> None:
+    with pytest.raises(ModuleNotFoundError, match=r"deepkoco\.identity"):
+        importlib.import_module("deepkoco.identity")
+    with pytest.raises(AttributeError, match="cameras"):
+        importlib.import_module("deepkoco.graph").cameras  # noqa: B018
+
+
+def test_a_module_runs_under_its_old_name() -> None:
+    program = [sys.executable, "-W", "ignore", "-m", "deepkoco.unit.systems_command"]
+    assert subprocess.run(program, check=False, capture_output=True, text=True).returncode == 0
