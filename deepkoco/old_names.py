@@ -79,7 +79,7 @@ MOVED = (
     ("deepkoco.graph", "deepkoco.logs.checks", "derivative log_checks>channel_checks log_frozen>frozen"),
     ("deepkoco.graph.storage", "deepkoco.graph.episodes", "export"),
     ("deepkoco.identify", "deepkoco.cli", "command>identify"),
-    ("deepkoco.identify", "deepkoco.fit", "question>fit_problem trial>fit_types"),
+    ("deepkoco.identify", "deepkoco.fit", "question>request trial>fit_types"),
     ("deepkoco.identify", "deepkoco.fit.data", "known>per_log_differences noise windows"),
     ("deepkoco.identify", "deepkoco.fit.delays", "hidden_delay linear_delays trainable_delay"),
     (

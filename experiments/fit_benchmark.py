@@ -21,8 +21,8 @@ import torch
 from scipy.optimize import least_squares
 
 from deepkoco.excitation.record import record
-from deepkoco.fit.fit_problem import Question, ask
 from deepkoco.fit.fit_types import Trial
+from deepkoco.fit.request import Question, ask
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.fit.solve.methods import TOLERANCE
 from deepkoco.fit.threads import one_thread

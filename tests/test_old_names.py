@@ -12,6 +12,9 @@ from deepkoco.old_names import MOVED, MOVED_NAMES, moved_modules
 TABLE = moved_modules(MOVED)
 
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* has moved to deepkoco:DeprecationWarning")
+
+
 def test_every_moved_module_has_a_new_place() -> None:
     for old, new in TABLE.items():
         assert importlib.util.find_spec(new) is not None, f"{old}: there is no {new}"

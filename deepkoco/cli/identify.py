@@ -102,9 +102,9 @@ def run(args: argparse.Namespace) -> int:
         InputError: A log, a name, a number or the output folder cannot be used.
     """
     from deepkoco.fit.delays.hidden_delay import hidden_delays
-    from deepkoco.fit.fit_problem import FitError, command_delays
     from deepkoco.fit.identify import fit
     from deepkoco.fit.report import as_json, terminal_report, write_identification
+    from deepkoco.fit.request import FitError, command_delays
     from deepkoco.fit.solve.cma import MissingExtraError
     from deepkoco.logs.recording import LogError
     from deepkoco.output.new_folder import FolderExistsError, check_new

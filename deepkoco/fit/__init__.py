@@ -4,11 +4,11 @@ from deepkoco.fit.data.noise import Noise, estimate_noise
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.delays.hidden_delay import HiddenDelays, hidden_delays
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.fit_problem import FitError
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.graph_fit import GraphFit, GraphMisfit, fit_graph, seen_by_supervisor
 from deepkoco.fit.identification import Convergence, Estimate, Identification
 from deepkoco.fit.identify import fit
+from deepkoco.fit.request import FitError
 from deepkoco.fit.solve.cma import MissingExtraError, Search, cma_es
 from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.solve.methods import METHODS, CmaEs, LevenbergMarquardt

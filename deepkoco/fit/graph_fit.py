@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.fit_problem import FitError
 from deepkoco.fit.identification import Convergence, Estimate, interval
+from deepkoco.fit.request import FitError
 from deepkoco.fit.solve.cma import Search, cma_es
 from deepkoco.fit.solve.methods import Progress
 from deepkoco.graph import BatchedRuntime, Graph, replay_timing

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.fit.fit_problem import Question
 from deepkoco.fit.fit_types import Fit
+from deepkoco.fit.request import Question
 from deepkoco.fit.solve.dispersion import Dispersion
 from deepkoco.fit.solve.identifiability import Direction
 from deepkoco.systems import ExtendedSystem

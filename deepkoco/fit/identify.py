@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.fit.fit_problem import FitError, Question, ask
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.identification import Convergence, Estimate, Identification, interval
+from deepkoco.fit.request import FitError, Question, ask
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.identifiability import unidentified
 from deepkoco.fit.solve.methods import Answer, LevenbergMarquardt, Method, Progress, held

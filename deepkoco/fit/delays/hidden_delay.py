@@ -13,9 +13,9 @@ from scipy.optimize import minimize
 from deepkoco.fit.data.windows import CommandSeries
 from deepkoco.fit.delays.linear_delays import SMALLEST_SPREAD, LinearDelays, mixture_law
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.fit_problem import FitError, command_delays
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.identification import NORMAL_95, Identification
+from deepkoco.fit.request import FitError, command_delays
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.fit.solve.methods import TOLERANCE
 from deepkoco.fit.threads import one_thread

@@ -11,8 +11,8 @@ import torch
 
 from deepkoco.fit.data.windows import halved
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.fit_problem import Question
 from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.request import Question
 from deepkoco.fit.solve.cma import cma_es
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import sharpen_noise
