@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from deepkoco.excitation.record import record
 from deepkoco.fit.fit_types import Trial
-from deepkoco.fit.request import Question, ask
+from deepkoco.fit.request import FitRequest, ask
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.fit.solve.methods import TOLERANCE
 from deepkoco.fit.threads import one_thread
@@ -46,7 +46,7 @@ class Run:
 class Residuals:
     """Whitened residuals of all windows as a function of parameters and initial states, prior rows last."""
 
-    def __init__(self, question: Question, state: torch.Tensor) -> None:
+    def __init__(self, question: FitRequest, state: torch.Tensor) -> None:
         self.question, self.problem = question, question.problem()
         self.columns = [self.problem.names.index(n) for n in ASKED]
         self.sd = np.sqrt(np.diag(question.prior.covariance))
@@ -130,7 +130,7 @@ def compare(seconds: float, repeats: int) -> dict:
     }
 
 
-def ours(question: Question, state: torch.Tensor) -> Run:
+def ours(question: FitRequest, state: torch.Tensor) -> Run:
     """Levenberg-Marquardt with the states eliminated."""
     problem = question.problem()
     began = time.process_time()
@@ -140,10 +140,10 @@ def ours(question: Question, state: torch.Tensor) -> Run:
     return Run(fit.cost, tuple(fit.values[n] for n in ASKED), seconds, lanes * len(fit.history))
 
 
-def scipys(jacobian: Callable[[Residuals], dict]) -> Callable[[Question, torch.Tensor], Run]:
+def scipys(jacobian: Callable[[Residuals], dict]) -> Callable[[FitRequest, torch.Tensor], Run]:
     """SciPy's trust region with a way to differentiate."""
 
-    def run(question: Question, state: torch.Tensor) -> Run:
+    def run(question: FitRequest, state: torch.Tensor) -> Run:
         residuals = Residuals(question, state)
         bounds = {p.name: (p.low, p.high) for p in question.declared}
         free = np.full(state.numel(), np.inf)
@@ -172,7 +172,7 @@ def scipys(jacobian: Callable[[Residuals], dict]) -> Callable[[Question, torch.T
     return run
 
 
-OPTIMISERS: dict[str, Callable[[Question, torch.Tensor], Run]] = {
+OPTIMISERS: dict[str, Callable[[FitRequest, torch.Tensor], Run]] = {
     "deepkoco": ours,
     "scipy, sparse differences": scipys(lambda r: {"jac_sparsity": r.pattern()}),
     "scipy, Jacobian in one batch": scipys(lambda r: {"jac": r.jacobian}),

@@ -35,7 +35,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Question:
+class FitRequest:
     """One diagnosis: what is explained, from what baseline, and where it is tested.
 
     Attributes:
@@ -67,7 +67,7 @@ class Study:
     system: str
     columns: Mapping[str, tuple[str, str]]
     window: float
-    questions: Mapping[str, Question]
+    questions: Mapping[str, FitRequest]
     measured: frozenset[str] = frozenset()
     time: str = "t"
 
@@ -117,7 +117,7 @@ DFKI_PENDULUM = Study(
     window=1.0,
     questions={
         # Later on people push the pendulum.
-        "held-out controllers": Question(
+        "held-out controllers": FitRequest(
             train=(Piece("energy_shaping.csv", 0.0, 4.5), Piece("sac.csv", 0.1, 4.1)),
             test=(Piece("ddp_pd.csv", 0.0, 6.0), Piece("direct_collocation_pd.csv", 0.0, 3.5)),
         )
@@ -133,12 +133,12 @@ DOUBLE_PENDULUM = Study(
     },
     window=1.0,
     questions={
-        "held-out sinusoids": Question(
+        "held-out sinusoids": FitRequest(
             train=tuple(Piece(f"traj_{k:02d}.csv") for k in (0, 2, 3, 5)),
             test=tuple(Piece(f"traj_{k:02d}.csv") for k in (1, 4)),
         ),
         # Torques of a swing-up, three times as large as those that were fitted.
-        "held-out closed loop": Question(
+        "held-out closed loop": FitRequest(
             train=tuple(Piece(f"traj_{k:02d}.csv") for k in (0, 2, 3, 5)),
             test=tuple(Piece(f"traj_{k:02d}.csv") for k in (11, 12, 13)),
         ),
@@ -155,7 +155,7 @@ QUBE_FURUTA = Study(
     window=0.3,  # the plant is unstable: an error doubles in about 70 ms
     questions={
         # It is excited from 4 s to 16 s.
-        "held-out episodes": Question(
+        "held-out episodes": FitRequest(
             train=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 10.0) for k in (0, 1, 2, 3)),
             test=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 16.0) for k in (4, 5)),
         )
@@ -178,14 +178,14 @@ GO1_PENDULUM = Study(
     {"goal": ("goal_position", "rad"), "enable": ("torque_enable", "1"), "theta": ("position", "rad")},
     window=2.9,  # two to a log
     questions={
-        "what the textbook lacks": Question(_GO1_BASELINE, (*_go1(0, *_TESTED), *_go1(1, *_TESTED))),
+        "what the textbook lacks": FitRequest(_GO1_BASELINE, (*_go1(0, *_TESTED), *_go1(1, *_TESTED))),
         # Two logs of two windows are too few; these questions cut them into four each.
-        "control 0 kg": Question(_go1(0, *_TESTED), healthy=_GO1_BASELINE, window=_SHORT),
-        "control 1 kg": Question(_go1(1, *_TESTED), healthy=_GO1_BASELINE, window=_SHORT),
-        "told 0 kg, given 1 kg": Question(
+        "control 0 kg": FitRequest(_go1(0, *_TESTED), healthy=_GO1_BASELINE, window=_SHORT),
+        "control 1 kg": FitRequest(_go1(1, *_TESTED), healthy=_GO1_BASELINE, window=_SHORT),
+        "told 0 kg, given 1 kg": FitRequest(
             _go1(1, *_TESTED, told=False), healthy=_GO1_BASELINE, window=_SHORT
         ),
-        "told 0 kg, given 1 kg, baseline of 0 kg": Question(
+        "told 0 kg, given 1 kg, baseline of 0 kg": FitRequest(
             _go1(1, *_TESTED, told=False), healthy=_go1(0, *_FITTED), window=_SHORT
         ),
     },
@@ -202,7 +202,7 @@ ELSEWHERE = {
 }
 
 
-def study_of(folder: Path) -> tuple[Study, dict[str, Question]]:
+def study_of(folder: Path) -> tuple[Study, dict[str, FitRequest]]:
     """The study of a folder: the published one by its name, else one of the same columns.
 
     Raises:
@@ -228,13 +228,13 @@ def study_of(folder: Path) -> tuple[Study, dict[str, Question]]:
     raise LogError(f"{files[0]}: its columns are those of no known kind of log ({wanted})")
 
 
-def split(pieces: Sequence[Piece]) -> Question:
+def split(pieces: Sequence[Piece]) -> FitRequest:
     """One log in four is kept for tests, the last one where there are fewer; a single one is cut by windows."""
     if len(pieces) < 2:
-        return Question(tuple(pieces))
+        return FitRequest(tuple(pieces))
     every = min(HELD_OUT, len(pieces))
     test = tuple(p for k, p in enumerate(pieces) if k % every == every - 1)
-    return Question(tuple(p for p in pieces if p not in test), test)
+    return FitRequest(tuple(p for p in pieces if p not in test), test)
 
 
 def parse_piece(text: str) -> Piece:

@@ -21,10 +21,10 @@ from pathlib import Path
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
 from deepkoco.logs.recording import LogError
-from experiments.real_log_studies import Question, Study, parse_piece, study_of
+from experiments.real_log_studies import FitRequest, Study, parse_piece, study_of
 
 
-def answer(folder: Path, study: Study, question: Question) -> Diagnosis:
+def answer(folder: Path, study: Study, question: FitRequest) -> Diagnosis:
     """Diagnose the training stretches; measure on the test logs.
 
     Raises:
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
         study, questions = study_of(folder)
         if args.train:
             train, test = (tuple(parse_piece(t) for t in texts) for texts in (args.train, args.test))
-            questions = {"given": Question(train, test)}
+            questions = {"given": FitRequest(train, test)}
         if args.question is not None:
             if args.question not in questions:
                 raise ValueError(f'--question "{args.question}" is none of: {", ".join(questions)}')

@@ -35,13 +35,13 @@ class Healthy:
 
     recordings: tuple[Recording, ...]
     windows: Windows
-    before: Start
+    before: Baseline
     causes: tuple[Cause, ...]
     fit: Fit
 
 
 @dataclass(frozen=True)
-class Start:
+class Baseline:
     """What the diagnosis takes for granted before it looks for causes.
 
     Attributes:
@@ -72,7 +72,7 @@ class Start:
         return self.floor * self.correlation
 
     @property
-    def tinge(self) -> float:
+    def healthy_lag_one(self) -> float:
         """Correlation of neighbouring residuals that this unit shows when nothing is wrong."""
         if self.healthy is None:
             return 0.0
@@ -85,7 +85,7 @@ class BaselineError(ValueError):
     """A baseline that was learned before does not fit what it is given with."""
 
 
-def check_learned(baseline: Start, system: System) -> None:
+def check_learned(baseline: Baseline, system: System) -> None:
     """Check that a baseline was learned on this very system.
 
     Args:
@@ -122,17 +122,17 @@ def catalogue_system(system: System) -> ExtendedSystem:
     return ExtendedSystem(base, tuple(effects_of(base)), {p.name: p.value for p in system.parameters})
 
 
-def start_from(system: System, windows: Windows) -> Start:
+def baseline_from(system: System, windows: Windows) -> Baseline:
     """Start of a diagnosis that knows nothing but the system's declared parameters and priors."""
     extended = catalogue_system(system)
     values = {p.name: p.value for p in extended.parameters}
     values |= {name: p.value for name, p in Push.declared(extended, windows).items()}
     # Learned weights stand for no mechanism whose change has a name: they give way as the system's own values do.
     own = [p for p in extended.parameters if "." not in p.name or (is_weight(p.name) and p.value != 0.0)]
-    return Start(extended, values, Prior.of(own))
+    return Baseline(extended, values, Prior.of(own))
 
 
-def refit(start: Start, windows: Windows, free: tuple[str, ...] | None = None) -> Fit:
+def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None) -> Fit:
     """Fit the baseline's parameters under their prior, first on windows of half the length.
 
     A long window across an unstable equilibrium has many minima; the half windows have fewer, and give
@@ -154,7 +154,7 @@ def refit(start: Start, windows: Windows, free: tuple[str, ...] | None = None) -
     return problem.fit([Trial("refit", names, start.prior, first.values, state, first.nuisance)])[0]
 
 
-def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
+def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from what the refit leaves, and refit once more under that noise."""
     rough = refit(start, windows)
     windows = replace(windows, noise=sharpen_noise(windows, rough))
@@ -163,7 +163,7 @@ def refit_sharply(start: Start, windows: Windows) -> tuple[Windows, Fit]:
     return windows, problem.fit([trial])[0]
 
 
-def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows, Fit]:
+def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:
     """Take the model-error floor for noise, and refit.
 
     The prior of a baseline that was learned knows the floor; a likelihood that does not would overrule it, and so would
@@ -183,7 +183,7 @@ def with_floor_as_noise(start: Start, windows: Windows) -> tuple[Start, Windows,
     return start, windows, FitProblem(start.system, windows).fit([trial])[0]
 
 
-def prior_of_mean(start: Start) -> tuple[Start, dict[str, float]]:
+def prior_of_mean(start: Baseline) -> tuple[Baseline, dict[str, float]]:
     """A baseline whose prior is that of the mean of all logs, and the standard deviations by which each differs.
 
     Args:

@@ -11,7 +11,7 @@ from deepkoco.fit.data.windows import Windows, cut_windows, estimate_channels, m
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
-FEWEST_WINDOWS = 4
+MIN_TRAINING_WINDOWS = 4
 HELD_OUT = 4  # without hold-out logs, one window in four is kept back
 
 
@@ -42,7 +42,7 @@ def cut_data(
     windows = cut_windows(recordings, system, length, noise, cover=bool(holdout))
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
     order = np.cumsum(moves) - 1  # among the windows that are used
-    enough = moves.sum() >= FEWEST_WINDOWS + 2
+    enough = moves.sum() >= MIN_TRAINING_WINDOWS + 2
     keep_back = moves & (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & enough
     train = windows.take(moves & ~keep_back)
     if holdout:

@@ -9,16 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.baseline import (
+    Baseline,
     BaselineError,
-    Start,
+    baseline_from,
     check_learned,
     prior_of_mean,
     refit_sharply,
-    start_from,
     with_floor_as_noise,
 )
 from deepkoco.diagnose.causes import Cause, catalogue
-from deepkoco.diagnose.data import FEWEST_WINDOWS, Data, cut_data, describe_data
+from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.evidence.forward import Selected, Selection, Step, learned_instead
@@ -50,7 +50,7 @@ from deepkoco.diagnose.verdict.findings import estimates, evidence_for, finding,
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
-from deepkoco.diagnose.verdict.verdict import fitful, rivalled, verdict_of
+from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.identifiability import Direction, unidentified
@@ -71,7 +71,7 @@ def diagnose(
     window: float | None = None,
     detection: float = DETECTION,
     only: Sequence[str] | None = None,
-    baseline: Start | None = None,
+    baseline: Baseline | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
     """Say what a simulation gets wrong about a unit, from logs of it.
@@ -112,12 +112,14 @@ def diagnose(
     length = window_length(base) if window is None else window
     with one_thread():
         data = cut_data(recordings, holdout, base, length)
-        if len(data.train) < FEWEST_WINDOWS:
+        if len(data.train) < MIN_TRAINING_WINDOWS:
             return _insufficient(data, base, recordings, length, seed, began)
         start = baseline
         if start is None:
             start = (
-                learn_baseline(healthy, base, length, progress) if healthy else start_from(base, data.train)
+                learn_baseline(healthy, base, length, progress)
+                if healthy
+                else baseline_from(base, data.train)
             )
         return _Study(base, start, data, detection, only, progress).run(recordings, length, seed, began)
 
@@ -128,7 +130,7 @@ class _Study:
     def __init__(
         self,
         system: System,
-        start: Start,
+        start: Baseline,
         data: Data,
         detection: float,
         only: Sequence[str] | None,
@@ -146,7 +148,7 @@ class _Study:
         self.doubts: tuple[str, ...] = ()
         self.joined: tuple[str, ...] = ()
 
-    def _take(self, start: Start) -> None:
+    def _take(self, start: Baseline) -> None:
         """Refit a baseline to the training windows."""
         self.progress("refit of the simulation as given")
         self.learned = start
@@ -175,7 +177,7 @@ class _Study:
                 self.start, self.data.train, self.data.held, self.causes, self.detection, self.progress
             )
             first, found = selection.run(self.reference, missing)
-            causes = selection.allowed(found) if more else []
+            causes = selection.consistent_with_healthy(found) if more else []
             if not causes:
                 return first, found
             more -= 1
@@ -212,7 +214,7 @@ class _Study:
             self.progress("a learned load")
             learned = learn_residual(start, data.train, data.held, reference, missing, seed)
         if rival and learned is not None:
-            least = -FURTHER if fitful(found) else FURTHER
+            least = -FURTHER if only_flexible(found) else FURTHER
             smooth = learned_instead(found, reference, learned, start, data.train, least)
             verdict, learned = ("unknown", learned) if smooth else (verdict, None)
             self.doubts += doubts_of_names(self.accepted, self.lost) if smooth else ()
@@ -365,7 +367,7 @@ def _insufficient(
     data: Data, system: System, recordings: Sequence[Recording], length: float, seed: int, began: float
 ) -> Diagnosis:
     found = len(data.train)
-    advice = missing_for_diagnosis(recordings, system, data.train.noise, length, found, FEWEST_WINDOWS)
+    advice = missing_for_diagnosis(recordings, system, data.train.noise, length, found, MIN_TRAINING_WINDOWS)
     return Diagnosis(
         "insufficient",
         (),

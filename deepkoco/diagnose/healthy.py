@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from deepkoco.diagnose.baseline import (
+    Baseline,
     BaselineError,
     Healthy,
-    Start,
+    baseline_from,
     refit_sharply,
-    start_from,
 )
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
@@ -42,7 +42,7 @@ LARGEST_EXTENSION = 6
 
 def learn_baseline(
     recordings: Sequence[Recording], system: System, length: float, progress: Progress = silent
-) -> Start:
+) -> Baseline:
     """Refit, and where needed extend, the baseline on logs in which nothing is wrong.
 
     Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would be taken for
@@ -61,7 +61,7 @@ def learn_baseline(
     progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     windows, fit = refit_sharply(start, windows)
     # What the logs differ by would be taken for effects that all of them show, and the other way round.
     told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))
@@ -98,7 +98,7 @@ def learn_baseline(
     return replace(_learned(healthy, runs), losing=losing)
 
 
-def extended(start: Start, causes: Sequence[Cause]) -> Start:
+def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
     """A learned baseline with further causes in it, at what its healthy logs say of them, however uncertain.
 
     Args:
@@ -122,7 +122,7 @@ def extended(start: Start, causes: Sequence[Cause]) -> Start:
     return replace(_learned(*with_spread(replace(healthy, causes=together, fit=fit))), losing=start.losing)
 
 
-def _learned(healthy: Healthy, runs: RunToRun | None) -> Start:
+def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
     """What a diagnosis may take for granted after these logs."""
     start, fit = healthy.before, healthy.fit
     prior = prior_with(FitProblem(start.system, healthy.windows), start, healthy.causes, fit.values)
@@ -177,7 +177,7 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
     return replace(healthy, windows=windows, fit=again.fit([replace(trial, nuisance=nuisance)])[0]), runs
 
 
-def describe_healthy(start: Start) -> dict[str, Any] | None:
+def describe_healthy(start: Baseline) -> dict[str, Any] | None:
     """What a baseline learned from healthy logs, for a report; None where there are none."""
     if start.healthy is None:
         return None

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
-from deepkoco.diagnose.run_to_run import RunToRun, said, sampling_variance
+from deepkoco.diagnose.run_to_run import RunToRun, log_information, sampling_variance
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
 from deepkoco.fit.solve.prior import Prior
 
-FEWEST_OF_A_LOG = 3  # windows from which on a log has parameters of its own
+MIN_WINDOWS_PER_LOG = 3  # windows from which on a log has parameters of its own
 ROUNDS = 10  # of fits and the floor that weighs them, at most
 SETTLED = 0.9  # share of the floor before, from which on they have settled
 
@@ -38,7 +38,7 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     fit = replace(fit, values=FitProblem(healthy.before.system, healthy.windows).values_in(fit))
     healthy = replace(healthy, fit=fit)
     logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
-    long = np.array([len(own) >= FEWEST_OF_A_LOG for own in logs.values()])
+    long = np.array([len(own) >= MIN_WINDOWS_PER_LOG for own in logs.values()])
     if long.sum() < 2:
         return None
     # A log that says nothing of a parameter is to stay where all of them together are.
@@ -56,7 +56,9 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     pairs = list(zip(alone.fits, alone.spreads, strict=True))
     by_noise = np.array([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs])
     between = np.diag(np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0))
-    told = {k: said(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)}
+    told = {
+        k: log_information(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)
+    }
     degrees = int(long.sum()) - 1
     declared = np.diag(prior.covariance)
     found = RunToRun(told, between, degrees, declared, alone.floor, alone.correlation, alone.lag_one)

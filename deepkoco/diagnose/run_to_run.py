@@ -17,7 +17,7 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import System
 
 
-class Said(NamedTuple):
+class LogInformation(NamedTuple):
     """What the data of one log say of the parameters: a normal distribution in information form.
 
     Attributes:
@@ -34,7 +34,7 @@ class RunToRun:
     """What healthy logs of one unit show when each has parameters of its own.
 
     Attributes:
-        said: By the number of a log, what it says of its parameters.
+        log_information: By the number of a log, what it says of its parameters.
         covariance: (K, K) diagonal, by which parameters differ between logs. What moves several of them together is
             spread over them, and comes out low by that.
         degrees: Of freedom of this estimate.
@@ -44,7 +44,7 @@ class RunToRun:
         lag_one: Correlation of neighbouring residuals.
     """
 
-    said: dict[int, Said]
+    log_information: dict[int, LogInformation]
     covariance: np.ndarray
     degrees: int
     declared: np.ndarray
@@ -69,7 +69,7 @@ class RunToRun:
         before = Prior(prior.names, prior.centre, prior.covariance + differ)
         precision = before.precision(prior.names)
         times_mean = precision @ prior.centre
-        for log, own in self.said.items():
+        for log, own in self.log_information.items():
             if log != without:
                 through = np.linalg.inv(one + own.information @ differ)
                 precision = precision + through @ own.information
@@ -119,11 +119,13 @@ def posterior(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
     return 0.5 * (wider + wider.T)
 
 
-def said(fit: Fit, prior: Prior, deflation: float) -> Said:
+def log_information(fit: Fit, prior: Prior, deflation: float) -> LogInformation:
     """What the data of a fit say, its prior taken out."""
     precision, both = prior.precision(prior.names), _inverse(_covariance(fit, prior))
     values = np.array([fit.values[n] for n in prior.names])
-    return Said((both - precision) / deflation, (both @ values - precision @ prior.centre) / deflation)
+    return LogInformation(
+        (both - precision) / deflation, (both @ values - precision @ prior.centre) / deflation
+    )
 
 
 def within_bounds(prior: Prior, system: System) -> Prior:

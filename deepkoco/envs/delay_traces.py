@@ -15,7 +15,7 @@ from deepkoco.graph.delay import RecordedDelays
 
 Ranges = Mapping[str, tuple[float, float]]
 Delays = Mapping[str, Any]
-FEWEST = 8  # traces of a pool with random delays, so that one environment need not draw at every reset
+MIN_TRACES = 8  # traces of a pool with random delays, so that one environment need not draw at every reset
 
 
 class DelayTraces:
@@ -52,7 +52,7 @@ class DelayTraces:
         self._delays = delays
         self._recorded = recorded
         self.constant = not self.ranges and recorded is None and graph.constant
-        self.rows = 1 if self.constant else min(most, max(batch, FEWEST))
+        self.rows = 1 if self.constant else min(most, max(batch, MIN_TRACES))
         self.draws: dict[str, Tensor] = {}
         self._unused: np.ndarray | None = None
 

@@ -26,7 +26,7 @@ def draw_all(found: Identification, hidden: HiddenDelays | None = None) -> list[
 
 def replay(found: Identification) -> Picture:
     """Every channel, measured and simulated before and after the fit, over a few windows."""
-    windows, channels = found.question.windows, found.system.measurements
+    windows, channels = found.request.windows, found.system.measurements
     count = min(SHOWN_WINDOWS, len(windows))
     chosen = np.unique(np.linspace(0, len(windows) - 1, count).round().astype(int))
     figure = Figure(figsize=(9.0, 2.0 * len(channels) + 0.8))

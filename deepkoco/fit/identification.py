@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deepkoco.fit.fit_types import Fit
-from deepkoco.fit.request import Question
+from deepkoco.fit.request import FitRequest
 from deepkoco.fit.solve.dispersion import Dispersion
 from deepkoco.fit.solve.identifiability import Direction
 from deepkoco.systems import ExtendedSystem
@@ -82,7 +82,7 @@ class Identification:
         unidentified: Combinations about which the data say less than the prior.
         dispersion: How far the residuals are from white noise of the sensors' size.
         convergence: How the fit went.
-        question: What was asked.
+        request: What was asked.
         fit: Residuals and initial states at the end.
         before: The same with the parameters at their start values.
         logs: File names.
@@ -97,7 +97,7 @@ class Identification:
     unidentified: tuple[Direction, ...]
     dispersion: Dispersion
     convergence: Convergence
-    question: Question
+    request: FitRequest
     fit: Fit
     before: Fit
     logs: tuple[str | None, ...]
@@ -112,7 +112,7 @@ class Identification:
     @property
     def rms(self) -> dict[str, tuple[float, float, str]]:
         """Channel -> simulation error before and after the fit (root mean square), and its unit."""
-        windows, result = self.question.windows, {}
+        windows, result = self.request.windows, {}
         for c, channel in enumerate(self.system.measurements):
             valid, sd = windows.valid[:, c], windows.noise[c].sd
             if valid.any():
@@ -142,10 +142,10 @@ class Identification:
             },
             "chi2_per_sample": self.dispersion.chi2_per_sample,
             "residual_correlation": self.dispersion.correlation,
-            "windows": len(self.question.windows),
-            "window_s": self.question.windows.length,
-            "windows_resting": self.question.resting,
-            "noise_sd": [n.sd for n in self.question.windows.noise],
+            "windows": len(self.request.windows),
+            "window_s": self.request.windows.length,
+            "windows_resting": self.request.resting,
+            "noise_sd": [n.sd for n in self.request.windows.noise],
             "convergence": {
                 "method": self.convergence.method,
                 "converged": self.convergence.converged,
@@ -162,9 +162,7 @@ class Identification:
         return tuple(self._loose(direction) for direction in self.unidentified)
 
     def _loose(self, direction: Direction) -> str:
-        sd = dict(
-            zip(self.question.prior.names, np.sqrt(np.diag(self.question.prior.covariance)), strict=True)
-        )
+        sd = dict(zip(self.request.prior.names, np.sqrt(np.diag(self.request.prior.covariance)), strict=True))
         if len(direction.weights) == 1:
             name = next(iter(direction.weights))
             return f"what is said about {name} comes from its prior, not from the data"

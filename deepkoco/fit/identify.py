@@ -10,10 +10,10 @@ import numpy as np
 
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.identification import Convergence, Estimate, Identification, interval
-from deepkoco.fit.request import FitError, Question, ask
+from deepkoco.fit.request import FitError, FitRequest, make_request
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.identifiability import unidentified
-from deepkoco.fit.solve.methods import Answer, LevenbergMarquardt, Method, Progress, held
+from deepkoco.fit.solve.methods import LevenbergMarquardt, Method, MethodResult, Progress, held
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
@@ -70,7 +70,7 @@ def fit(
     began = time.perf_counter()
     method = LevenbergMarquardt() if method is None else method
     with one_thread():
-        question = ask(
+        request = make_request(
             recordings,
             system,
             parameters,
@@ -82,28 +82,28 @@ def fit(
             varies=varies,
         )
         try:
-            answer = method.answer(question, np.random.default_rng(seed), progress or _quiet)
+            solution = method.solve(request, np.random.default_rng(seed), progress or _quiet)
         except FloatingPointError as error:
             raise FitError(
                 "the simulation diverges at the start values; give others, or shorter windows"
             ) from error
         # As if nobody knew yet that logs differ.
         shared = replace(
-            answer.question,
-            windows=replace(answer.question.windows, varies={}),
+            solution.request,
+            windows=replace(solution.request.windows, varies={}),
         )
-        zero = answer.fit.nuisance[: question.nuisances.zeros.count]
-        before = held(shared, question.start, answer.fit.state, zero)
+        zero = solution.fit.nuisance[: request.nuisances.zeros.count]
+        before = held(shared, request.start, solution.fit.state, zero)
     convergence = Convergence(
         method.name,
-        answer.converged,
-        answer.reason,
-        answer.stages,
-        answer.simulations,
+        solution.converged,
+        solution.reason,
+        solution.stages,
+        solution.simulations,
         time.perf_counter() - began,
     )
     logs = tuple(r.path.name if r.path else None for r in recordings)
-    return _identification(answer, before, convergence, logs, seed)
+    return _identification(solution, before, convergence, logs, seed)
 
 
 def _quiet(stage: str, iteration: int, most: int, cost: float) -> None:
@@ -111,15 +111,15 @@ def _quiet(stage: str, iteration: int, most: int, cost: float) -> None:
 
 
 def _identification(
-    answer: Answer, before: Fit, convergence: Convergence, logs: tuple[str | None, ...], seed: int
+    solution: MethodResult, before: Fit, convergence: Convergence, logs: tuple[str | None, ...], seed: int
 ) -> Identification:
-    found, question = answer.fit, answer.question
-    spread = dispersion(found, question.windows)
-    count = len(question.free)
-    joint, information = _inverted(question, found, spread.deflation)
+    found, request = solution.fit, solution.request
+    spread = dispersion(found, request.windows)
+    count = len(request.free)
+    joint, information = _inverted(request, found, spread.deflation)
     covariance = joint[:count, :count]
     estimates = {}
-    for i, declared in enumerate(question.declared):
+    for i, declared in enumerate(request.declared):
         sd, bounds = float(np.sqrt(max(covariance[i, i], 0.0))), (declared.low, declared.high)
         value = found.values[declared.name]
         estimates[declared.name] = Estimate(
@@ -128,19 +128,19 @@ def _identification(
             *interval(value, sd, bounds),
             sd,
             declared.unit,
-            question.start[declared.name],
+            request.start[declared.name],
             bounds,
         )
     return Identification(
-        _fitted(question, found.values),
+        _fitted(request, found.values),
         estimates,
-        _zeros(answer, joint[count:, count:]),
-        _own(answer, joint),
+        _zeros(solution, joint[count:, count:]),
+        _own(solution, joint),
         covariance,
-        unidentified(replace(found, information=information), question.prior),
+        unidentified(replace(found, information=information), request.prior),
         spread,
         convergence,
-        question,
+        request,
         found,
         before,
         logs,
@@ -148,63 +148,63 @@ def _identification(
     )
 
 
-def _fitted(question: Question, values: Mapping[str, float]) -> ExtendedSystem:
-    own = question.system
+def _fitted(request: FitRequest, values: Mapping[str, float]) -> ExtendedSystem:
+    own = request.system
     names = tuple(e.name for e in own.effects)
     return ExtendedSystem(own.base, names, {p.name: values[p.name] for p in own.parameters})
 
 
-def _inverted(question: Question, found: Fit, deflation: float) -> tuple[np.ndarray, np.ndarray]:
+def _inverted(request: FitRequest, found: Fit, deflation: float) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of parameters and nuisances, and what the data alone say about the parameters.
 
     In units of the priors' standard deviations: parameters of unlike size are inverted to full precision. What the
     residuals are short of noise lowers what the data say, not what is known without them.
     """
-    count, full = len(question.free), found.curvature
-    index = [question.prior.names.index(n) for n in question.free]
-    sd = np.sqrt(np.diag(question.prior.covariance))[index]
-    sd = np.concatenate([sd, question.nuisances.spread])
+    count, full = len(request.free), found.curvature
+    index = [request.prior.names.index(n) for n in request.free]
+    sd = np.sqrt(np.diag(request.prior.covariance))[index]
+    sd = np.concatenate([sd, request.nuisances.spread])
     before = np.zeros_like(full)
-    before[:count, :count] = question.prior.precision(question.free)
-    before[count:, count:] = np.diag(1.0 / question.nuisances.spread**2)
+    before[:count, :count] = request.prior.precision(request.free)
+    before[count:, count:] = np.diag(1.0 / request.nuisances.spread**2)
     weighed = before + (full - before) / deflation
     values, vectors = np.linalg.eigh(weighed * np.outer(sd, sd))
     # The prior alone gives eigenvalues near 1 or above; less is rounding.
     inverse = (vectors / values.clip(1e-3)) @ vectors.T
-    information = full[:count, :count] - question.prior.precision(question.free)
+    information = full[:count, :count] - request.prior.precision(request.free)
     if len(full) > count:
         across = full[:count, count:]
         information = information - across @ np.linalg.solve(full[count:, count:], across.T)
     return inverse * np.outer(sd, sd), information
 
 
-def _zeros(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
-    result, zeros = [], answer.question.nuisances.zeros
+def _zeros(solution: MethodResult, covariance: np.ndarray) -> tuple[Estimate, ...]:
+    result, zeros = [], solution.request.nuisances.zeros
     for k in range(zeros.count):
-        value, sd = float(answer.fit.nuisance[k]), float(np.sqrt(covariance[k, k]))
+        value, sd = float(solution.fit.nuisance[k]), float(np.sqrt(covariance[k, k]))
         low, high = interval(value, sd, (-np.inf, np.inf))
-        name = zeros.name(k, answer.question.system)
+        name = zeros.name(k, solution.request.system)
         result.append(Estimate(name, value, low, high, sd, "rad", 0.0, (-np.inf, np.inf)))
     return tuple(result)
 
 
-def _own(answer: Answer, covariance: np.ndarray) -> tuple[Estimate, ...]:
+def _own(solution: MethodResult, covariance: np.ndarray) -> tuple[Estimate, ...]:
     """Parameters that vary, of every log: the mean, and what the log differs by."""
-    question, fit = answer.question, answer.fit
-    declared = {p.name: p for p in question.system.parameters}
+    request, fit = solution.request, solution.fit
+    declared = {p.name: p for p in request.system.parameters}
     result = []
-    for name in question.nuisances.varies:
+    for name in request.nuisances.varies:
         # A log in which nothing moves says nothing.
-        for log in np.unique(question.windows.log).tolist():
-            k = question.nuisances.index(name, log)
+        for log in np.unique(request.windows.log).tolist():
+            k = request.nuisances.index(name, log)
             direction = np.zeros(len(covariance))
-            direction[len(question.free) + k] = 1.0
-            if name in question.free:
-                direction[question.free.index(name)] = 1.0
+            direction[len(request.free) + k] = 1.0
+            if name in request.free:
+                direction[request.free.index(name)] = 1.0
             value = fit.values[name] + float(fit.nuisance[k])
             sd = float(np.sqrt(direction @ covariance @ direction))
             bounds = declared[name].low, declared[name].high
             low, high = interval(value, sd, bounds)
-            unit, start = declared[name].unit, question.start[name]
+            unit, start = declared[name].unit, request.start[name]
             result.append(Estimate(f"{name} of log {log + 1}", value, low, high, sd, unit, start, bounds))
     return tuple(result)

@@ -38,7 +38,7 @@ def write_identification(found: Identification, out: str | Path, hidden: HiddenD
         text = json.dumps(as_json(found, hidden), indent=2)
         (folder / "identify.json").write_text(text + "\n", encoding="utf-8")
         # A channel's delay belongs to the recording, not to the system: the model keeps it as a remark.
-        late = [f"{found.system.measurements[c].name}.delay" for c in found.question.problem().late]
+        late = [f"{found.system.measurements[c].name}.delay" for c in found.request.problem().late]
         provenance = {
             "identified": list(found.estimates),
             "logs": list(found.logs),

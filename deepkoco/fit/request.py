@@ -20,7 +20,7 @@ from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, Parameter, System, any_system
 from deepkoco.systems.effects import effects_of
 
-FEWEST_WINDOWS = 2
+MIN_FITTED_WINDOWS = 2
 
 
 class FitError(ValueError):
@@ -28,7 +28,7 @@ class FitError(ValueError):
 
 
 @dataclass(frozen=True)
-class Question:
+class FitRequest:
     """One fit to run.
 
     Attributes:
@@ -84,7 +84,7 @@ def command_delays(system: System) -> tuple[str, ...]:
     return tuple(f"{name}.delay" for name in effects_of(base) if name.split("(")[0] == "actuation_delay")
 
 
-def ask(
+def make_request(
     recordings: Sequence[Recording],
     system: str | System,
     parameters: Sequence[str],
@@ -95,7 +95,7 @@ def ask(
     window: float | None = None,
     zero_sd: float | None = None,
     varies: Mapping[str, float] | None = None,
-) -> Question:
+) -> FitRequest:
     """Check what a user wants and cut the logs. Args and Raises as :func:`deepkoco.fit.fit`."""
     base = any_system(system)
     known = {p.name: p for p in known_parameters(base)}
@@ -116,10 +116,10 @@ def ask(
     values = {p.name: p.value for p in (*extended.parameters, *delays.values())}
     windows = cut_windows(recordings, base, window_length(base) if window is None else window)
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
-    if moves.sum() < FEWEST_WINDOWS:
+    if moves.sum() < MIN_FITTED_WINDOWS:
         raise FitError(
             f"only {int(moves.sum())} windows of {windows.length:.2g} s in which the joint moves; at least "
-            f"{FEWEST_WINDOWS} are needed: record more motion, or give a shorter window"
+            f"{MIN_FITTED_WINDOWS} are needed: record more motion, or give a shorter window"
         )
     kept = replace(windows.take(moves), varies=dict(varies or {}))
     if varies and len(np.unique(kept.log)) < 2:
@@ -130,7 +130,7 @@ def ask(
     values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
     found = {p.name: p for p in (*extended.parameters, *delays.values())}
     chosen = _completed(prior, [found[name] for name in free])
-    return Question(extended, kept, free, late, values, chosen, zero_sd, int((~moves).sum()))
+    return FitRequest(extended, kept, free, late, values, chosen, zero_sd, int((~moves).sum()))
 
 
 def wide(parameters: Iterable[Parameter]) -> Prior:

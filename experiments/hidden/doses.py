@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.fit import Noise, cut_windows, moving, window_length
 from deepkoco.logs.recording import Recording
@@ -119,7 +119,7 @@ def unexplained(recording: Recording, system: str) -> tuple[float, int]:
     windows = windows.take(moving(windows))
     if len(windows) == 0:
         return math.inf, 1
-    return refit(start_from(base, windows), windows).cost, windows.samples
+    return refit(baseline_from(base, windows), windows).cost, windows.samples
 
 
 def strength(

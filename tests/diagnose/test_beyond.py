@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.diagnose.baseline import Healthy, start_from
+from deepkoco.diagnose.baseline import Healthy, baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.evidence.sanity_checks import (
@@ -43,7 +43,7 @@ def test_commands_no_unit_explains_are_doubted(windows, factor, doubted):
 
 
 def test_an_estimate_at_its_bound_is_doubted_and_null_is_not(windows):
-    start = start_from(BASE, windows)
+    start = baseline_from(BASE, windows)
     problem = FitProblem(start.system, windows)
     null = problem.evaluate(start.values)
     known = catalogue(BASE)
@@ -73,7 +73,7 @@ def residuals_like(windows, fit, chi2, colour=0.0):
 
 
 def test_what_bends_to_anything_has_to_leave_noise(windows):
-    start = start_from(BASE, windows)
+    start = baseline_from(BASE, windows)
     null = FitProblem(start.system, windows).evaluate(start.values)
     known, lost = catalogue(BASE), SimpleNamespace(name="lost_commands")
     below, above = (residuals_like(windows, null, white_limit(windows, sd)) for sd in (1.9, 2.1))
@@ -126,7 +126,7 @@ def test_columns_given_for_each_other_are_named(tmp_path):
     ],
 )
 def test_a_friction_that_drives_the_joint_is_doubted(windows, values, driven):
-    start = start_from(BASE, windows)
+    start = baseline_from(BASE, windows)
     problem, known = FitProblem(start.system, windows), catalogue(BASE)
     fit = problem.evaluate({**start.values, **values})
     sd = {name: 0.1 * abs(value) for name, value in values.items()}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
 from deepkoco.diagnose.evidence.forward import Selected, Selection
@@ -22,7 +22,7 @@ def test_only_the_cause_that_is_not_there_goes():
         [hidden_log("rod_pendulum", hidden, "steps", 221, 20.0)], system, window_length(system)
     )
     windows = windows.take(moving(windows))
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     windows, reference = refit_sharply(start, windows)
     problem = FitProblem(start.system, windows)
     known = catalogue(system)
@@ -50,7 +50,7 @@ def fitted(log, names):
     system = make_system("rod_pendulum")
     windows = cut_windows([log], system, window_length(system))
     windows = windows.take(moving(windows))
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     windows, reference = refit_sharply(start, windows)
     problem, known = FitProblem(start.system, windows), catalogue(system)
     causes = [known[n] for n in names]
@@ -96,7 +96,7 @@ def looked_at_again(system, hidden, excitation, seed, first, wrong, known):
     system = make_system(system)
     log = hidden_log(system.name, hidden, excitation, seed, 20.0)
     windows = cut_windows([log], system, window_length(system))
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     windows, reference = refit_sharply(start, windows.take(moving(windows)))
     problem, catalogued = FitProblem(start.system, windows), catalogue(system)
     selection = Selection(start, windows, None, [catalogued[n] for n in known], 24.0)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import BaselineError, diagnose
-from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence import forward
 from deepkoco.diagnose.evidence.forward import Selected, Selection
-from deepkoco.diagnose.evidence.seen_when_healthy import Claim, allowed
+from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, allowed
 from deepkoco.diagnose.evidence.selection import Candidate, Ranking, prior_with
 from deepkoco.diagnose.healthy import extended, learn_baseline
 from deepkoco.diagnose.residuals.residuals import dispersion
@@ -30,7 +30,7 @@ def bent():
     """A baseline learned from a unit with a small offset that no search has looked for."""
     log = hidden_log("rod_pendulum", BIAS, "chirp", SEED, 12.0)
     windows = cut_windows([log], SYSTEM, LENGTH)
-    start = start_from(SYSTEM, windows)
+    start = baseline_from(SYSTEM, windows)
     return learn_baseline([log], SYSTEM, LENGTH), start
 
 
@@ -41,7 +41,7 @@ def claim(start, hidden, name):
     problem, cause = FitProblem(start.system, windows), catalogue(SYSTEM)[name]
     prior = prior_with(problem, start, [cause], reference.values)
     trial = Trial(name, prior.names, prior, reference.values, reference.state, reference.nuisance)
-    return problem, Claim(cause, (), problem.fit([trial])[0])
+    return problem, Hypothesis(cause, (), problem.fit([trial])[0])
 
 
 def test_what_healthy_logs_show_as_well_is_allowed(bent):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import CAUSES, catalogue
 from deepkoco.diagnose.causes.cause import Hint
 from deepkoco.diagnose.evidence.elimination import carried
@@ -78,7 +78,7 @@ def test_a_cause_that_is_of_no_use_to_windows_kept_back_goes():
     windows = windows.take(moving(windows))
     first = np.arange(len(windows)) < len(windows) // 2
     train, held = windows.take(first), windows.take(~first)
-    start = start_from(system, train)
+    start = baseline_from(system, train)
     train, reference = refit_sharply(start, train)
     problem, known = FitProblem(start.system, train), catalogue(system)
     accepted = [known["coulomb"], known["sensor_drift"]]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.lost_commands import sequence as loss_pattern
 from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
@@ -31,7 +31,7 @@ def unit(share: float, excitation: str = "chirp") -> Recording:
 def search(log: Recording):
     base = make_system("rod_pendulum")
     data = cut_data([log], (), base, 1.6)
-    start = start_from(base, data.train)
+    start = baseline_from(base, data.train)
     train, reference = refit_sharply(start, data.train)
     return lost_commands(FitProblem(start.system, train), reference, start.prior, 0)
 

@@ -8,7 +8,7 @@ import torch
 import yaml
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.evidence import residual_model
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, window_length
@@ -66,7 +66,7 @@ def test_weights_of_a_model_file_keep_their_scales_and_their_prior(monkeypatch):
     system = ExtendedSystem(make_system("rod_pendulum"), ("learned",), had)
     log = hidden_log("rod_pendulum", HIDDEN, "steps", 5, 10.0)
     windows = cut_windows([log], system, window_length(system), estimate_channels([log], system))
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     reference = refit(start, windows)
     missing = missing_torque(FitProblem(start.system, windows), reference)
     learned = residual_model.learn_residual(start, windows, None, reference, missing, 0)
@@ -87,7 +87,7 @@ def test_weights_of_a_model_file_keep_their_scales_and_their_prior(monkeypatch):
 def test_no_spring_is_offered_where_a_joint_rests():
     log = hidden_log("rod_pendulum", HIDDEN, "steps", 5, 10.0)
     windows = cut_windows([log], make_system("rod_pendulum"), 1.6)
-    start = start_from(make_system("rod_pendulum"), windows)
+    start = baseline_from(make_system("rod_pendulum"), windows)
     missing = missing_torque(FitProblem(start.system, windows), refit(start, windows))
     assert residual_model._resting(windows, missing) == ()
     still = [replace(m, theta=np.full_like(m.theta, 3.0)) for m in missing]

@@ -10,14 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import Healthy, refit_sharply, start_from
+from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.evidence.seen_when_healthy import Claim, allowed
+from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, allowed
 from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.per_log_refits import run_to_run
 from deepkoco.diagnose.report.text import noise_of
-from deepkoco.diagnose.run_to_run import RunToRun, Said, posterior, said, sampling_variance, within_bounds
+from deepkoco.diagnose.run_to_run import (
+    LogInformation,
+    RunToRun,
+    posterior,
+    said,
+    sampling_variance,
+    within_bounds,
+)
 from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
@@ -36,7 +43,7 @@ def healthy(*hidden) -> Healthy:
         for own, drive in zip(hidden, DRIVES, strict=False)
     ]
     windows = cut_windows(logs, SYSTEM, LENGTH)
-    start = start_from(SYSTEM, windows)
+    start = baseline_from(SYSTEM, windows)
     windows, fit = refit_sharply(start, windows)
     return Healthy(tuple(logs), windows, start, (), fit)
 
@@ -101,7 +108,7 @@ def claimed(start, effort: float):
     problem, cause = FitProblem(start.system, windows), catalogue(SYSTEM)["torque_bias"]
     prior = prior_with(problem, start, [cause], reference.values)
     trial = Trial(cause.name, prior.names, prior, reference.values, reference.state, reference.nuisance)
-    return problem, Claim(cause, (), problem.fit([trial])[0])
+    return problem, Hypothesis(cause, (), problem.fit([trial])[0])
 
 
 def test_what_one_healthy_log_shows_is_allowed_and_nothing_else():
@@ -191,7 +198,7 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
 
 def test_a_spread_of_few_logs_is_doubted():
     prior = Prior(("a",), np.zeros(1), np.eye(1))
-    told = {0: Said(np.eye(1) * 1e9, np.zeros(1)), 1: Said(np.eye(1) * 1e9, np.zeros(1))}
+    told = {0: LogInformation(np.eye(1) * 1e9, np.zeros(1)), 1: LogInformation(np.eye(1) * 1e9, np.zeros(1))}
     sd = [
         np.sqrt(
             RunToRun(told, np.eye(1) * 1e-4, k, np.ones(1), 1.0, 1.0, 0.0).of_another(prior).covariance[0, 0]
@@ -303,7 +310,7 @@ def test_units_of_very_different_size_are_no_obstacle():
 
 def test_a_delay_that_is_moved_to_its_bound_takes_the_others_along():
     """What is known is the sum: 0.8 ms, though one part of it was estimated below 0."""
-    start = start_from(
+    start = baseline_from(
         SYSTEM, cut_windows([hidden_log("rod_pendulum", {}, "chirp", SEED, 5.0)], SYSTEM, LENGTH)
     )
     names = ("actuation_delay.delay", "lag.time_constant")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.evidence.selection import prior_with
@@ -17,7 +17,7 @@ def test_a_promise_is_what_the_fit_wins_whatever_else_is_screened_with_it():
     log = hidden_log("rod_pendulum", {"load_friction": {"coefficient": 0.003}}, "steps", 130, 10.0)
     windows = cut_windows([log], base, 1.6)
     windows = windows.take(moving(windows))
-    start = start_from(base, windows)
+    start = baseline_from(base, windows)
     reference = refit(start, windows)
     problem = FitProblem(start.system, windows)
     known = catalogue(base)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import BaselineError, diagnose
-from deepkoco.diagnose.baseline import start_from
+from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.fit import cut_windows
 from deepkoco.fit.data.windows import window_length
@@ -30,7 +30,7 @@ def healthy():
 
 @pytest.fixture(scope="module")
 def start(healthy):
-    return start_from(SYSTEM, cut_windows([healthy], SYSTEM, LENGTH))
+    return baseline_from(SYSTEM, cut_windows([healthy], SYSTEM, LENGTH))
 
 
 def test_a_baseline_and_healthy_logs_are_not_taken_together(log, healthy, start):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import refit_sharply, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.fit import cut_windows, moving
 from deepkoco.logs.recording import Recording
@@ -18,7 +18,7 @@ SYSTEM = make_system("rod_pendulum")
 def told(recording: Recording) -> dict[str, float]:
     """Kinds of the signatures that the refitted baseline leaves, each with its statistic over its threshold."""
     windows = cut_windows([recording], SYSTEM, 1.6)
-    windows, fit = refit_sharply(start_from(SYSTEM, windows), windows.take(moving(windows)))
+    windows, fit = refit_sharply(baseline_from(SYSTEM, windows), windows.take(moving(windows)))
     return {e.kind: e.statistic / e.threshold for e in signatures(SYSTEM, windows, fit)}
 
 

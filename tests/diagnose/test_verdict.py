@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepkoco.diagnose.baseline import Healthy, start_from
+from deepkoco.diagnose.baseline import Healthy, baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.evidence.forward import Selected
@@ -22,7 +22,7 @@ KNOWN = catalogue(BASE)
 def stage():
     """Windows, their baseline, and a fit that leaves a given chi2 per sample in every sample alike."""
     windows = cut_data([hidden_log("rod_pendulum", {}, "steps", 172, 12.0)], (), BASE, 1.6).train
-    start = start_from(BASE, windows)
+    start = baseline_from(BASE, windows)
     fit = FitProblem(start.system, windows).evaluate(start.values)
 
     def leaving(chi2):

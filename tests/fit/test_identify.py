@@ -33,18 +33,18 @@ def test_hidden_parameters_and_delay_are_recovered(found: Identification):
 
 
 def test_the_optimum_is_that_of_scipy_on_the_same_residuals(found: Identification):
-    question = found.question
-    problem, count = question.problem(), len(ASKED)
+    request = found.request
+    problem, count = request.problem(), len(ASKED)
     size = problem.windows.state.numel()
-    sd = np.sqrt(np.diag(question.prior.covariance))
+    sd = np.sqrt(np.diag(request.prior.covariance))
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        theta = np.array([[question.start[n] for n in problem.names]])
+        theta = np.array([[request.start[n] for n in problem.names]])
         theta[0, [problem.names.index(n) for n in ASKED]] = x[:count]
         state = torch.from_numpy(x[count:]).reshape(1, *problem.windows.state.shape)
         predicted = problem.predict(theta, state, torch.zeros(1, 1, dtype=torch.float64))[0]
         data = ((problem.windows.value - predicted) * problem.weight).numpy().ravel()
-        return np.concatenate([data, (x[:count] - question.prior.mean(ASKED)) / sd])
+        return np.concatenate([data, (x[:count] - request.prior.mean(ASKED)) / sd])
 
     # Each sample depends on the parameters and on the initial state of its own window.
     rows = problem.windows.valid[0].numel()

@@ -47,7 +47,7 @@ def test_it_goes_the_way_of_the_library_itself():
     }
     theirs = cma.CMAEvolutionStrategy([0.0] * 4, 1.0, options)
     while not theirs.stop():
-        points = theirs.ask()
+        points = theirs.make_request()
         theirs.tell(points, [cma.ff.rosen(0.3 + 0.5 * p) for p in points])
     ours = cma_es(
         batched(cma.ff.rosen),
@@ -95,7 +95,7 @@ def test_in_a_box_it_goes_the_way_of_the_library_itself():
     }  # fmt: skip
     theirs = cma.CMAEvolutionStrategy([0.0] * 3, 1.0, options)
     while not theirs.stop():
-        points = theirs.ask()
+        points = theirs.make_request()
         theirs.tell(points, [cma.ff.rosen(0.3 + 0.5 * p) for p in points])
     args = (batched(cma.ff.rosen), start, spread, low, high, np.random.default_rng(5))
     ours = cma_es(*args, generations=25, tolerance=0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
-from deepkoco.diagnose.causes.units import LOUD, UNIT_CONSTANTS
+from deepkoco.diagnose.causes.units import LARGE_MISFIT, UNIT_CONSTANTS
 
 
 def _largest(hint: Hint) -> float:
@@ -78,7 +78,7 @@ def _backlash_starts(hint: Hint) -> list[dict[str, float]]:
 
 def _slip_starts(hint: Hint) -> list[dict[str, float]]:
     # A slip of units leaves far more than any sensor noise; without that there is nothing to try.
-    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LOUD else []
+    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LARGE_MISFIT else []
 
 
 BACKLASH = Cause(

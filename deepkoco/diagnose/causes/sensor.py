@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
-from deepkoco.diagnose.causes.units import LOUD, UNIT_CONSTANTS
+from deepkoco.diagnose.causes.units import LARGE_MISFIT, UNIT_CONSTANTS
 from deepkoco.diagnose.residuals.scatter import noise_level, quantisation
 
 SENSOR_BIAS = Cause(
@@ -70,7 +70,7 @@ QUANTISATION = Cause(
 
 
 def _slip_starts(hint: Hint) -> list[dict[str, float]]:
-    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LOUD else []
+    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LARGE_MISFIT else []
 
 
 CHANNEL_SLIP = Cause(

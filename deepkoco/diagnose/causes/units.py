@@ -16,4 +16,4 @@ UNIT_CONSTANTS = (
     0.01,
     -1.0,
 )
-LOUD = 20.0  # chi2 per sample of the refitted baseline from which a slip of units is tried
+LARGE_MISFIT = 20.0  # chi2 per sample of the refitted baseline from which a slip of units is tried

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.selection import Candidate, Ranking, penalty, prior_with
 from deepkoco.diagnose.residuals.residuals import SLOTS
@@ -17,7 +17,7 @@ NEAR = 40.0  # candidates further behind than that are not worth a fit to the wi
 
 
 def equivalent(
-    problem: FitProblem, start: Start, ranking: Ranking, accepted: tuple[Cause, ...] = ()
+    problem: FitProblem, start: Baseline, ranking: Ranking, accepted: tuple[Cause, ...] = ()
 ) -> tuple[str, ...]:
     """Names that these data do not tell apart from the winner, the winner first.
 
@@ -44,7 +44,11 @@ def equivalent(
 
 
 def expected_gaps(
-    problem: FitProblem, start: Start, winner: Candidate, others: list[Candidate], accepted: tuple[Cause, ...]
+    problem: FitProblem,
+    start: Baseline,
+    winner: Candidate,
+    others: list[Candidate],
+    accepted: tuple[Cause, ...],
 ) -> list[float]:
     """chi2 that each candidate leaves on noise-free measurements simulated from the winner."""
     shown = problem.windows.value - winner.fit.residual / problem.weight.clamp_min(1e-300)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, kind_of
 from deepkoco.diagnose.evidence.selection import CLOSE, ITERATIONS, penalty, prior_with
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
@@ -15,11 +15,11 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 BENDING = ("cogging", "periodic")  # lasting causes that bend to what they are not
 PUSHES = ("event",)
-FITFUL = (*PUSHES, *BENDING)  # and all causes that do
+FLEXIBLE_CAUSES = (*PUSHES, *BENDING)  # and all causes that do
 
 
 def eliminated(
-    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, wanted: float, least: int = 1
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, wanted: float, least: int = 1
 ) -> tuple[list[Cause], Fit]:
     """The causes that are still worth their parameters beside all others, and the fit of these.
 
@@ -53,7 +53,7 @@ def eliminated(
 
 
 def carried(
-    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, held: Windows, least: int
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, held: Windows, least: int
 ) -> tuple[list[Cause], Fit]:
     """The causes that do no harm to windows which no fit saw, and the fit of these.
 
@@ -98,7 +98,7 @@ def _keeps_the_prior(less: Fit, fit: Fit) -> bool:
 
 
 def without_kinds(
-    problem: FitProblem, start: Start, accepted: Sequence[Cause], fit: Fit, kinds: Collection[str]
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, kinds: Collection[str]
 ) -> tuple[list[Cause], Fit]:
     """The other causes alone, where one of them bends to nothing: for residuals that are coloured even so.
 
@@ -113,7 +113,7 @@ def without_kinds(
     """
     kept = list(accepted)
     loose = [c for c in kept if kind_of(c.name) in kinds]
-    if not loose or all(kind_of(c.name) in FITFUL for c in kept):
+    if not loose or all(kind_of(c.name) in FLEXIBLE_CAUSES for c in kept):
         return kept, fit
     for cause in loose:
         fit = problem.fit([without(problem, start, kept, cause, fit)], ITERATIONS, CLOSE)[0]
@@ -121,7 +121,7 @@ def without_kinds(
     return kept, fit
 
 
-def without(problem: FitProblem, start: Start, kept: Sequence[Cause], cause: Cause, fit: Fit) -> Trial:
+def without(problem: FitProblem, start: Baseline, kept: Sequence[Cause], cause: Cause, fit: Fit) -> Trial:
     """Fit of all causes but one, from where the fit of all of them is.
 
     Args:

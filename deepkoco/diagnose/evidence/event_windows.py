@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 SUSPECT = 30.0  # fall of chi2 by a push in one slot, far beyond the largest that chance makes of all slots
 STAND_OUT = 4.0  # times the fall that a push brings in a typical window
-FEWEST_ELSEWHERE = 3  # windows without the push, to refit on
+MIN_OTHER_WINDOWS = 3  # windows without the push, to refit on
 
 
 def train_on_pushed(
-    start: Start, train: Windows, held: Windows, reference: Fit
+    start: Baseline, train: Windows, held: Windows, reference: Fit
 ) -> tuple[Windows, Windows, Fit]:
     """Move windows that a push stands out in from those kept back to those that are fitted.
 
@@ -60,7 +60,7 @@ def touched(windows: Windows, values: Mapping[str, float]) -> np.ndarray:
     return (windows.log == values["event.log"]) & during
 
 
-def refit_elsewhere(start: Start, windows: Windows, reference: Fit, pushed: Fit) -> Fit:
+def refit_elsewhere(start: Baseline, windows: Windows, reference: Fit, pushed: Fit) -> Fit:
     """Refit of the baseline on the windows that a push does not touch.
 
     A refit that knows of no push bends its parameters to it; taking the push into account would then seem to improve
@@ -76,7 +76,7 @@ def refit_elsewhere(start: Start, windows: Windows, reference: Fit, pushed: Fit)
         The reference itself where too few windows are left.
     """
     keep = ~touched(windows, pushed.values)
-    if keep.sum() < FEWEST_ELSEWHERE:
+    if keep.sum() < MIN_OTHER_WINDOWS:
         return reference
     state = pushed.state[torch.from_numpy(np.flatnonzero(keep))]
     trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.nuisance)

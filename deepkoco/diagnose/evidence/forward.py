@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
-from deepkoco.diagnose.causes.units import LOUD
+from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.diagnosis import Finding
 from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import (
     BENDING,
-    FITFUL,
+    FLEXIBLE_CAUSES,
     PUSHES,
     carried,
     eliminated,
@@ -26,7 +26,7 @@ from deepkoco.diagnose.evidence.elimination import (
 from deepkoco.diagnose.evidence.refine_ranking import front_settled, with_fit
 from deepkoco.diagnose.evidence.residual_model import ResidualModel
 from deepkoco.diagnose.evidence.sanity_checks import at_bound
-from deepkoco.diagnose.evidence.seen_when_healthy import Claim, allowed
+from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
 from deepkoco.diagnose.evidence.selection import (
     FURTHER,
     PATIENCE,
@@ -91,7 +91,7 @@ class Selection:
 
     def __init__(
         self,
-        start: Start,
+        start: Baseline,
         train: Windows,
         held: Windows | None,
         causes: Sequence[Cause] | None,
@@ -117,22 +117,22 @@ class Selection:
         found = self._with_losses(nothing, forward, plain)
         return first, self._or_losses(plain) if found is None else found
 
-    def allowed(self, found: Selected) -> list[Cause]:
+    def consistent_with_healthy(self, found: Selected) -> list[Cause]:
         """Causes that the unit may have had all the time: for each that was found, what the healthy logs allow of it
         and of those that the data do not tell from it."""
-        claims = []
+        hypotheses = []
         for ranking, members in found.steps:
             for candidate in ranking.candidates:
                 cause, fit = candidate.cause, candidate.fit
                 # Pushes, tones and detents of one log say nothing of another's.
-                if cause.name not in members or not cause.free or kind_of(cause.name) in FITFUL:
+                if cause.name not in members or not cause.free or kind_of(cause.name) in FLEXIBLE_CAUSES:
                     continue
                 if fit is not ranking.reference:
                     freed = set(fit.free)
                     beside = [c for c in found.accepted if c.name != cause.name and freed.issuperset(c.free)]
-                    claims.append(Claim(cause, tuple(beside), fit))
-        verdicts = allowed(self.start, found.acting, claims)
-        return [claim.cause for claim, yes in zip(claims, verdicts, strict=True) if yes]
+                    hypotheses.append(Hypothesis(cause, tuple(beside), fit))
+        verdicts = consistent_with_healthy(self.start, found.acting, hypotheses)
+        return [hypothesis.cause for hypothesis, yes in zip(hypotheses, verdicts, strict=True) if yes]
 
     def _forward(
         self, so_far: Selected, ranking: Ranking | None = None, hints: Hints | None = None
@@ -295,7 +295,7 @@ class Selection:
         ranking = without_events_first(problem, start, ranking, accepted, hints, self.detection)
         ranking = front_settled(problem, start, accepted, ranking)
         best = ranking.best
-        if hints.chi2 <= LOUD and at_bound(problem, best.cause, best.fit):
+        if hints.chi2 <= LARGE_MISFIT and at_bound(problem, best.cause, best.fit):
             # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
             hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
             again = rank(problem, start, ranking.reference, accepted, hints, self.causes)
@@ -307,7 +307,7 @@ class Selection:
         return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples)
 
 
-def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Start, train: Windows) -> float:
+def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:
     """Fall of the BIC from a refit by everything that was selected.
 
     Args:
@@ -324,7 +324,7 @@ def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Start, trai
 
 
 def learned_instead(
-    found: Selected, reference: Fit, learned: ResidualModel, start: Start, train: Windows, least: float
+    found: Selected, reference: Fit, learned: ResidualModel, start: Baseline, train: Windows, least: float
 ) -> bool:
     """Whether a load that follows angle, speed and effort smoothly says as much as what was selected, or clearly more.
 

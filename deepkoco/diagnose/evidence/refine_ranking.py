@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.classes import NEAR
 from deepkoco.diagnose.evidence.selection import (
@@ -24,7 +24,9 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 VALLEYS = 8  # searches along a valley, at most
 
 
-def front_settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], ranking: Ranking) -> Ranking:
+def front_settled(
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking
+) -> Ranking:
     """A ranking whose winner, and all that come near it and may go further, are fitted to the end.
 
     What is near the winner only because it has not converged would be called the same as it, and what is behind for
@@ -64,7 +66,7 @@ def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> R
     return replace(ranking, candidates=tuple(sorted([*others, mine], key=lambda c: -c.delta_bic)))
 
 
-def _pulled_back(problem: FitProblem, start: Start, candidate: Candidate) -> bool:
+def _pulled_back(problem: FitProblem, start: Baseline, candidate: Candidate) -> bool:
     """Whether the spread that was declared for small effects still holds a large one back, as it no longer holds back
     the winner."""
     return any(
@@ -83,7 +85,7 @@ def _better(candidate: Candidate, fit: Fit, ranking: Ranking) -> Candidate:
     )
 
 
-def settled(problem: FitProblem, start: Start, accepted: Sequence[Cause], winner: Candidate) -> Fit:
+def settled(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], winner: Candidate) -> Fit:
     """Fit of a winner to the end: what is left of a valley that it crept along would pass for a further cause."""
     fit = winner.fit
     prior = prior_with(problem, start, [*accepted, winner.cause], fit.values)

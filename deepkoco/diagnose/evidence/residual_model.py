@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.evidence.selection import WORTH, prior_with
@@ -33,7 +33,7 @@ from deepkoco.systems.effects.learned import SCALES, is_spring
 
 MOST_TERMS = 6
 VALIDATED = 4  # one training window in four decides how many terms are kept
-FEWEST_WINDOWS = 6
+MIN_MODEL_WINDOWS = 6
 BETTER = 0.99  # validation error against the one before, below which a term is worth keeping
 PATIENCE = 2  # terms in a row that may fail to improve it
 ITERATIONS = 12
@@ -103,7 +103,7 @@ class ResidualModel:
 
 
 def learn_residual(
-    start: Start,
+    start: Baseline,
     train: Windows,
     held: Windows | None,
     reference: Fit,
@@ -123,7 +123,7 @@ def learn_residual(
     Returns:
         None where there are too few windows to choose terms.
     """
-    if len(train) < FEWEST_WINDOWS:
+    if len(train) < MIN_MODEL_WINDOWS:
         return None
     system = start.system
     scaled = {**reference.values, **_scales(start, train, missing)}
@@ -164,7 +164,7 @@ def learn_residual(
     return ResidualModel(accepted, text, terms, fit, gain, validation, before, after)
 
 
-def _scales(start: Start, train: Windows, missing: Sequence[MissingTorque]) -> dict[str, float]:
+def _scales(start: Baseline, train: Windows, missing: Sequence[MissingTorque]) -> dict[str, float]:
     system, values = start.system, {}
     for placed in place(EFFECTS["learned"], system):
         j = placed.index
@@ -196,7 +196,7 @@ def _resting(train: Windows, missing: Sequence[MissingTorque]) -> tuple[int, ...
     return tuple(found)
 
 
-def _candidates(start: Start) -> list[Cause]:
+def _candidates(start: Baseline) -> list[Cause]:
     """Every term at every joint that the baseline does not free already, in the shape that the score test takes."""
     found, system = [], start.system.base
     for placed in place(EFFECTS["learned"], system):
@@ -220,7 +220,7 @@ def _candidates(start: Start) -> list[Cause]:
 
 
 def _choose(
-    start: Start,
+    start: Baseline,
     train: Windows,
     choose: np.ndarray,
     reference: Fit,
@@ -249,14 +249,14 @@ def _choose(
     return tuple(chosen[:kept]), tuple(errors)
 
 
-def _prior(problem: FitProblem, start: Start, values: Mapping[str, float], names: Sequence[str]):
+def _prior(problem: FitProblem, start: Baseline, values: Mapping[str, float], names: Sequence[str]):
     found = [c for c in _candidates(start) if c.name in names]
     return prior_with(problem, start, found, values)
 
 
 def _fit(
     problem: FitProblem,
-    start: Start,
+    start: Baseline,
     values: Mapping[str, float],
     names: Sequence[str],
     before: Fit,
@@ -274,7 +274,7 @@ def _error(problem: FitProblem, fit: Fit, others: Windows) -> float:
 
 
 def _without_idle_terms(
-    problem: FitProblem, start: Start, scaled: Mapping[str, float], names: Sequence[str], reference: Fit
+    problem: FitProblem, start: Baseline, scaled: Mapping[str, float], names: Sequence[str], reference: Fit
 ) -> tuple[Fit, tuple[Term, ...]]:
     """Fit all terms, and again without the weakest as long as its weight may be none (backward elimination)."""
     while True:

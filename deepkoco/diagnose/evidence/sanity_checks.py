@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, Cause
 from deepkoco.diagnose.diagnosis import Finding
 from deepkoco.diagnose.residuals.friction_curve import friction_curve, pushes
@@ -105,7 +105,7 @@ def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
 
 
 def doubts_of_bending(
-    start: Start, causes: Sequence[Cause], lost: Finding | None, windows: Windows, fit: Fit
+    start: Baseline, causes: Sequence[Cause], lost: Finding | None, windows: Windows, fit: Fit
 ) -> tuple[str, ...]:
     """A sentence for lost commands, and for a push beside other causes, that leave more than noise.
 

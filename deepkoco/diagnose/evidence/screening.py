@@ -28,7 +28,7 @@ LANES = 160  # simulated at once
 RIDGE = 1e-8  # relative; two doses may move the measurements alike
 
 
-class Start(NamedTuple):
+class StartPoint(NamedTuple):
     """One start of a cause, and the fall of the cost that it promises."""
 
     cause: Cause
@@ -38,7 +38,7 @@ class Start(NamedTuple):
 
 def screen(
     problem: FitProblem, reference: Fit, prior: Prior, starts: Sequence[tuple[Cause, Mapping[str, float]]]
-) -> list[Start]:
+) -> list[StartPoint]:
     """Promise of every start on top of a reference fit.
 
     A start at null is judged by the slopes of its free parameters there; one away from it by the secant from
@@ -53,7 +53,7 @@ def screen(
         forward.append(len(own) == 1 and _one_way(problem, reference, cause, place))
     moved = tangent.respond(doses)
     promises = tangent.promises(moved, np.array(owner, dtype=int), forward)
-    return [Start(c, place, float(p)) for (c, place), p in zip(starts, promises, strict=True)]
+    return [StartPoint(c, place, float(p)) for (c, place), p in zip(starts, promises, strict=True)]
 
 
 def _doses(

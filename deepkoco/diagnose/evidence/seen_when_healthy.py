@@ -10,7 +10,7 @@ import numpy as np
 import scipy.stats
 import torch
 
-from deepkoco.diagnose.baseline import Healthy, Start, noisier, tempered
+from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, declared, freed, prior_with
 from deepkoco.diagnose.run_to_run import within_bounds
@@ -23,7 +23,7 @@ SURE = (
 )
 
 
-class Claim(NamedTuple):
+class Hypothesis(NamedTuple):
     """A cause that other logs show, the causes beside it, and the fit of all."""
 
     cause: Cause
@@ -31,7 +31,9 @@ class Claim(NamedTuple):
     fit: Fit
 
 
-def allowed(start: Start, problem: FitProblem, claims: Sequence[Claim]) -> list[bool]:
+def consistent_with_healthy(
+    start: Baseline, problem: FitProblem, hypotheses: Sequence[Hypothesis]
+) -> list[bool]:
     """Whether the healthy logs allow each cause at the values that other logs ask for.
 
     What a unit shows on a good day as well is nothing that went wrong with it; and a cause to which the healthy logs
@@ -40,28 +42,28 @@ def allowed(start: Start, problem: FitProblem, claims: Sequence[Claim]) -> list[
     Args:
         start: A baseline learned from healthy logs; without any nothing is allowed.
         problem: The windows of the other logs.
-        claims: What they show.
+        hypotheses: What they show.
     """
     healthy = start.healthy
-    if healthy is None or not claims:
-        return [False] * len(claims)
+    if healthy is None or not hypotheses:
+        return [False] * len(hypotheses)
     known = {c.name for c in healthy.causes}
-    told = np.unique(healthy.windows.log) if start.runs is None else sorted(start.runs.said)
+    told = np.unique(healthy.windows.log) if start.runs is None else sorted(start.runs.log_information)
     logs = [healthy.windows.log == k for k in told]
     # It may have been there in all of them, which then took it for something else, or in one: units vary from run to
     # run.
     asked = [*logs, np.full(len(healthy.windows), True)] if start.runs is not None else logs
-    apart = [_apart(start, problem, claims, _asked(start, healthy, own, claims)) for own in asked]
+    apart = [_apart(start, problem, hypotheses, _asked(start, healthy, own, hypotheses)) for own in asked]
     least = np.min(apart, axis=0)
-    limits = [float(scipy.stats.chi2.ppf(SURE, len(c.cause.free))) for c in claims]
+    limits = [float(scipy.stats.chi2.ppf(SURE, len(c.cause.free))) for c in hypotheses]
     return [
-        claim.cause.name not in known and chi2 <= limit
-        for claim, chi2, limit in zip(claims, least, limits, strict=True)
+        hypothesis.cause.name not in known and chi2 <= limit
+        for hypothesis, chi2, limit in zip(hypotheses, least, limits, strict=True)
     ]
 
 
 def _asked(
-    start: Start, healthy: Healthy, own: np.ndarray, claims: Sequence[Claim]
+    start: Baseline, healthy: Healthy, own: np.ndarray, hypotheses: Sequence[Hypothesis]
 ) -> list[tuple[float, dict[str, float]]]:
     """For each claim, the chi2 by which some healthy windows are against its values, and the values they prefer."""
     before, learned, windows, deflation = _before(start, healthy, own)
@@ -72,7 +74,7 @@ def _asked(
     fitted = FitProblem(start.system, healthy.windows)
     base = healthy.fit.values if log is None else fitted.values_in(healthy.fit, log)
     trials = []
-    for cause, _, fit in claims:
+    for cause, _, fit in hypotheses:
         values = {**base, **{n: fit.values[n] for n in cause.free}}
         for causes in (learned, (*learned, cause)):
             trials.append(
@@ -80,14 +82,14 @@ def _asked(
             )
     fits = problem.fit(trials, PATIENCE, CLOSE)
     return [
-        (max(bound.cost - free.cost, 0.0) / deflation, {n: free.values[n] for n in claim.cause.free})
-        for claim, bound, free in zip(claims, fits[::2], fits[1::2], strict=True)
+        (max(bound.cost - free.cost, 0.0) / deflation, {n: free.values[n] for n in hypothesis.cause.free})
+        for hypothesis, bound, free in zip(hypotheses, fits[::2], fits[1::2], strict=True)
     ]
 
 
 def _before(
-    start: Start, healthy: Healthy, own: np.ndarray
-) -> tuple[Start, tuple[Cause, ...], Windows, float]:
+    start: Baseline, healthy: Healthy, own: np.ndarray
+) -> tuple[Baseline, tuple[Cause, ...], Windows, float]:
     """What may be taken for granted of some healthy windows, causes that this has to be widened by, the windows with
     the noise under which it holds, and their deflation.
 
@@ -108,9 +110,9 @@ def _before(
 
 
 def _apart(
-    start: Start,
+    start: Baseline,
     problem: FitProblem,
-    claims: Sequence[Claim],
+    hypotheses: Sequence[Hypothesis],
     answers: Sequence[tuple[float, Mapping[str, float]]],
 ) -> list[float]:
     """chi2 by which two estimates of one thing differ, each with the spread that its logs leave it, for every claim.
@@ -118,18 +120,22 @@ def _apart(
     Args:
         start: The baseline.
         problem: The windows that the claims are made for.
-        claims: What they show.
+        hypotheses: What they show.
         answers: chi2 by which a healthy log is against that, and what it prefers.
     """
     trials = []
-    for (cause, beside, fit), (_, values) in zip(claims, answers, strict=True):
+    for (cause, beside, fit), (_, values) in zip(hypotheses, answers, strict=True):
         at = {**fit.values, **values}
         names = tuple(n for n in fit.free if n not in cause.free)
         prior = prior_with(problem, start, beside, at)
         prior = prior.widened(declared(problem, [n for n in names if n not in prior.names]), at)
         trials.append(Trial(cause.name, names, prior, at, fit.state, fit.nuisance))
     result = []
-    for claim, back, (unlike, _) in zip(claims, problem.fit(trials, PATIENCE, CLOSE), answers, strict=True):
-        more = max(back.cost - claim.fit.cost, 0.0) / dispersion(claim.fit, problem.windows).deflation
+    for hypothesis, back, (unlike, _) in zip(
+        hypotheses, problem.fit(trials, PATIENCE, CLOSE), answers, strict=True
+    ):
+        more = (
+            max(back.cost - hypothesis.fit.cost, 0.0) / dispersion(hypothesis.fit, problem.windows).deflation
+        )
         result.append(unlike * more / max(unlike + more, 1e-9))
     return result

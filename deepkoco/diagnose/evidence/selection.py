@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue
-from deepkoco.diagnose.evidence.event_windows import FEWEST_ELSEWHERE, touched
-from deepkoco.diagnose.evidence.screening import Start as Promise
+from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
+from deepkoco.diagnose.evidence.screening import StartPoint as Promise
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, dispersion
@@ -26,7 +26,7 @@ from deepkoco.systems import Parameter
 DETECTION = 24.0
 FURTHER = 30.0
 SCOUTING = 4  # iterations after which only the best start of each cause goes on
-HOPE = 0.3  # share of the best start's gain that a candidate must have by then to go on
+PROMISING_SHARE = 0.3  # share of the best start's gain that a candidate must have by then to go on
 ITERATIONS = 14
 PATIENCE = 40  # further iterations for a winner that has not converged
 WORTH = 8.0  # fall of the cost, to first order, from which a cause is worth a fit of its own
@@ -94,7 +94,7 @@ def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
 
 
 def prior_with(
-    problem: FitProblem, start: Start, causes: Sequence[Cause], values: Mapping[str, float]
+    problem: FitProblem, start: Baseline, causes: Sequence[Cause], values: Mapping[str, float]
 ) -> Prior:
     """The baseline's prior, widened by what the causes free.
 
@@ -115,7 +115,7 @@ def prior_with(
 
 
 def freed(
-    problem: FitProblem, before: Start, causes: Sequence[Cause], fit: Fit, values: Mapping[str, float]
+    problem: FitProblem, before: Baseline, causes: Sequence[Cause], fit: Fit, values: Mapping[str, float]
 ) -> Trial:
     """Everything free that a baseline has and these causes free, from a fit of the same windows."""
     prior = prior_with(problem, before, causes, values)
@@ -124,7 +124,7 @@ def freed(
 
 def rank(
     problem: FitProblem,
-    start: Start,
+    start: Baseline,
     reference: Fit,
     accepted: Sequence[Cause],
     hints: Hints,
@@ -221,7 +221,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
     longer, running = [], []
     for name, (scout, trial) in best.items():
         # One that is far behind stays where it is: it would not get to the front.
-        if not scout.converged and reference.cost - scout.cost > HOPE * won:
+        if not scout.converged and reference.cost - scout.cost > PROMISING_SHARE * won:
             running.append(name)
             longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
     longer = problem.fit(longer, ITERATIONS, CLOSE)
@@ -251,7 +251,7 @@ def _promising(promises: Sequence[Promise]) -> list[Promise]:
 
 def _slipped(
     problem: FitProblem,
-    start: Start,
+    start: Baseline,
     accepted: Sequence[Cause],
     reference: Fit,
     slips: Sequence[tuple[Cause, Mapping[str, float]]],
@@ -277,7 +277,7 @@ def _slipped(
 
 def _trial(
     problem: FitProblem,
-    start: Start,
+    start: Baseline,
     accepted: Sequence[Cause],
     cause: Cause,
     values: Mapping[str, float],
@@ -290,7 +290,7 @@ def _trial(
 
 def without_events_first(
     problem: FitProblem,
-    start: Start,
+    start: Baseline,
     ranking: Ranking,
     accepted: Sequence[Cause],
     hints: Hints,
@@ -307,7 +307,7 @@ def without_events_first(
         return ranking
     windows = problem.windows
     keep = ~touched(windows, winner.fit.values)
-    if keep.sum() < FEWEST_ELSEWHERE:
+    if keep.sum() < MIN_OTHER_WINDOWS:
         return ranking
     rest = FitProblem(problem.system, windows.take(keep))
     pick = torch.from_numpy(np.flatnonzero(keep))
@@ -336,7 +336,7 @@ def without_events_first(
 
 def _ranked(
     problem: FitProblem,
-    start: Start,
+    start: Baseline,
     reference: Fit,
     tried: Sequence[Cause],
     fits: Mapping[str, Fit],

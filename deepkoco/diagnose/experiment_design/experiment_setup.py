@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Start, start_from
+from deepkoco.diagnose.baseline import Baseline, baseline_from
 from deepkoco.diagnose.experiment_design.families import Frame
 from deepkoco.diagnose.experiment_design.stabiliser import Hold, find_hold
 from deepkoco.fit.data.noise import Noise
@@ -96,7 +96,7 @@ class Stage:
         hold: Feedback that keeps the unit in place; None where it stays by itself.
     """
 
-    start: Start
+    start: Baseline
     frame: Frame
     limits: Limits
     sensor_rate: float
@@ -162,7 +162,7 @@ def make_stage(
             f"commands at {command_rate:g} Hz and samples at {sensor_rate:g} Hz: give rates above 1 Hz, commands at "
             "most as fast as samples"
         )
-    start = start_from(system, nothing(system))
+    start = baseline_from(system, nothing(system))
     if values is not None:
         start.values.update({n: values[n] for n in start.prior.names})
     base = start.system.base

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 HOLDS_PER_PERIOD = 1.6  # levels of a multi-level sequence in one period of the system
-FEWEST_HOLDS, MOST_HOLDS = 6, 24
+MIN_HOLDS, MAX_HOLDS = 6, 24
 TONES = 6
 SLOWEST, FASTEST = 0.2, 5.0  # frequencies, in natural frequencies of the system
 PER_TICK = 6.0  # commands in a period of the fastest tone, at least
@@ -78,7 +78,7 @@ class Family:
 
 
 def _holds(frame: Frame) -> int:
-    return int(np.clip(HOLDS_PER_PERIOD * frame.seconds / frame.period, FEWEST_HOLDS, MOST_HOLDS))
+    return int(np.clip(HOLDS_PER_PERIOD * frame.seconds / frame.period, MIN_HOLDS, MAX_HOLDS))
 
 
 def _held(levels: np.ndarray, lengths: np.ndarray, frame: Frame) -> np.ndarray:

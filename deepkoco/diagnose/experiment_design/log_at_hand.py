@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from deepkoco.diagnose.baseline import Start, refit_sharply, start_from
+from deepkoco.diagnose.baseline import Baseline, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.selection import WORTH, rank
 from deepkoco.diagnose.evidence.start_values import Hints
@@ -18,7 +18,7 @@ from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
-FEWEST_WINDOWS = 3
+MIN_LOG_WINDOWS = 3
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class LogAtHand:
         doses: Cause -> its fitted size; causes of which the log shows nothing are left out.
     """
 
-    start: Start
+    start: Baseline
     windows: Windows
     refit: Fit
     doses: Mapping[str, Dose]
@@ -56,12 +56,12 @@ def fit_log(recordings: Sequence[Recording], system: System, causes: Sequence[Ca
     windows = cut_windows(recordings, system, window_length(system))
     if len(windows):
         windows = windows.take(moving(windows))
-    if len(windows) < FEWEST_WINDOWS:
+    if len(windows) < MIN_LOG_WINDOWS:
         raise DesignError(
             f"the log holds {len(windows)} windows of {windows.length:.2g} s in which the joint moves; design from the "
             "system alone instead, without a log"
         )
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     windows, refit = refit_sharply(start, windows)
     problem = FitProblem(start.system, windows)
     chi2 = refit.chi2 / windows.samples

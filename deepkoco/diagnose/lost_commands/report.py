@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
 from deepkoco.diagnose.evidence.classes import APART
@@ -19,7 +19,8 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, missing_tor
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.prior import Prior
 
-FEWEST = 3  # losses that show clearly: one or two may as well be a push, and model error bends to those that do not
+# One or two losses may as well be a push, and model error bends to losses that do not show clearly.
+MIN_CLEAR_LOSSES = 3
 CHANCE = 1e-3  # probability under independence, below which losses depend on the motion
 
 
@@ -54,7 +55,7 @@ def best_losses(
     found = [
         (lost.total, cause, lost)
         for cause, lost in tried
-        if lost is not None and lost.lost >= FEWEST and _by_chance(lost)
+        if lost is not None and lost.lost >= MIN_CLEAR_LOSSES and _by_chance(lost)
     ]
     if not found:
         return None
@@ -70,7 +71,7 @@ def best_losses(
 
 def instead_of_push(
     problem: FitProblem,
-    start: Start,
+    start: Baseline,
     accepted: Sequence[Cause],
     push: Cause,
     fit: Fit,
@@ -98,7 +99,7 @@ def instead_of_push(
     names = []
     for cause in causes:
         lost = lost_commands(problem, less, prior, cause.index)
-        if lost is None or lost.lost >= FEWEST or not _by_chance(lost) or not _inside(lost, pushed):
+        if lost is None or lost.lost >= MIN_CLEAR_LOSSES or not _by_chance(lost) or not _inside(lost, pushed):
             continue
         behind = (lost.fit.cost - fit.cost) / deflation + lost.charge - penalty(push, samples, places)
         if behind < APART:

@@ -40,7 +40,7 @@ RARE, COMMON = 0.01, 0.3  # shares that a later one may expect
 FIRST = 0.2
 TURNS = 8  # of search and fit, at most
 CLEAR = 4.0  # prices of a tick that its loss must be worth to count for the share
-FEWEST_CLEAR = 10  # ticks that the share is taken from, where there are as many
+MIN_CLEAR_TICKS = 10  # ticks that the share is taken from, where there are as many
 
 
 class Shown(NamedTuple):
@@ -201,7 +201,7 @@ def _counted(
     searched = lost | (worth > price)
     # A tick that is worth hardly more than its price is missed half the time.
     clear = worth > CLEAR * price
-    clear = clear if clear.sum() >= FEWEST_CLEAR else searched
+    clear = clear if clear.sum() >= MIN_CLEAR_TICKS else searched
     counts = int((lost & clear).sum()), int(clear.sum()), int(searched.sum()), int(lost.sum())
     return LostCommands(index, tuple(logs), problem, fit, *counts, price, tuple(sent))
 

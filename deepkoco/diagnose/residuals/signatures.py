@@ -20,7 +20,7 @@ from deepkoco.logs.quantum import quantum_of
 from deepkoco.systems import System
 
 CHANCE = 5.0  # standard deviations of a correlation of unrelated samples
-FEWEST = 40  # samples that a correlation needs
+MIN_SAMPLES = 40  # samples that a correlation needs
 REPEATED = 0.005  # share of readings that repeat the one before, from which it is worth telling
 COARSE = 1.0  # noises of the channel that a step of a grid must reach
 
@@ -47,7 +47,7 @@ def scattered_stamps(windows: Windows, fit: Fit, index: int, name: str) -> Evide
     """Squared residuals that grow with the squared rate of a channel, while the residuals are white."""
     residual, slope = residual_and_slope(windows, fit, index)
     limit = CHANCE / math.sqrt(max(len(residual), 1))
-    if len(residual) < FEWEST or dispersion(fit, windows).lag_one > 5.0 / math.sqrt(windows.samples):
+    if len(residual) < MIN_SAMPLES or dispersion(fit, windows).lag_one > 5.0 / math.sqrt(windows.samples):
         return None
     found = _correlation(residual**2, slope**2)
     if not found > limit:
@@ -63,7 +63,7 @@ def repeated_readings(windows: Windows, index: int, name: str) -> Evidence | Non
     """Readings that are the same as the one before to the last digit, where values lie on no grid."""
     value, valid = windows.value[:, index].numpy(), windows.valid[:, index].numpy()
     pairs = valid[:, 1:] & valid[:, :-1]
-    if pairs.sum() < FEWEST or quantum_of(value[valid]) > 0.0:
+    if pairs.sum() < MIN_SAMPLES or quantum_of(value[valid]) > 0.0:
         return None
     same = (value[:, 1:] == value[:, :-1])[pairs]
     share = float(same.mean())

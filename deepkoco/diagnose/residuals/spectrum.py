@@ -10,7 +10,7 @@ from scipy.signal import lombscargle
 
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 
-FEWEST = 400  # frequencies
+MIN_FREQUENCIES = 400  # frequencies
 OVERSAMPLING = (
     4.0  # frequencies for each that is independent: a line between two of them loses a tenth at most
 )
@@ -39,7 +39,7 @@ def spectrum_of(missing: Sequence[MissingTorque]) -> dict[str, float]:
         return {"peak_rad_s": 0.0, "peak_share": 0.0, "chance_share": 1.0}
     low, high = 2.0 * math.pi / length, 0.5 * math.pi / loudest.slot
     apart = max((high - low) / low, 1.0)  # independent frequencies
-    frequency = np.linspace(low, high, max(FEWEST, math.ceil(OVERSAMPLING * apart)))
+    frequency = np.linspace(low, high, max(MIN_FREQUENCIES, math.ceil(OVERSAMPLING * apart)))
     share = lombscargle(time, load, frequency, normalize=True)
     best = int(np.argmax(share))
     independent = max(apart, len(load) / 2)

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES
 from deepkoco.diagnose.evidence.selection import Ranking
 from deepkoco.diagnose.experiment_design.design import ALIKE, SETTLED, TRAINED, chance_of, smallest_pair
@@ -40,7 +40,7 @@ def always_there(names: Sequence[str]) -> tuple[str, ...]:
 
 def class_advice(
     system: System,
-    start: Start,
+    start: Baseline,
     windows: Windows,
     steps: Sequence[tuple[Ranking, tuple[str, ...]]],
     logs: Sequence[str],
@@ -81,7 +81,7 @@ def level_advice(windows: Windows, system: System) -> tuple[str, ...]:
 
 def _advise(
     system: System,
-    start: Start,
+    start: Baseline,
     windows: Windows,
     ranking: Ranking,
     members: tuple[str, ...],
@@ -125,7 +125,7 @@ def _advise(
     return result
 
 
-def _doses(ranking: Ranking, start: Start, members: Sequence[str]) -> dict[str, Dose]:
+def _doses(ranking: Ranking, start: Baseline, members: Sequence[str]) -> dict[str, Dose]:
     """The causes of a class at their fitted sizes; left out is what commands cannot bring out, or stays at null."""
     fits = {c.cause.name: c for c in ranking.candidates if c.fit is not ranking.reference}
     result = {}

@@ -14,7 +14,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.systems import System
 
-LOUD = 5.0  # standard deviations from which a missing torque is worth pointing at
+CLEAR_TORQUE = 5.0  # standard deviations from which a missing torque is worth pointing at
 
 
 def estimates(problem: FitProblem, fit: Fit, names: Sequence[str], deflation: float) -> dict[str, Estimate]:
@@ -117,7 +117,7 @@ def localise(missing: Sequence[MissingTorque], most: int = 5) -> tuple[Localisat
 
 def _loud(missing: MissingTorque, several: bool) -> list[tuple[float, Localisation]]:
     channel = f"load on joint {missing.joint + 1}" if several else "torque"
-    loud = np.abs(missing.torque) > LOUD * missing.sd
+    loud = np.abs(missing.torque) > CLEAR_TORQUE * missing.sd
     found = []
     for w in range(len(missing.time)):
         k = 0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Verdict
-from deepkoco.diagnose.evidence.elimination import FITFUL
+from deepkoco.diagnose.evidence.elimination import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.event_windows import touched
 from deepkoco.diagnose.evidence.forward import MOST_CAUSES, Selected
 from deepkoco.diagnose.evidence.selection import FURTHER
@@ -30,7 +30,7 @@ PLAIN = 0.1  # fall of chi2 per sample from which windows that no fit saw must s
 
 def verdict_of(
     found: Selected,
-    start: Start,
+    start: Baseline,
     train: Windows,
     before: Fit,
     gain: Gain | None,
@@ -57,9 +57,9 @@ def verdict_of(
     pushes = sum(c.effect == "event" for c in causes)
     lasting = len(causes) - pushes
     # A push, a tone and detents together bend to anything.
-    if doubts or (fitful(found) and len(causes) >= MOST_CAUSES):
+    if doubts or (only_flexible(found) and len(causes) >= MOST_CAUSES):
         return "unknown"
-    if found.lost is not None and (left or (causes and _all_fitful(found))):
+    if found.lost is not None and (left or (causes and _all_flexible(found))):
         # Offsets at hundreds of places bend to anything, above all beside pushes and tones; losses leave nothing.
         return "unknown"
     if found.lost is not None or not lasting:
@@ -85,20 +85,20 @@ def verdict_of(
     return "ambiguous" if len(families) > 1 else "cause"
 
 
-def fitful(found: Selected) -> bool:
+def only_flexible(found: Selected) -> bool:
     """Whether only pushes, tones and detents are named."""
-    return found.lost is None and _all_fitful(found)
+    return found.lost is None and _all_flexible(found)
 
 
-def rivalled(found: Selected, start: Start, train: Windows) -> bool:
+def rivalled(found: Selected, start: Baseline, train: Windows) -> bool:
     """Whether a learned load could say as much as what is named.
 
     Where structure remains beside lasting causes, as it does in real logs, it would always say more.
     """
     chi2 = found.final.chi2
     more = chi2 - start.floor * train.samples > FURTHER
-    return fitful(found) or (more and chi2 <= white_limit(train) * start.floor * train.samples)
+    return only_flexible(found) or (more and chi2 <= white_limit(train) * start.floor * train.samples)
 
 
-def _all_fitful(found: Selected) -> bool:
-    return all(kind_of(c.name) in FITFUL for c in found.accepted)
+def _all_flexible(found: Selected) -> bool:
+    return all(kind_of(c.name) in FLEXIBLE_CAUSES for c in found.accepted)

@@ -23,7 +23,7 @@ MIN_SAMPLES = 6  # of a channel inside a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
 DWELL = 0.1  # share of a window during which a joint may rest
 REST = 5.0  # peak-to-peak motion, in noise standard deviations, that counts as rest during that time
-FEWEST = 4  # windows that leaving out rests must leave
+MIN_MOVING_WINDOWS = 4  # windows that leaving out rests must leave
 
 
 @dataclass(frozen=True)
@@ -268,7 +268,7 @@ def moving(windows: Windows) -> np.ndarray:
         low = np.where(valid, value, math.inf).min(-1, initial=math.inf)
         moves |= (high - low) > STANDSTILL * noise.sd
     keep = moves & ~windows.rests
-    return keep if keep.sum() >= max(FEWEST, 0.3 * moves.sum()) else moves
+    return keep if keep.sum() >= max(MIN_MOVING_WINDOWS, 0.3 * moves.sum()) else moves
 
 
 def _still(t: np.ndarray, value: np.ndarray, seconds: float, reach: float) -> np.ndarray:

@@ -173,9 +173,9 @@ class _Messages:
     """The command messages that act inside the windows of a fit."""
 
     def __init__(self, found: Identification) -> None:
-        self.question = found.question
-        self.windows = found.question.windows
-        self.delays = command_delays(found.question.system.base)
+        self.request = found.request
+        self.windows = found.request.windows
+        self.delays = command_delays(found.request.system.base)
         own = [found.fit.values[n] for n in self.delays if n in found.fit.values]
         # A message carries the commands of all joints: what it adds to their fitted delays is one number.
         self.base = base = float(np.mean(own)) if own else 0.0
@@ -204,7 +204,7 @@ class _Messages:
             t = command.t.copy()
             t[self.index[own]] += shift[own]
             commands.append(CommandSeries(np.maximum.accumulate(t + 1e-9 * np.arange(len(t))), command.value))
-        return self.question.problem(replace(self.windows, commands=tuple(commands)))
+        return self.request.problem(replace(self.windows, commands=tuple(commands)))
 
     def towards(self, shift: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """Delays nearer to those wanted: a step within reach of the linearisation, and no delay below zero."""
@@ -243,8 +243,8 @@ class _Messages:
 
     def refit(self, values: dict[str, float], shift: np.ndarray, fit: Fit) -> Fit:
         """Parameters under the messages' delays; the fitted delay stays, the messages carry the rest."""
-        free = tuple(n for n in self.question.free if n not in self.delays)
-        trial = Trial("delays", free, self.question.prior, values, fit.state, fit.nuisance)
+        free = tuple(n for n in self.request.free if n not in self.delays)
+        trial = Trial("delays", free, self.request.prior, values, fit.state, fit.nuisance)
         return self.problem(shift).fit([trial], 12, TOLERANCE)[0]
 
     def _predict(

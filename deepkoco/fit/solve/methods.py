@@ -12,7 +12,7 @@ import torch
 from deepkoco.fit.data.windows import halved
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
-from deepkoco.fit.request import Question
+from deepkoco.fit.request import FitRequest
 from deepkoco.fit.solve.cma import cma_es
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import sharpen_noise
@@ -25,12 +25,12 @@ Progress = Callable[[str, int, int, float], None]  # stage, iteration, most iter
 
 
 @dataclass(frozen=True)
-class Answer:
+class MethodResult:
     """What a method found.
 
     Attributes:
         fit: The optimum, with its linearisation.
-        question: The question, with the noise that the fit was weighted by at the end.
+        request: The question, with the noise that the fit was weighted by at the end.
         stages: As in :class:`deepkoco.fit.identification.Convergence`.
         simulations: Number of simulations of all windows.
         converged: Whether nothing was left to gain.
@@ -38,7 +38,7 @@ class Answer:
     """
 
     fit: Fit
-    question: Question
+    request: FitRequest
     stages: tuple[tuple[str, tuple[float, ...]], ...]
     simulations: int
     converged: bool
@@ -53,7 +53,7 @@ class Method(Protocol):
         """Name that results carry."""
         ...
 
-    def answer(self, question: Question, generator: np.random.Generator, progress: Progress) -> Answer:
+    def solve(self, request: FitRequest, generator: np.random.Generator, progress: Progress) -> MethodResult:
         """Fit; every draw comes from the generator."""
         ...
 
@@ -69,10 +69,10 @@ class LevenbergMarquardt:
     iterations: int = 60
     name: str = "lm"
 
-    def answer(self, question: Question, generator: np.random.Generator, progress: Progress) -> Answer:
+    def solve(self, request: FitRequest, generator: np.random.Generator, progress: Progress) -> MethodResult:
         stages: list[tuple[str, tuple[float, ...]]] = []
-        moved = {*question.free, *question.windows.varies}
-        lanes = 1 + len(moved) + question.windows.state.shape[1]
+        moved = {*request.free, *request.windows.varies}
+        lanes = 1 + len(moved) + request.windows.state.shape[1]
 
         def run(stage: str, problem: FitProblem, trial: Trial) -> Fit:
             fit = problem.fit([trial], self.iterations, TOLERANCE)[0]
@@ -81,20 +81,20 @@ class LevenbergMarquardt:
             return fit
 
         # A long window across an unstable equilibrium has many minima, the half windows have fewer.
-        halves = question.problem(halved(question.windows))
-        state, _ = halves.fit_states(question.start, halves.windows.state)
-        first = run("half windows", halves, _trial(question, question.start, state))
-        problem = question.problem()
+        halves = request.problem(halved(request.windows))
+        state, _ = halves.fit_states(request.start, halves.windows.state)
+        first = run("half windows", halves, _trial(request, request.start, state))
+        problem = request.problem()
         state, _ = problem.fit_states(first.values, first.state[::2])
-        rough = run("whole windows", problem, _trial(question, first.values, state, first.nuisance))
-        noise = sharpen_noise(question.windows, rough)
-        question = replace(question, windows=replace(question.windows, noise=noise))
+        rough = run("whole windows", problem, _trial(request, first.values, state, first.nuisance))
+        noise = sharpen_noise(request.windows, rough)
+        request = replace(request, windows=replace(request.windows, noise=noise))
         last = run(
-            "noise known", question.problem(), _trial(question, rough.values, rough.state, rough.nuisance)
+            "noise known", request.problem(), _trial(request, rough.values, rough.state, rough.nuisance)
         )
         simulations = lanes * sum(len(costs) for _, costs in stages)
         reason = "no step lowers the cost" if last.converged else "limit of iterations"
-        return Answer(last, question, tuple(stages), simulations, last.converged, reason)
+        return MethodResult(last, request, tuple(stages), simulations, last.converged, reason)
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,13 @@ class CmaEs:
     generations: int = 150
     name: str = "cma"
 
-    def answer(self, question: Question, generator: np.random.Generator, progress: Progress) -> Answer:
-        problem = question.problem()
-        spread = _first_spread(question)
-        start = np.array([question.start[n] for n in question.free])
-        low, high = (np.array([getattr(p, side) for p in question.declared]) for side in ("low", "high"))
+    def solve(self, request: FitRequest, generator: np.random.Generator, progress: Progress) -> MethodResult:
+        problem = request.problem()
+        spread = _first_spread(request)
+        start = np.array([request.start[n] for n in request.free])
+        low, high = (np.array([getattr(p, side) for p in request.declared]) for side in ("low", "high"))
         own, free = problem.nuisances.spread, problem.nuisances.count
-        objective = _Profile(problem, question)
+        objective = _Profile(problem, request)
         search = cma_es(
             objective,
             np.concatenate([start, np.zeros(free)]),
@@ -133,18 +133,18 @@ class CmaEs:
             progress=lambda k, cost: progress("generations", k, self.generations, cost),
         )
         values, nuisance = objective.split(search.best)
-        noise = sharpen_noise(question.windows, self._at(problem, question, values, nuisance))
-        question = replace(question, windows=replace(question.windows, noise=noise))
-        fit = self._at(question.problem(), question, values, nuisance)
+        noise = sharpen_noise(request.windows, self._at(problem, request, values, nuisance))
+        request = replace(request, windows=replace(request.windows, noise=noise))
+        fit = self._at(request.problem(), request, values, nuisance)
         stages = (("generations", tuple(search.costs[:, 0].tolist())),)
-        return Answer(fit, question, stages, objective.simulations, search.converged, search.reason)
+        return MethodResult(fit, request, stages, objective.simulations, search.converged, search.reason)
 
-    def _at(self, problem: FitProblem, question: Question, values: dict, nuisance: np.ndarray) -> Fit:
+    def _at(self, problem: FitProblem, request: FitRequest, values: dict, nuisance: np.ndarray) -> Fit:
         """The linearised fit at a point: states at their best, parameters where they are."""
         at = torch.from_numpy(nuisance) if len(nuisance) else None
         both = torch.stack([problem.windows.state])
         state, _ = problem.fit_states_each([values], both, nuisance=None if at is None else at[None])
-        return problem.fit([_trial(question, values, state[0], at)], 1)[0]
+        return problem.fit([_trial(request, values, state[0], at)], 1)[0]
 
 
 METHODS: dict[str, type[LevenbergMarquardt] | type[CmaEs]] = {"lm": LevenbergMarquardt, "cma": CmaEs}
@@ -153,18 +153,18 @@ METHODS: dict[str, type[LevenbergMarquardt] | type[CmaEs]] = {"lm": LevenbergMar
 class _Profile:
     """Cost of points of a population, minimised over the windows' initial states."""
 
-    def __init__(self, problem: FitProblem, question: Question) -> None:
-        self.problem, self.question = problem, question
-        self.precision = question.prior.precision(question.free)
-        self.centre = question.prior.mean(question.free)
-        self.state = problem.fit_states(question.start, problem.windows.state)[0]
+    def __init__(self, problem: FitProblem, request: FitRequest) -> None:
+        self.problem, self.request = problem, request
+        self.precision = request.prior.precision(request.free)
+        self.centre = request.prior.mean(request.free)
+        self.state = problem.fit_states(request.start, problem.windows.state)[0]
         self.lowest = np.inf
         self.simulations = 0
 
     def split(self, point: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
-        count = len(self.question.free)
-        return self.question.start | dict(
-            zip(self.question.free, map(float, point[:count]), strict=True)
+        count = len(self.request.free)
+        return self.request.start | dict(
+            zip(self.request.free, map(float, point[:count]), strict=True)
         ), point[count:]
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
@@ -185,23 +185,23 @@ class _Profile:
 
 
 def _trial(
-    question: Question, values: dict, state: torch.Tensor | None, nuisance: torch.Tensor | None = None
+    request: FitRequest, values: dict, state: torch.Tensor | None, nuisance: torch.Tensor | None = None
 ) -> Trial:
-    return Trial("fit", question.free, question.prior, values, state, nuisance)
+    return Trial("fit", request.free, request.prior, values, state, nuisance)
 
 
-def _first_spread(question: Question) -> np.ndarray:
+def _first_spread(request: FitRequest) -> np.ndarray:
     """Standard deviations at the start of a search: the prior's, within a quarter of the bounds."""
-    sd = np.sqrt(np.diag(question.prior.covariance))
-    index = [question.prior.names.index(n) for n in question.free]
-    width = np.array([0.25 * (p.high - p.low) for p in question.declared])
-    own = np.array([max(0.3 * abs(p.value), 3.0 * p.prior_sd) for p in question.declared])
+    sd = np.sqrt(np.diag(request.prior.covariance))
+    index = [request.prior.names.index(n) for n in request.free]
+    width = np.array([0.25 * (p.high - p.low) for p in request.declared])
+    own = np.array([max(0.3 * abs(p.value), 3.0 * p.prior_sd) for p in request.declared])
     return np.minimum(np.minimum(sd[index], width), own)
 
 
-def held(question: Question, values: dict[str, float], state: torch.Tensor, nuisance: torch.Tensor) -> Fit:
+def held(request: FitRequest, values: dict[str, float], state: torch.Tensor, nuisance: torch.Tensor) -> Fit:
     """Fit of the initial states alone, every parameter held: how well given values explain the windows."""
-    problem = question.problem()
+    problem = request.problem()
     starts: Sequence[torch.Tensor] = [problem.windows.state, state]
     own = nuisance[None].repeat(2, 1)
     states, costs = problem.fit_states_each([values] * 2, torch.stack(list(starts)), HELD_STEPS, own)

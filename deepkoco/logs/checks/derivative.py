@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 STRIDES = (1, 2, 4, 8, 16, 32, 64, 128)  # samples over which changes are compared
-FEWEST = 8  # changes to compare, at least
+MIN_CHANGES = 8  # changes to compare, at least
 _TRIM = 0.1  # share of the largest disagreements that is left out: wraps of an angle, glitches
 # Factors between an angle and a speed in SI units that tell of a unit, and what they tell.
 SLIPS = {
@@ -58,7 +58,7 @@ def relate(t: np.ndarray, value: np.ndarray, t_rate: np.ndarray, rate: np.ndarra
     """
     inside = (t >= t_rate[0]) & (t <= t_rate[-1]) if len(t_rate) else np.zeros(len(t), dtype=bool)
     t, value = t[inside], value[inside]
-    if len(t) < FEWEST + 1 or len(t_rate) < FEWEST + 1:
+    if len(t) < MIN_CHANGES + 1 or len(t_rate) < MIN_CHANGES + 1:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_rate)
@@ -78,12 +78,12 @@ def slip(ratio: float) -> str | None:
 
 
 def _at_stride(t: np.ndarray, value: np.ndarray, integral: np.ndarray, stride: int) -> Relation | None:
-    if len(t) - stride < max(FEWEST, 2 * stride):
+    if len(t) - stride < max(MIN_CHANGES, 2 * stride):
         return None
     change, turned, span = (x[stride:] - x[:-stride] for x in (value, integral, t))
     keep = (span < 3.0 * np.median(span)) & np.isfinite(change) & np.isfinite(turned)
     change, turned = change[keep], turned[keep]
-    if len(change) < FEWEST:
+    if len(change) < MIN_CHANGES:
         return None
     moved, expected = float(np.abs(change).mean()), float(np.abs(turned).mean())
     if moved == 0.0 or expected == 0.0 or not math.isfinite(moved * expected):

@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.series import Series
 
-FEWEST = 6  # equal samples in a row that may be a frozen stretch
+MIN_FROZEN_SAMPLES = 6  # equal samples in a row that may be a frozen stretch
 MOST = 50  # stretches of one channel that are looked at, the longest first
 BEYOND = (
     4.0  # times what a position and the integral of its speed part by in typical stretches of that length
@@ -133,18 +133,18 @@ def _runs(value: np.ndarray) -> list[tuple[int, int]]:
     first, last = _all_runs(value)
     length = last - first + 1
     usual = np.abs(length - np.median(length)) <= 1.0
-    if np.median(length) >= FEWEST - 1 and length[usual].sum() > 0.5 * len(value):
+    if np.median(length) >= MIN_FROZEN_SAMPLES - 1 and length[usual].sum() > 0.5 * len(value):
         return []  # held readings of a slower sensor
     order = np.argsort(-length, kind="stable")[:MOST]
     # A channel that never changes is another mistake, and is told as one.
-    return [(int(first[k]), int(last[k])) for k in order if FEWEST <= length[k] < len(value)]
+    return [(int(first[k]), int(last[k])) for k in order if MIN_FROZEN_SAMPLES <= length[k] < len(value)]
 
 
 def _bar(series: Series) -> float:
     """Largest change between two samples that a moving sensor shows, times `JUMP`."""
     step = np.abs(np.diff(_unwrapped(series)))
     first, last = _all_runs(series.value)
-    ends = last[(last - first + 1 >= FEWEST) & (last < len(step))]
+    ends = last[(last - first + 1 >= MIN_FROZEN_SAMPLES) & (last < len(step))]
     free = np.ones(len(step), dtype=bool)
     free[ends] = False
     moves = step[free & (step > 0.0)]

@@ -14,7 +14,7 @@ from deepkoco.graph.episodes.fitting.mixture_fit import fit_mixture
 from deepkoco.output.picture import Picture
 
 BINS = 60
-FEWEST = 50  # intervals that a histogram needs
+MIN_INTERVALS = 50  # intervals that a histogram needs
 REGULAR = 4e-3  # standard deviation, as a share of the median, below which there is nothing to show
 COMPONENTS = 4  # of a mixture, at most
 SHOWN = (0.005, 0.995)  # quantiles between which the histogram is drawn
@@ -25,7 +25,7 @@ def timing(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | 
     found = {
         name: spacing
         for name, spacing in _spacings(details).items()
-        if len(spacing) >= FEWEST and float(spacing.std()) > REGULAR * float(np.median(spacing))
+        if len(spacing) >= MIN_INTERVALS and float(spacing.std()) > REGULAR * float(np.median(spacing))
     }
     if not found:
         return None
