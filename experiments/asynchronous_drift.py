@@ -1,4 +1,4 @@
-"""Drift of asynchronous runs from the synchronised one against the real-time factor (thesis Fig. 2.6).
+"""Drift of asynchronous runs from the synchronised one against the real-time factor (thesis Fig. 2.7a).
 
     python -m experiments.asynchronous_drift --out results/graph/asynchronous_drift
 

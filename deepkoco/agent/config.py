@@ -85,7 +85,7 @@ class TrainingConfig:
     """gamma of the discounted mean of the costs to come that is learned in the place of a step's cost; for goals
     beyond the horizon; 0: the cost itself."""
     weight_penalty: float = 1e-14
-    """alpha_2, weight of the squared weights (L2)."""
+    """alpha_2, weight of the squared parameters (L2), biases included; the published term excludes biases."""
     averaging: float = 0.998
     """Decay per update of the averaged weights, which act, are evaluated and are exported; 0 for none."""
     noise_correlation: float = 0.85

@@ -40,7 +40,8 @@ class Learner:
         self.averaged = copy.deepcopy(self.model).requires_grad_(False)
         self._followed, self._own = (tuple(m.parameters()) for m in (self.model, self.averaged))
         self._average = get_ema_multi_avg_fn(config.averaging)
-        # Adam's weight decay adds 2 alpha_2 W to the gradient: exactly the L2 term, without an extra graph.
+        # Adam's weight decay adds 2 alpha_2 W to the gradient: the L2 term, without an extra graph. The published
+        # term excludes biases; alpha_2 is so small that this makes no difference.
         networks = [p for name, p in self.model.named_parameters() if not name.startswith("dynamics.")]
         eigenvalues = {"params": self.model.dynamics.parameters(), "lr": config.eigenvalue_learning_rate}
         self._optimiser = torch.optim.Adam(

@@ -19,10 +19,13 @@ def planner_metrics(agent: VectorAgent | None, episodes: list[Episode], horizon:
         horizon: H.
 
     Returns:
-        Metrics that a resumed run repeats exactly, and those of the wall clock.
+        Metrics of `metrics.csv`, and those of the events alone: the wall clock, and the share of plans that were
+        refined, which older runs have no column for.
     """
-    means = (PlannerStatistics() if agent is None else agent.statistics).means()
-    clock = {"planner/microseconds": means.pop("microseconds")}
+    statistics = PlannerStatistics() if agent is None else agent.statistics
+    means = statistics.means()
+    refined = statistics.refined / statistics.plans if statistics.plans else float("nan")
+    events = {"planner/microseconds": means.pop("microseconds"), "planner/refined": refined}
     pairs = np.full((2, 0), np.nan)
     if agent is not None:
         paired = zip(agent.planned_costs, episodes, strict=True)
@@ -36,4 +39,4 @@ def planner_metrics(agent: VectorAgent | None, episodes: list[Episode], horizon:
         "planner/planned_cost": float(pairs[0].mean()) if known else float("nan"),
         "planner/realised_cost": float(pairs[1].mean()) if known else float("nan"),
         "planner/cost_correlation": float(np.corrcoef(pairs)[0, 1]) if spread else float("nan"),
-    }, clock
+    }, events

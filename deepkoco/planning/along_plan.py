@@ -94,6 +94,11 @@ class AlongPlan:
         """Of the last solve."""
         return self._program.iterations
 
+    @property
+    def refined(self) -> bool:
+        """See `Program.refined`; of the last pass."""
+        return self._program.refined
+
     def reset(self) -> None:
         """See `Program.reset`."""
         self._planned = None

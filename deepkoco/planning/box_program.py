@@ -6,6 +6,7 @@ import numpy as np
 
 from deepkoco.planning.config import Array, PlanningProblem
 from deepkoco.planning.program import estimated_condition, shifted
+from deepkoco.planning.refinement import Refinement
 from deepkoco.planning.solvers import make_box_solver
 
 
@@ -13,7 +14,12 @@ class BoxProgram:
     r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $|y_0 + D a|^2 + R |a|^2 + \tilde R |\Delta a|^2$.
 
     What a condensed form adds is how D and y_0 follow from its model. Written in the actions instead of the
-    increments the limits are plain bounds; the two programs are one linear change of variables apart.
+    increments the limits are plain bounds; the two programs are one linear change of variables apart. A
+    solution that is not certain to be within 1e-4 of the action range is replaced by the exact one, see
+    `Refinement`.
+
+    Attributes:
+        refined: Whether the last solution was replaced.
 
     Source: DeepKoCo, Eq. 5.16.
     """
@@ -39,6 +45,8 @@ class BoxProgram:
         self._fixed = np.asarray(2.0 * np.kron(fixed, np.eye(actions)), np.float64)
         low, high = np.tile(problem.action_low, steps), np.tile(problem.action_high, steps)
         self._solver = make_box_solver(solver, low, high, tolerance)
+        self._refinement = Refinement(problem, self._fixed)
+        self.refined = False
         self._warm_start = warm_start
         self._planned: Array | None = None
         self._response = np.zeros((1, steps * actions)), np.zeros(1)
@@ -86,7 +94,12 @@ class BoxProgram:
             self._solver.restart()
         elif self._warm_start == "shifted" and self._planned is not None:
             self._solver.start_at(shifted(self._planned).ravel())
-        self._planned = self._solver.solve(self._hessian, gradient).reshape(self._problem.horizon, -1)
+        self.refined = False
+        solution = self._solver.solve(self._hessian, gradient)
+        exact = self._solver.exact and self._refinement.is_well_conditioned(self._hessian)
+        if not exact and not self._refinement.is_close(solution, matrix, free, action):
+            solution, self.refined = self._refinement.solve(solution, matrix, free, action), True
+        self._planned = solution.reshape(self._problem.horizon, -1)
         return self._planned
 
     def planned_cost(self, planned: Array) -> float:

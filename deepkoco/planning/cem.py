@@ -24,7 +24,13 @@ class CrossEntropyMethod:
 
     Source: Rubinstein, The cross-entropy method for combinatorial and continuous optimization, 1999; as a
     planner on latent models e.g. Hafner et al., PlaNet, ICML 2019.
+
+    Attributes:
+        iterations: Of every solve.
+        refined: False; see `Program.refined`.
     """
+
+    refined = False
 
     def __init__(
         self,

@@ -73,6 +73,7 @@ class Planner:
             increment = self._hold(str(error))
         else:
             increment = planned[0] - action
+            self.statistics.refined += self._program.refined
             self._planned = planned.copy()  # some solvers give out memory that they write to again
         return np.minimum(np.maximum(action + increment, self._low), self._high) - action
 

@@ -57,6 +57,11 @@ class Optimisation(Protocol):
         """Of the last solve."""
         ...
 
+    @property
+    def refined(self) -> bool:
+        """Whether the solver's last solution was too far from the optimum and was replaced."""
+        ...
+
     def reset(self) -> None:
         """Forget all earlier steps."""
         ...

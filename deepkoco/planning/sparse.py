@@ -18,8 +18,13 @@ class SparseProgram:
     of $C_k^\top C_k$ per step. Only the entries of B and C and the right-hand side of the first steps change,
     in a fixed pattern.
 
+    Attributes:
+        refined: False; see `Program.refined`.
+
     Source: DeepKoCo, Eq. 5.16.
     """
+
+    refined = False
 
     def __init__(
         self, problem: PlanningProblem, solver: str, tolerance: float, warm_start: str = "kept"

@@ -18,6 +18,7 @@ class PlannerStatistics:
         plans: Decisions asked for.
         failures: Decisions that held the last plan because the program was not solved.
         reasons: Count of each reason.
+        refined: Decisions whose solution was too far from the optimum and was replaced, see `Refinement`.
         solved: Decisions with diagnostics.
         seconds: Time of the solves, matrices included, network excluded [s].
         iterations: Of the solver.
@@ -29,6 +30,7 @@ class PlannerStatistics:
     plans: int = 0
     failures: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
+    refined: int = 0
     solved: int = 0
     seconds: float = 0.0
     iterations: int = 0
@@ -42,7 +44,7 @@ class PlannerStatistics:
         Args:
             other: Of the other controller.
         """
-        for name in ("plans", "failures", "solved", "seconds", "iterations", "active_limits"):
+        for name in ("plans", "failures", "refined", "solved", "seconds", "iterations", "active_limits"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.log_conditioning += other.log_conditioning
         self.reasons.update(other.reasons)

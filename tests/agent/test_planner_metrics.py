@@ -35,6 +35,7 @@ def test_planned_costs_meet_the_costs_of_the_episodes(model):
     assert -1 <= row["planner/cost_correlation"] <= 1
     assert row["planner/conditioning"] > 1
     assert clock["planner/microseconds"] > 0
+    assert clock["planner/refined"] == agent.statistics.refined / agent.statistics.plans
     assert not set(clock) & set(row)
 
 

@@ -131,7 +131,72 @@ def test_every_solver_gives_the_brute_force_answer_after_updates(
         if seed == 2:
             program.reset()
         np.testing.assert_allclose(program.solve(*state).ravel(), brute_force(problem, *state), atol=2e-4)
-        assert program.iterations >= 0
+
+
+@pytest.mark.parametrize(
+    ("form", "solver"),
+    [
+        (CondensedProgram, "osqp"),
+        (CondensedProgram, "daqp"),
+        (CondensedProgram, "piqp"),
+        (SparseProgram, "osqp"),
+        (SparseProgram, "piqp"),
+    ],
+)
+def test_iterations_are_those_of_the_last_solve_alone(random_model, random_state, form, solver):
+    if solver not in solver_names("condensed"):
+        pytest.skip(f"{solver} is not installed")
+    model = random_model(0, actions=2)
+    problem = make_problem(model, 5)
+    used = form(problem, solver, 1e-8, "none")
+    counts = set()
+    for seed in range(8):
+        state, new = random_state(model, seed), form(problem, solver, 1e-8, "none")
+        used.solve(*state)
+        new.solve(*state)
+        assert used.iterations == new.iterations > 0
+        counts.add(used.iterations)
+    assert len(counts) > 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    SEEDS,
+    st.floats(0.0, 3.0),
+    st.integers(1, 2),
+    st.integers(2, 13),
+    st.sampled_from(
+        [name for name in ("osqp", "piqp", "clarabel", "daqp") if name in solver_names("condensed")]
+    ),
+)
+@example(1, 2.0, 2, 13, "osqp")
+def test_condensed_plans_are_precise_whatever_the_condition(
+    random_model, random_state, seed, magnitude, actions, horizon, solver
+):
+    # B times 1 to 1,000: condition numbers of about 3 to 1e11.
+    model = random_model(seed, actions=actions)
+    problem = make_problem(model, horizon)
+    rows, factor, action = random_state(model, seed)
+    rows[1:] *= 10.0**magnitude
+    planned = CondensedProgram(problem, solver, 1e-6).solve(rows, factor, action)
+    expected = brute_force(problem, rows, factor, action)
+    np.testing.assert_allclose(planned.ravel(), expected, atol=1e-4 * 2.0 * LIMIT)
+
+
+@pytest.mark.parametrize("solver", ["osqp", "daqp"])
+def test_ill_conditioned_plans_are_refined_and_tell_so(random_model, random_state, solver):
+    refined = {}
+    for scale in (1.0, 1e4):
+        refined[scale] = 0
+        for seed in range(8):
+            model = random_model(seed, actions=2, pairs=4)
+            rows, factor, action = random_state(model, seed)
+            rows[1:] *= scale
+            program = CondensedProgram(make_problem(model, 13), solver, 1e-6)
+            program.solve(rows, factor, action)
+            refined[scale] += program.refined
+    assert refined[1e4] >= 6
+    assert solver == "osqp" or refined[1.0] == 0
 
 
 @pytest.mark.parametrize("form", [CondensedProgram, SparseProgram])

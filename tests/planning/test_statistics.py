@@ -54,11 +54,26 @@ def test_diagnostics_do_not_change_the_plan(model, random_state):
     assert np.isnan(list(plain.statistics.means().values())).all()
 
 
+def test_refined_plans_are_counted_without_diagnostics(random_model, random_state):
+    limit = np.array([1.0, 1.0])
+    model = random_model(1, actions=2, pairs=4)
+    rows, factor, action = random_state(model, 1)
+    planner = make_planner(model, PlannerConfig(13, solver="osqp"), -limit, limit)
+    for scale in (1e3, 2e3):
+        planner.plan(np.vstack((rows[:1], scale * rows[1:])), factor, action)
+    assert (planner.statistics.plans, planner.statistics.failures) == (2, 0)
+    assert planner.statistics.refined == 2
+
+
 def test_sums_over_controllers():
     total = PlannerStatistics()
-    total.add(PlannerStatistics(plans=3, failures=1, solved=2, iterations=10, log_conditioning=np.log(100.0)))
-    total.add(PlannerStatistics(plans=2, solved=2, iterations=2, seconds=4e-6))
-    assert (total.plans, total.failures, total.solved) == (5, 1, 4)
+    total.add(
+        PlannerStatistics(
+            plans=3, failures=1, refined=2, solved=2, iterations=10, log_conditioning=np.log(100.0)
+        )
+    )
+    total.add(PlannerStatistics(plans=2, refined=1, solved=2, iterations=2, seconds=4e-6))
+    assert (total.plans, total.failures, total.refined, total.solved) == (5, 1, 3, 4)
     assert total.means()["iterations"] == 3
     assert total.means()["microseconds"] == pytest.approx(1.0)
     assert total.means()["conditioning"] == pytest.approx(10**0.5)

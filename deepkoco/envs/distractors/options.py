@@ -27,7 +27,8 @@ class DistractorOptions:
     copies: int = 4
     """copies: further systems; the thesis has four pendulums."""
     drive: str = "ou"
-    """copies: their commands, "ou" (Ornstein-Uhlenbeck, as in the thesis) or "random" (uniform, anew at every step)."""
+    """copies: their commands, "ou" (Ornstein-Uhlenbeck) or "random" (uniform, anew at every step); the thesis
+    does not say how its distractors are driven."""
     channels: int = 12
     """noise, projection: entries of noise that are added to the observation."""
     patterns: int = 8

@@ -22,7 +22,7 @@ Drive = Callable[[Tensor, torch.Generator], Tensor]
 
 
 def ornstein_uhlenbeck(drive: Tensor, generator: torch.Generator) -> Tensor:
-    """A drive that wanders, as the distractor pendulums of the thesis."""
+    """A drive that wanders (Ornstein-Uhlenbeck); the thesis does not say how its distractors are driven."""
     noise = torch.randn(drive.shape, generator=generator, dtype=torch.float64)
     return OU_MEMORY * drive + OU_SPREAD * (1.0 - OU_MEMORY**2) ** 0.5 * noise
 

@@ -53,7 +53,7 @@ class FrameEncoder(nn.Module):
     nearly all the time of a network on 64 x 64 frames is spent in its first layers. Weights start as He et
     al. (2015) have them: with PyTorch's own, features of different frames differ by 0.001 at the start.
 
-    Source: DeepKoCo, Eq. 5.11; the layers are a reading, the text gives none.
+    Source: DeepKoCo, Eq. 5.11; the thesis cites a CNN ([132]) and lists no layers, so they are chosen here.
     """
 
     def __init__(self, frame_shape: Sequence[int], channels: Sequence[int], features: int) -> None:

@@ -18,6 +18,8 @@ class DaqpBox:
     using recursive LDL' updates, IEEE TAC 2022.
     """
 
+    exact = True
+
     def __init__(self, low: Array, high: Array, tolerance: float) -> None:
         """Keep the limits; the workspace is made with the first problem. It solves to round-off."""
         self.iterations = 0

@@ -19,7 +19,12 @@ class BoxSolver(Protocol):
     """Minimises x'Px/2 + q'x subject to low <= x <= high, with fixed limits.
 
     A solver goes on from its own last solution unless it is told otherwise between two solves.
+
+    Attributes:
+        exact: Whether it solves a well-conditioned problem to round-off, whatever the tolerance.
     """
+
+    exact: bool
 
     @property
     def iterations(self) -> int:

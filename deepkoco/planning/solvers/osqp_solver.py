@@ -66,9 +66,12 @@ class Workspace:
 class OsqpBox:
     """The condensed form; any Hessian can follow, for the pattern is a full upper triangle.
 
-    Its matrices are well scaled (condition number a few hundred), so the equilibration that OSQP would do
-    at every update is left out: a third of the time, the same iterations.
+    The matrices of trained models are well scaled (condition number a few hundred), so the equilibration that
+    OSQP would do at every update is left out: a third of the time, the same iterations. OSQP stops at a
+    tolerance relative to the gradient; `Refinement` mends the solutions that this leaves too far off.
     """
+
+    exact = False
 
     def __init__(self, low: Array, high: Array, tolerance: float) -> None:
         """Set up on the identity."""

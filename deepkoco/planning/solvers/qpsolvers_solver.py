@@ -48,6 +48,8 @@ class FreshSolver:
 class QpsolversBox(FreshSolver):
     """The condensed form."""
 
+    exact = False
+
     def solve(self, hessian: Array, gradient: Array) -> Array:
         """See `BoxSolver.solve`."""
         check_entries(self._name, hessian, gradient)
