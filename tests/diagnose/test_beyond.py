@@ -22,7 +22,7 @@ from deepkoco.fit.data.windows import CommandSeries
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import LogError, read_log
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 BASE = make_system("rod_pendulum")
 

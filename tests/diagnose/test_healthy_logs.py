@@ -17,7 +17,7 @@ from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import ExtendedSystem, make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 SYSTEM = make_system("rod_pendulum")
 LENGTH = window_length(SYSTEM)

@@ -16,7 +16,7 @@ from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import make_system
 from experiments.hidden.cases import small_effects
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 TETHER = {"tether": {"stiffness": 0.235}}
 

@@ -29,7 +29,7 @@ from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import make_system
-from experiments.hidden.unit import HiddenUnit, hidden_log
+from tests.oracle.unit import HiddenUnit, hidden_log
 
 SYSTEM = make_system("rod_pendulum")
 LENGTH, SECONDS, SEED = window_length(SYSTEM), 10.0, 77
