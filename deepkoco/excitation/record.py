@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.excitation.excitation import Excitation, make_excitation
+from deepkoco.excitation.excitation import make_excitation
+from deepkoco.excitation.signal import Excitation
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import one_joint
 from deepkoco.unit.messages import SensorMessage, UnitError
