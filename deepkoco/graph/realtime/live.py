@@ -20,7 +20,7 @@ from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State
 from deepkoco.graph.realtime.crew import Crew, CrewOptions
 from deepkoco.graph.realtime.driver import Driver, Outlet
-from deepkoco.graph.realtime.failure import failure_of
+from deepkoco.graph.realtime.failure import NodeFailure, failure_of
 from deepkoco.graph.realtime.plan import Plan
 from deepkoco.graph.realtime.recorder import Record, Recorder
 from deepkoco.graph.realtime.runner import InitialStateError, Runner
@@ -70,9 +70,12 @@ class LiveRuntime(ABC):
     def __enter__(self) -> Any:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if error is not None:
+            self._stop_after(error)
+            return
         try:
-            if kind is None and self._recorder is not None and self._running is not None:
+            if self._recorder is not None and self._running is not None:
                 self.finish()  # up to the supervisor's last start, as a caller who wants the episode has it
         finally:
             self.close()
@@ -117,8 +120,9 @@ class LiveRuntime(ABC):
         with _Stopping(self):
             if self._crew is None:
                 self._crew = Crew(self.graph, self._options)
+                # A caller who forgets to close wants the file all the same, and must hear of a failure.
+                atexit.register(self.close)
                 if self._recorder is not None:
-                    atexit.register(self.close)  # a caller who forgets to close wants the file all the same
                     self._recorder.listen(self._crew.reports, partial(self._drivers, self._crew))
             elif self._running is not None:
                 self._crew.ask({name: ("end", 0) for name in self._others})
@@ -146,6 +150,8 @@ class LiveRuntime(ABC):
         assert self._crew is not None
         action = self._driver.runner.act(action, self._driver.tick)
         with _Stopping(self):
+            if self._crew.failure is not None:
+                raise self._crew.failure  # before the action goes anywhere
             self._driver.finish(action)
             return self._observe(self._crew, action)
 
@@ -188,22 +194,47 @@ class LiveRuntime(ABC):
         """Stop all nodes, close them, end their processes, finish the recording; safe to call twice.
 
         Raises:
+            NodeFailure: a node has failed, and neither `step` nor `finish` has raised it; or a node did not close.
             EpisodeFileError: the recording could not be written; the nodes are closed all the same.
         """
+        failure = self._end()
+        if failure is not None:
+            raise failure
+
+    def _stop_after(self, error: BaseException) -> None:
+        """Stop everything because of an error, and note on it what else went wrong."""
+        try:
+            failure = self._end()
+        except EpisodeFileError as unwritten:  # what stopped the graph is what must be heard of
+            error.add_note(str(unwritten))
+        else:
+            if failure is not None and failure is not error:
+                error.add_note(str(failure))
+
+    def _end(self) -> NodeFailure | None:
+        """Stop everything; return the failure that stopped the graph, unless it was returned before."""
         running, self._running = self._running, None
         crew, self._crew = self._crew, None
+        failure = None
         if crew is not None:
             crew.stop()
+            failure = crew.failure or crew.unclosed
             if running is not None and self._driver is not None:
                 self._begun = int(running.step[0])
                 self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
+        atexit.unregister(self.close)
         if self._recorder is not None:
-            atexit.unregister(self.close)
             try:
                 episode = None if running is None else self._salvaged_episode()
             except ValueError:  # what the nodes have reported is all there is
                 episode = None
-            self._recorder.close(episode)
+            try:
+                self._recorder.close(episode)
+            except EpisodeFileError as unwritten:
+                if failure is None:
+                    raise
+                failure.add_note(str(unwritten))
+        return failure
 
     def _salvaged_episode(self) -> Episode:
         if self._salvaged is None:
@@ -321,12 +352,8 @@ class _Stopping:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
-        if error is None or isinstance(error, InitialStateError):
-            return
-        try:
-            self._runtime.close()
-        except EpisodeFileError as unwritten:  # what stopped the graph is what must be heard of
-            error.add_note(str(unwritten))
+        if error is not None and not isinstance(error, InitialStateError):
+            self._runtime._stop_after(error)
 
 
 def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:

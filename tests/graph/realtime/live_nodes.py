@@ -55,6 +55,8 @@ class Device(Node):
         self._mark("open")
 
     def close(self):
+        if self.fault == "slow close":
+            time.sleep(0.3)
         self._mark("close")
         if self.fault == "bad close":
             raise OSError("the drive does not answer")
@@ -91,13 +93,20 @@ def interrupt():
     hang()
 
 
+def compute():
+    return sum(range(150_000_000))  # one call into C: no other thread of the process runs meanwhile
+
+
 FAULTS = {
+    "compute": compute,
     "ctrl-c": interrupt,
     "raise": raise_error,
     "hang": hang,
+    "nap": lambda: time.sleep(0.3),
     "sleep": lambda: time.sleep(3600),
     "die": die,
     "bad close": lambda: None,
+    "slow close": lambda: None,
 }
 
 
