@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.computation_graph import ComputationGraph
+from deepkoco.graph.contract import NotFiniteError
 from deepkoco.graph.episode import Episode
 from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State
@@ -142,7 +143,7 @@ class LiveRuntime(ABC):
 
         Raises:
             HorizonError: the timing ends here.
-            NodeFailure: a node failed; everything is stopped and closed.
+            NodeFailure: a node failed, or the action is not finite; everything is stopped and closed.
             ValueError: the state is not the latest one, or the action has another shape than the initial one.
         """
         check_step(self._running, state)
@@ -152,6 +153,7 @@ class LiveRuntime(ABC):
         with _Stopping(self):
             if self._crew.failure is not None:
                 raise self._crew.failure  # before the action goes anywhere
+            self._check_finite(self._driver, action)
             self._driver.finish(action)
             return self._observe(self._crew, action)
 
@@ -334,6 +336,12 @@ class LiveRuntime(ABC):
             raise failure_of(self.graph.supervisor, driver.tick, error, traceback.format_exc()) from error
         self._running = running_state(driver.tick, driver.time, self._steps, readings)
         return self._running, seen
+
+    def _check_finite(self, driver: Driver, action: Tensor) -> None:
+        try:
+            driver.runner.check_finite("action", action)
+        except NotFiniteError as error:
+            raise failure_of(self.graph.supervisor, driver.tick, error) from None
 
     @property
     def _unled(self) -> list[str]:

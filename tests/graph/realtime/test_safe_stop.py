@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from live_nodes import act, devices
+from live_nodes import QuietDevice, act, devices
 
-from deepkoco.graph import read_episodes, replay_timing
+from deepkoco.graph import Graph, read_episodes, replay_timing
 from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, WallClockRuntime
 from deepkoco.graph.realtime.clocked import clocked_schedule
 from deepkoco.graph.realtime.inbox import Order
@@ -32,6 +32,7 @@ RUNTIMES = {
 REASONS = {
     "raise": "ValueError: encoder cable is off",
     "hang": "has not returned for 0.5 s",
+    "nan": r"NotFiniteError: output entry \[1\] is nan; a node that says so on purpose has the class attribute .*",
     "sleep": "has not returned for 0.5 s",
     "die": "its process has died \\(exit status -9\\)",
 }
@@ -125,6 +126,36 @@ def test_a_seat_fails_by_itself_when_a_step_comes_back_late(tmp_path):
     assert (said[2][2].node, said[2][2].tick) == ("motor", 3)
     assert re.fullmatch(r"has returned after 0\.\d+ s, and may take 0\.1 s", said[2][2].reason)
     assert len(seat.driver.log()["outputs"]) == 3  # the late output goes nowhere
+
+
+@pytest.mark.parametrize("kind", RUNTIMES)
+def test_an_action_that_is_not_finite_stops_the_graph_and_is_not_sent(tmp_path, kind):
+    graph = devices(tmp_path)
+    runtime = RUNTIMES[kind](graph)
+    state, _ = runtime.reset({}, torch.Generator())
+    state, _ = runtime.step(state, torch.ones(1, 2, dtype=torch.float64))
+    with pytest.raises(
+        NodeFailure, match=r'node "agent" at its tick 1: NotFiniteError: action entry \[0\] is -inf'
+    ):
+        runtime.step(state, torch.tensor([[-torch.inf, 0.0]], dtype=torch.float64))
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+    assert np.isfinite(runtime.finish().outputs["agent"]).all()
+
+
+@pytest.mark.parametrize("kind", RUNTIMES)
+def test_a_node_that_declares_so_may_put_out_nan(tmp_path, kind):
+    healthy = devices(tmp_path)
+    nodes = [QuietDevice("motor", 50, tmp_path, "nan"), healthy.node("camera"), healthy.node("agent")]
+    seen = []
+
+    def policy(inputs):
+        seen.append(bool(inputs["motor"].data.isnan().any()))
+        return torch.zeros(1, 2, dtype=torch.float64)
+
+    with RUNTIMES[kind](Graph(nodes, healthy.connections)) as runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(policy, 8)
+    assert any(seen)
 
 
 @pytest.mark.parametrize("kind", ["threads", "processes"])
@@ -225,7 +256,7 @@ SCRIPT = """
     import sys
     sys.path[:0] = {paths!r}
     import torch
-    from live_nodes import act, devices
+    from live_nodes import QuietDevice, act, devices
     from deepkoco.graph.realtime import ConcurrentRuntime
     if __name__ == "__main__":
         processes = {{"motor": 1, "camera": 1}}
@@ -238,7 +269,7 @@ FORGETFUL = """
     import sys
     sys.path[:0] = {paths!r}
     import torch
-    from live_nodes import act, devices
+    from live_nodes import QuietDevice, act, devices
     from deepkoco.graph.realtime import ConcurrentRuntime
     if __name__ == "__main__":
         runtime = ConcurrentRuntime(devices({folder!r}), processes={{"motor": 1}}, record={folder!r} + "/run.mcap")
