@@ -39,6 +39,7 @@ class Episode:
         windows: by connection key, (K, window) seqs that each step of the receiver saw, oldest first;
             negative: the initial output. A connection is missing if its windows were not recorded.
         notes: remarks in the order in which they were made.
+        failure: what ended the episode before its time; empty: nothing did.
     """
 
     t_start: dict[str, np.ndarray]
@@ -48,6 +49,7 @@ class Episode:
     t_received: dict[str, np.ndarray]
     windows: dict[str, np.ndarray]
     notes: tuple[Note, ...] = ()
+    failure: str = ""
 
     @property
     def measured(self) -> MeasuredTiming:

@@ -21,7 +21,7 @@ from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State
 from deepkoco.graph.realtime.crew import Crew, CrewOptions
 from deepkoco.graph.realtime.driver import Driver, Outlet
-from deepkoco.graph.realtime.failure import NodeFailure, failure_of
+from deepkoco.graph.realtime.failure import Ending, NodeFailure, failure_of
 from deepkoco.graph.realtime.plan import Plan
 from deepkoco.graph.realtime.recorder import Record, Recorder
 from deepkoco.graph.realtime.runner import InitialStateError, Runner
@@ -64,6 +64,7 @@ class LiveRuntime(ABC):
         self._running: RunningState | None = None
         self._begun = 0  # last supervisor step of an episode that was cut off
         self._salvaged: dict[str, Any] | None = None  # its records
+        self._ending: Ending | None = None  # what cut it off
         self._driver: Driver | None = None
         self._episode = 0
         self._others = [node.name for node in graph.nodes if node.name != graph.supervisor]
@@ -127,7 +128,7 @@ class LiveRuntime(ABC):
                     self._recorder.listen(self._crew.reports, partial(self._drivers, self._crew))
             elif self._running is not None:
                 self._crew.ask({name: ("end", 0) for name in self._others})
-            self._running = self._salvaged = None
+            self._running = self._salvaged = self._ending = self._driver = None
             self._episode += 1
             return self._go(self._crew, parameters, generator, initial)
 
@@ -199,22 +200,26 @@ class LiveRuntime(ABC):
             NodeFailure: a node has failed, and neither `step` nor `finish` has raised it; or a node did not close.
             EpisodeFileError: the recording could not be written; the nodes are closed all the same.
         """
-        failure = self._end()
+        failure = self._end(None)
         if failure is not None:
             raise failure
 
     def _stop_after(self, error: BaseException) -> None:
         """Stop everything because of an error, and note on it what else went wrong."""
         try:
-            failure = self._end()
+            failure = self._end(error)
         except EpisodeFileError as unwritten:  # what stopped the graph is what must be heard of
             error.add_note(str(unwritten))
         else:
             if failure is not None and failure is not error:
                 error.add_note(str(failure))
 
-    def _end(self) -> NodeFailure | None:
-        """Stop everything; return the failure that stopped the graph, unless it was returned before."""
+    def _end(self, error: BaseException | None) -> NodeFailure | None:
+        """Stop everything; return the failure that stopped the graph, unless it was returned before.
+
+        Args:
+            error: why everything is to stop; None: the caller wants it to.
+        """
         running, self._running = self._running, None
         crew, self._crew = self._crew, None
         failure = None
@@ -224,6 +229,8 @@ class LiveRuntime(ABC):
             if running is not None and self._driver is not None:
                 self._begun = int(running.step[0])
                 self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
+            if (reason := crew.failure or error) is not None and self._driver is not None:
+                self._ending = Ending.of(reason, self.graph.supervisor, self._driver.time)
         atexit.unregister(self.close)
         if self._recorder is not None:
             try:
@@ -231,7 +238,7 @@ class LiveRuntime(ABC):
             except ValueError:  # what the nodes have reported is all there is
                 episode = None
             try:
-                self._recorder.close(episode)
+                self._recorder.close(episode, self._ending)
             except EpisodeFileError as unwritten:
                 if failure is None:
                     raise
@@ -244,7 +251,8 @@ class LiveRuntime(ABC):
         lost = [name for name in self.graph.index if name not in self._salvaged]
         if lost:
             raise ValueError(f'the record of "{lost[0]}" is lost with its process')
-        return self._episode_of(self._begun, self._salvaged)
+        episode = self._episode_of(self._begun, self._salvaged)
+        return episode if self._ending is None else self._ending.mark(episode)
 
     def _drivers(self, crew: Crew) -> list[tuple[int, Driver | None]]:
         """The drivers of the caller's process, by number of the node."""
