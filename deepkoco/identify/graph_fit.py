@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph import BatchedRuntime, Graph, replay_timing
-from deepkoco.graph.episode import Episode
+from deepkoco.graph.episode import Episode, windows_for
 from deepkoco.graph.node import State
 from deepkoco.graph.state import NodeParameters
 from deepkoco.identify.identification import Convergence, Estimate, interval
@@ -153,9 +153,8 @@ class GraphMisfit:
         executor: str = "fused",
         threads: int = 1,
     ) -> None:
-        self.runtime = BatchedRuntime(
-            graph, replay_timing(graph, episode.measured), executor=executor, threads=threads
-        )
+        timing = replay_timing(graph, episode.measured, windows=windows_for(graph, episode))
+        self.runtime = BatchedRuntime(graph, timing, executor=executor, threads=threads)
         self.actions = torch.from_numpy(np.asarray(episode.outputs[graph.supervisor]))[:, None]
         self.parameters, self.names, self.initial = parameters, tuple(sought), initial
         self.steps = 0
