@@ -170,6 +170,8 @@ class Crew:
         for position, seat in self.seats.items():
             self._keep(position, seat.record())
         self._bury()
+        for thread in self._post:
+            thread.join(FAREWELL)
         lines = (*self._controls.values(), *self._lines.values())
         for pipe in (self._heard, self._bell, *(line.pipe for line in lines)):
             pipe.close()
@@ -303,8 +305,15 @@ class Crew:
             )
         for seat in self.seats.values():
             seat.start()
+        # A thread of their own reads the messages: a process that stands still in the middle of one holds up the
+        # reader, and the watch must not stand still with it.
+        self._post = [
+            Thread(target=self._run_post, args=(line.pipe,), name=f"messages of process {host}", daemon=True)
+            for host, line in self._lines.items()
+        ]
         self._watch = Thread(target=self._run_watch, name="watch over nodes", daemon=True)
-        self._watch.start()
+        for thread in (*self._post, self._watch):
+            thread.start()
 
     def _report_pipe(self, context: Any) -> Pipe | None:
         """Keep the end that is read, return the one that a process writes to."""
@@ -344,16 +353,15 @@ class Crew:
         controls = {line.pipe: host for host, line in self._controls.items()}
         sentinels = {process.sentinel: host for host, process in self._processes.items()}
         sources: list[Any] = [self._heard, *controls, *sentinels]
-        sources += [line.pipe for line in self._lines.values()]
         while not self._stopped:
             try:
                 for source in wait(sources, BEAT_PERIOD):
                     if source in sentinels:
                         host = sentinels[source]
-                        self._read(self._controls[host].pipe, True)
+                        self._read(self._controls[host].pipe)
                         self._mourn(host)
                         sources.remove(source)
-                    elif not self._read(source, source in controls):
+                    elif not self._read(source):
                         sources.remove(source)
                 while not self._failures.empty():
                     self.fail(self._failures.get())
@@ -362,14 +370,24 @@ class Crew:
                 # Without the watch nobody would notice anything; where all is stopped, pipes are closed.
                 self.fail(failure_of(self.graph.supervisor, -1, error, traceback.format_exc()))
 
-    def _read(self, source: Any, control: bool) -> bool:
+    def _run_post(self, pipe: Pipe) -> None:
+        """Deliver the messages of one process to the nodes of the caller's, until all is stopped or it has ended."""
+        try:
+            while not self._stopped:
+                if pipe.poll(BEAT_PERIOD):
+                    self._deliver(pipe.recv_bytes())
+        except (EOFError, OSError):
+            return  # of the end of a process the watch knows
+        except Exception as error:
+            failure = failure_of(self.graph.supervisor, -1, error, traceback.format_exc())
+            self._reply(self.graph.index[self.graph.supervisor], "failed", failure)
+
+    def _read(self, source: Any) -> bool:
         """Read what a pipe holds; return whether it is still open."""
         try:
             while source.poll():
                 if source is self._heard:
                     source.recv_bytes()
-                elif not control:
-                    self._deliver(source.recv_bytes())
                 else:
                     position, kind, payload = source.recv()
                     if kind == "priority":

@@ -73,6 +73,15 @@ class Device(Node):
             file.write(f"{where()}\n")
 
 
+class BigDevice(Device):
+    """Puts out 16 MB at each step, so that its process is sending nearly all the time."""
+
+    def init(self, parameters, generator, batch):
+        super().init(parameters, generator, batch)
+        self.output = torch.zeros(batch, 2_000_000, dtype=torch.float64)
+        return {}
+
+
 class QuietDevice(Device):
     """Says with NaN that it has nothing to say."""
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from live_nodes import QuietDevice, act, devices
+from live_nodes import BigDevice, QuietDevice, act, devices
 
 from deepkoco.graph import Graph, read_episodes, replay_timing
 from deepkoco.graph.realtime import ConcurrentRuntime, NodeFailure, WallClockRuntime
@@ -201,6 +201,17 @@ def test_a_process_that_stands_still_is_noticed_by_its_heartbeat(tmp_path):
         with pytest.raises(NodeFailure, match=r'node "motor".*shows no life for 1 s') as caught:
             runtime.run(act, 1000)
         assert set(caught.value.closed_after) == {"camera"}
+
+
+def test_a_process_that_stands_still_in_the_middle_of_a_message_is_noticed(tmp_path):
+    healthy = devices(tmp_path)
+    camera = BigDevice("camera", 100, tmp_path)
+    graph = Graph([healthy.node("motor"), camera, healthy.node("agent")], healthy.connections)
+    runtime = WallClockRuntime(graph, time_limit=30.0, beat_limit=1.0, record=False)
+    runtime.reset({}, torch.Generator())
+    os.kill(int(camera.marks("open")[0].split()[0]), signal.SIGSTOP)
+    with pytest.raises(NodeFailure, match=r'node "camera".*shows no life for 1 s'):
+        runtime.run(lambda inputs: torch.zeros(1, 2, dtype=torch.float64), 1000)
 
 
 def test_a_policy_that_raises_closes_the_nodes(tmp_path):
