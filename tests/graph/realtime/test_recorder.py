@@ -152,6 +152,22 @@ def test_the_recording_says_that_an_error_of_the_caller_ended_the_episode(tmp_pa
     assert [bool(episode.notes) for episode in recorded.episodes] == [False, True]
 
 
+def test_ctrl_c_leaves_a_note_and_a_complete_recording(tmp_path):
+    def policy(inputs):
+        raise KeyboardInterrupt
+
+    runtime = ConcurrentRuntime(loop(), record=tmp_path / "run.mcap")
+    runtime.reset({}, torch.Generator())
+    runtime.run(act, 3)
+    with pytest.raises(KeyboardInterrupt):
+        runtime.run(policy, 3)
+    recorded = read_episodes(tmp_path / "run.mcap")
+    assert recorded.complete
+    assert [(note.level, note.text) for note in recorded.episodes[0].notes] == [
+        ("warning", "the caller stopped it: KeyboardInterrupt")
+    ]
+
+
 def test_what_a_process_reported_outlives_it(tmp_path):
     path = tmp_path / "run.mcap"
     runtime = WallClockRuntime(devices(tmp_path, "die", at=25), record=path)
