@@ -20,6 +20,7 @@ from deepkoco.envs.delay_arguments import (
     step_rate,
 )
 from deepkoco.envs.delay_line import DelayLine
+from deepkoco.envs.finite_actions import check_finite_action
 from deepkoco.graph.delay import exact_fraction
 
 
@@ -105,6 +106,8 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         """Send an action and go on to the next tick; ``info["applied_action"]`` is what acted."""
         if self._generator is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        if isinstance(self.action_space, spaces.Box):
+            check_finite_action(np.asarray(action))
         line = self._line
         if (line.held, line.kept) != (self._sent.maxlen, self._seen.maxlen):
             # Delays drawn for a longer episode may reach further back.

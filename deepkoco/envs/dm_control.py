@@ -10,6 +10,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from deepkoco.envs.finite_actions import check_finite_action
+
 
 class DmControlError(ValueError):
     """The suite is not installed, or has no such task."""
@@ -32,6 +34,7 @@ class CostOfReward(gymnasium.Wrapper):
         self.metadata = {**env.metadata, "render_modes": ["rgb_array"], "render_fps": round(1.0 / period)}
 
     def step(self, action: Any):
+        check_finite_action(np.asarray(action))
         total, steps = 0.0, 0
         for _ in range(self.repeat):
             observation, reward, terminated, truncated, info = self.env.step(action)

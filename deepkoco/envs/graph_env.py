@@ -70,10 +70,10 @@ class GraphEnv(gymnasium.Env):
     def step(self, action: Any):
         if self._left <= 0:
             self._go_on()
+        readings = self.batch.advance(action)
         self._left -= 1
         if self._grows:
             self._actions.append(np.array(action))
-        readings = self.batch.advance(action)
         terminated = bool(readings["terminated"]) if self._ends else False
         observation = readings["observation"].astype(self._type)
         info = {name: _plain(readings[name]) for name in self._extra}

@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
+from deepkoco.envs.finite_actions import check_finite_action
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
 from deepkoco.graph.delay import RecordedDelays
@@ -312,7 +313,9 @@ class GraphVectorEnv(VectorEnv):
 
     def _command(self, actions: Any) -> np.ndarray:
         """The supervisor's output (B, ...) for actions (B, ...)."""
-        return np.asarray(actions, self._action_type).reshape(self._action_shape)
+        command = np.asarray(actions, self._action_type).reshape(self._action_shape)
+        check_finite_action(command, batched=True)
+        return command
 
     def _observation(self) -> np.ndarray:
         space = self.single_observation_space

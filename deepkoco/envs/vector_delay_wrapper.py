@@ -22,6 +22,7 @@ from deepkoco.envs.delay_arguments import (
 )
 from deepkoco.envs.delay_line import DelayLine
 from deepkoco.envs.delay_wrapper import as_action, first_action, with_history
+from deepkoco.envs.finite_actions import check_finite_action
 from deepkoco.graph.delay import exact_fraction
 
 
@@ -99,6 +100,8 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
         line = self._line
         actions = np.array(actions)
+        if isinstance(self.single_action_space, spaces.Box):
+            check_finite_action(actions, batched=True)
         self._sent = [*self._sent, actions][-max(line.held, 1) :]
         if self._past:
             self._past = [actions, *self._past[:-1]]

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from deepkoco.graph.live.plan import Window
 from deepkoco.graph.model.connection import Connection
-from deepkoco.graph.model.contract import check_action, check_batch, check_output, check_state
+from deepkoco.graph.model.contract import check_action, check_batch, check_finite, check_output, check_state
 from deepkoco.graph.model.node import Input, Node, State, Supervisor
 
 
@@ -48,6 +48,7 @@ class Runner:
         Raises:
             InitialStateError: `initial` does not fit the node's state.
             GraphError: a state or the initial output has not one entry for its one environment.
+            NotFiniteError: the initial output is not finite, and the node has not `finite = False`.
         """
         self._parameters = dict(parameters)
         self.state = dict(self.node.init(self._parameters, generator, 1))
@@ -62,6 +63,7 @@ class Runner:
             self.state[key] = value
         output = self.node.initial_output(self._parameters, self.state, 1)
         check_batch("initial output", output, 1)
+        self.check_finite("initial output", output)
         self._first = self._own(output)
         return self._first
 
@@ -114,10 +116,12 @@ class Runner:
 
         Raises:
             GraphError: the output or the state has another shape or type than the initial one.
+            NotFiniteError: the output is not finite, and the node has not `finite = False`.
         """
         state, output = self.node.step(self._parameters, self.state, inputs)
         check_state(state, self.state)
         check_output(output, self._first)
+        self.check_finite("output", output)
         self.state = state
         return self._own(output)
 
@@ -130,6 +134,15 @@ class Runner:
         action = torch.as_tensor(action)
         check_action(self.node.name, step, action, self._first)
         return self._own(action)
+
+    def check_finite(self, what: str, value: Tensor) -> None:
+        """Refuse an output or action (1, ...) with NaN or infinity, unless the node has `finite = False`.
+
+        Raises:
+            NotFiniteError: an entry is not finite.
+        """
+        if self.node.finite:
+            check_finite(what, value)
 
     def observe(self, inputs: Mapping[str, Input], action: Tensor) -> dict[str, Tensor]:
         """Let the supervisor work out its readings, with the action of the step before."""

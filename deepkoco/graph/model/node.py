@@ -63,6 +63,11 @@ class Node(ABC):
     """Whether `init` and `step` are functions of their arguments alone and take any batch. A node that holds
     something else (a physics engine, a connection to a robot) says False and runs in one environment."""
 
+    finite: ClassVar[bool] = True
+    """Whether outputs have neither NaN nor infinity. The runtimes of one environment (simulated, concurrent,
+    wall-clock) fail on such an output and do not send it. A sensor that says "no data" with NaN says False. Of
+    the supervisor it is about the actions."""
+
     def __init__(
         self,
         name: str,
