@@ -37,6 +37,7 @@ class Hint(NamedTuple):
     seconds: float  # length of the logs [s]
     chi2: float  # what the refitted baseline leaves, per sample
     missing: MissingTorque | None  # outside load that would make it follow the measurements, at this joint
+    strained: bool = False  # whether the refitted baseline has left its prior by far
 
 
 Axis = Literal["omega", "theta", "command", "time", "command_rate"]
