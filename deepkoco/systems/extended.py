@@ -107,6 +107,18 @@ class ExtendedSystem(System):
     def load_scales(self) -> tuple[float, ...]:
         return self.base.load_scales
 
+    @property
+    def smoothing_speeds(self) -> tuple[float, ...]:
+        return self.base.smoothing_speeds
+
+    @property
+    def reversal_steps(self) -> tuple[int, ...]:
+        return self.base.reversal_steps
+
+    @property
+    def rubbing_joints(self) -> tuple[int, ...]:
+        return tuple(sorted({*self.base.rubbing_joints, *(e.index for e in self.effects if e.effect.dry)}))
+
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)
 
@@ -127,6 +139,7 @@ class ExtendedSystem(System):
             return law
         driven = {joint: k for k, joint in enumerate(self.base.command_joints)}
         deliver = self.base.delivery(self._body(parameters))
+        own_smoothing = self.smoothing_speeds
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             total: list[Tensor | None] = [None] * self.joints if motion.loads is None else list(motion.loads)
@@ -138,7 +151,7 @@ class ExtendedSystem(System):
                 state = states.get(j)
                 if state is None:
                     effort = delivered[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
-                    smoothing = None if motion.smoothing is None else motion.smoothing[j]
+                    smoothing = own_smoothing[j] if motion.smoothing is None else motion.smoothing[j]
                     state = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
                     states[j] = state
                 given, lane = total[j], part.lanes
@@ -292,10 +305,13 @@ class ExtendedJoint(ExtendedSystem, JointSystem):
             for placed in self._at("load")
         ]
 
+        (smooth,) = self.smoothing_speeds
+
         def torque(theta: Tensor, omega: Tensor, effort: Tensor, smoothing: Tensor | None) -> Tensor:
             total = law(theta, omega, effort, smoothing)
+            state = JointState(theta, omega, effort, None, smooth if smoothing is None else smoothing)
             for effect, own in loads:
-                total = total + effect.apply(JointState(theta, omega, effort, None, smoothing), own)
+                total = total + effect.apply(state, own)
             return total
 
         return torque

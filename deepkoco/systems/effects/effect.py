@@ -21,7 +21,7 @@ class JointState(NamedTuple):
     speed: Tensor  # per second
     effort: Tensor  # of the command that drives this joint, in its unit; 0 where none does
     time: Tensor | None  # log time [s]; None where the caller keeps none
-    smoothing: Tensor | None  # speed over which a sign changes; None for the effect's own
+    smoothing: Tensor | float  # speed over which the sign of dry friction changes, per second
 
 
 class JointLanes:
@@ -53,9 +53,10 @@ class JointLanes:
         return None if self._state.time is None else self._cut(self._state.time)
 
     @property
-    def smoothing(self) -> Tensor | None:
+    def smoothing(self) -> Tensor | float:
         """As :class:`JointState`'s."""
-        return None if self._state.smoothing is None else self._cut(self._state.smoothing)
+        smoothing = self._state.smoothing
+        return self._cut(smoothing) if isinstance(smoothing, Tensor) else smoothing
 
     def _cut(self, value: Tensor) -> Tensor:
         return in_lanes(value, self._start, self._stop)
@@ -111,6 +112,7 @@ class Effect:
         site: What the effect belongs to: there is one for each joint, command, or channel, or one in all.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
+        dry: Whether it is dry friction, which changes its sign with the speed.
     """
 
     name: str
@@ -121,6 +123,7 @@ class Effect:
     apply: Callable[..., Any] = _carried_out_elsewhere
     site: Site = "joint"
     acting: Callable[[Parameters], Parameters] = _all_of
+    dry: bool = False
 
 
 class PlacedEffect(NamedTuple):
