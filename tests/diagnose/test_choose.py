@@ -1,7 +1,7 @@
 """Causes chosen by the names that a user gives."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.diagnose import CAUSES, UnknownCauseError, diagnose
@@ -12,12 +12,14 @@ from deepkoco.systems import make_system
 ARM = catalogue(make_system("two_link_arm"))
 
 
+@settings(deadline=None)
 @given(st.sampled_from(sorted({kind_of(name) for name in ARM})))
 def test_causes_named_by_kind_are_those_of_every_place(kind):
     chosen = [cause.name for cause in causes_named(ARM, [kind], "two_link_arm")]
     assert chosen == [name for name in ARM if kind_of(name) == kind]
 
 
+@settings(deadline=None)
 @given(st.lists(st.sampled_from(sorted(ARM))))
 def test_causes_named_in_full_are_these_alone_and_each_once(names):
     assert [cause.name for cause in causes_named(ARM, names, "two_link_arm")] == list(dict.fromkeys(names))
