@@ -108,6 +108,10 @@ class ExtendedSystem(System):
         return self.base.load_scales
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.base.joint_names
+
+    @property
     def smoothing_speeds(self) -> tuple[float, ...]:
         return self.base.smoothing_speeds
 
@@ -272,7 +276,7 @@ class ExtendedSystem(System):
         return all(bool((own[p.name] == p.value).all()) for p in placed.parameters(self.base))
 
     def _command_effect(self, name: str, index: int) -> str:
-        return name if self.joints == 1 else f"{name}(joint {self.command_joints[index] + 1})"
+        return name if self.joints == 1 else self.at_joint(name, self.command_joints[index])
 
     def _at(self, where: str) -> list[PlacedEffect]:
         return [placed for placed in self.effects if placed.effect.place == where]

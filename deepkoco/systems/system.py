@@ -16,6 +16,8 @@ from deepkoco.systems.drawing import canvas
 
 Parameters = Mapping[str, Tensor]
 
+UNREADABLE = "().,;"  # in the name of a joint: names of parameters are read by them
+
 # By the unit of a joint. An encoder of a rail resolves a tenth of a millimetre, one of a joint that turns a milliradian
 # or two: while friction holds it, a joint must not creep by more.
 SMOOTHING = {"rad": 0.05, "m": 0.0004}  # speed over which the sign of dry friction is smoothed [rad/s, m/s]
@@ -197,6 +199,26 @@ class System(ABC):
     def command_joints(self) -> tuple[int, ...]:
         """Joint that each command drives; commands beyond these only switch something."""
         return tuple(range(len(self.commands)))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Name of each joint in reports and, of several joints, in the names of effects: ``coulomb(cart)``."""
+        return tuple(f"joint {j + 1}" for j in range(self.joints))
+
+    def at_joint(self, name: str, joint: int) -> str:
+        """Name of an effect or a cause at one joint: ``coulomb(joint 2)``; without the joint where there is one only.
+
+        Raises:
+            ParameterError: A name of a joint is given twice, or holds a sign that names of parameters are read by.
+        """
+        if self.joints == 1:
+            return name
+        names = self.joint_names
+        if len(set(names)) != self.joints or any(not n or set(n) & set(UNREADABLE) for n in names):
+            raise ParameterError(
+                f"{self.name}: joint_names = {names!r}: give {self.joints} different names without {UNREADABLE}"
+            )
+        return f"{name}({names[joint]})"
 
     @property
     def measured_states(self) -> tuple[int, ...]:

@@ -49,6 +49,10 @@ class CartPole(System):
         return commands[..., 0]
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        return "cart", "pole"
+
+    @property
     def command_joints(self) -> tuple[int, ...]:
         return (0,)
 

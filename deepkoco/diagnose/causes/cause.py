@@ -116,8 +116,7 @@ class Cause:
 
     def on_joint(self, joint: int, system: System) -> Cause:
         """A cause without an effect (a push) on one joint."""
-        name = self.name if system.joints == 1 else f"{self.name}(joint {joint + 1})"
-        return self._called(name, self.name, joint, joint)
+        return self._called(system.at_joint(self.name, joint), self.name, joint, joint)
 
     def _called(self, name: str, effect: str, joint: int | None, index: int) -> Cause:
         chosen = self.starts

@@ -141,8 +141,8 @@ class PlacedEffect(NamedTuple):
 def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     """The effect at every site of a system where it makes sense.
 
-    Names of joints and commands count from 1 and are left out where there is one only: ``coulomb``, or
-    ``coulomb(joint 2)``; a channel is always named: ``noise_level(theta)``.
+    A joint, or that of a command, is named where there are several: ``coulomb``, or ``coulomb(joint 2)``; a channel
+    is always named: ``noise_level(theta)``.
     """
     if effect.site == "system":
         names = [effect.name]
@@ -150,6 +150,6 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
         names = [f"{effect.name}({c.name})" for c in system.measurements]
     else:
         joints = range(system.joints) if effect.site == "joint" else system.command_joints
-        names = [effect.name if system.joints == 1 else f"{effect.name}(joint {j + 1})" for j in joints]
+        names = [system.at_joint(effect.name, j) for j in joints]
     placed = (PlacedEffect(name, effect, i) for i, name in enumerate(names))
     return tuple(p for p in placed if p.parameters(system))
