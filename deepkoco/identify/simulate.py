@@ -85,10 +85,11 @@ def integrate(
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
-    extended = isinstance(system, ExtendedSystem)
 
     def law_of(values: Mapping[str, Tensor]) -> Acceleration:
-        return system.accelerations(values, lanes) if extended else system.accelerations(values)
+        if isinstance(system, ExtendedSystem):
+            return system.accelerations(values, lanes)
+        return system.accelerations(values)
 
     law = law_of(own)
     start, slope = zip(
