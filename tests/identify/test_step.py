@@ -1,10 +1,12 @@
 """Integration steps with a reversal under dry friction, against motions worked out by hand."""
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.step import (
     Drive,
     divided,
@@ -14,9 +16,10 @@ from deepkoco.identify.step import (
     step_of,
     widths,
 )
+from deepkoco.identify.windows import cut_windows
 from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.effects import effects_of
-from tests.systems.cart_pole import CartPole
+from tests.systems.cart_pole import CartPole, cart_pole_log
 
 MASS, FRICTION, H, PARTS = 0.8, 0.7, 0.01, 16
 
@@ -106,3 +109,25 @@ def test_scales_of_dry_friction_belong_to_the_unit_of_the_joint():
         (speed,) = (p for p in known[f"stribeck({name})"].parameters(cart) if p.name == "speed")
         assert speed.unit == unit
         assert speed.low == cart.smoothing_speeds[joint]
+
+
+def test_lanes_with_and_without_dry_friction_are_predicted_as_each_alone():
+    cart = CartPole()
+    windows = cut_windows([cart_pole_log(0.7, 0, 3.0)], cart, 1.0)
+    names = ("coulomb(cart)", "viscous(cart)", "stribeck(cart)")
+    problem = FitProblem(ExtendedSystem(cart, names), windows)
+    theta = np.tile([p.value for p in problem.system.parameters], (4, 1))
+    pushes = np.zeros((4, len(problem.names) - theta.shape[1]))
+    column = problem.names.index
+    theta[1, column("coulomb(cart).torque")] = 0.5
+    theta[2, column("viscous(cart).change")] = 0.3
+    theta[3, column("stribeck(cart).coulomb")] = 0.2
+    theta = np.hstack([theta, pushes])
+    state = windows.state[None].repeat(4, 1, 1)
+    nuisance = torch.zeros(4, problem.nuisances.count, dtype=torch.float64)
+    together = problem.predict(theta, state, nuisance)
+    for k in range(4):
+        alone = problem.predict(theta[k : k + 1], state[k : k + 1], nuisance[k : k + 1])
+        assert float((together[k] - alone[0]).abs().max()) < 1e-5
+    apart = (together[:, None] - together[None]).abs().amax((2, 3, 4)) + torch.eye(4)
+    assert float(apart.min()) > 1e-3
