@@ -148,7 +148,7 @@ class BatchedRuntime:
         self,
         state: RuntimeState,
         policy: Policy,
-        steps: int,
+        steps: int | None = None,
         *,
         parameters: Mapping[str, Tensor] | None = None,
         record: Sequence[str] | None = None,
@@ -160,7 +160,7 @@ class BatchedRuntime:
             policy: a pure function of its parameters and of what the supervisor reads (of what it sees, if
                 it reads nothing), a torch module of the reading "observation", or the actions themselves,
                 (steps, B, M) or (steps, 1, M) for all.
-            steps: number of actions to take.
+            steps: number of actions to take; None: as many as there are given actions.
             parameters: of the policy, shared by all environments; None: those of the module, or none.
             record: names of readings, and "action"; None: all of them.
 
@@ -169,8 +169,12 @@ class BatchedRuntime:
 
         Raises:
             HorizonError: the timing of an environment ends before the last step; nothing has been done.
-            ValueError: a name or shape does not fit.
+            ValueError: a name or shape does not fit, or nothing says how many steps to take.
         """
+        if steps is None:
+            if not isinstance(policy, Tensor) or policy.ndim == 0:
+                raise ValueError("a rollout of a policy: say how many steps to take (steps=)")
+            steps = len(policy)
         if steps < 1:
             raise ValueError(f"a rollout of {steps} steps: take at least one")
         names = recorded_names(None if record is None else tuple(record), state)
