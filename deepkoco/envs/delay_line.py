@@ -142,9 +142,6 @@ class DelayLine:
 class _Clock(Node):
     """Ticks, and does nothing else: only its timing is wanted."""
 
-    def init(self, parameters: Any, generator: torch.Generator, batch: int) -> State:
-        return {}
-
     def initial_output(self, parameters: Any, state: State, batch: int) -> Tensor:
         return torch.zeros(batch, 1)
 

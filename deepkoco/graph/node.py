@@ -90,9 +90,9 @@ class Node(ABC):
         self.advance = advance
         self.phase = None if phase is None else exact_fraction(phase)
 
-    @abstractmethod
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
-        """Return the state before the first step, every tensor (B, ...); an empty dict for no state."""
+        """Return the state before the first step, every tensor (B, ...); no state unless overridden."""
+        return {}
 
     @abstractmethod
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
@@ -135,9 +135,6 @@ class Supervisor(Node):
     ) -> None:
         super().__init__(name, rate, **options)
         self.initial_action = initial_action
-
-    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
-        return {}
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
         return self.initial_action.expand(batch, *self.initial_action.shape)
