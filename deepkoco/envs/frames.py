@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 import cv2
@@ -92,7 +93,7 @@ def find_painter(env: Any) -> Painter | None:
         return painter
     task, system = getattr(inner, "task", None), getattr(inner, "system", None)
     if isinstance(task, Task) and isinstance(system, System):
-        return lambda observation, canvas: task.draw_observation(system, observation, canvas)
+        return partial(task.draw_observation, system)
     return None
 
 
