@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from deepkoco.envs.actions import check_shape
 from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
@@ -111,6 +112,7 @@ class GraphVectorEnv(VectorEnv):
             {name: span for name, span in self._ranges.items() if name in timed}, self._delays, recorded_delays,
         )  # fmt: skip
         self.plan_episodes(max_episode_steps)
+        self._single, self._given_shape = False, self.action_space.shape
         self._action_shape = (num_envs, *supervisor.initial_action.shape)
         self._action_type = supervisor.initial_action.numpy().dtype
         self._generator = torch.Generator()
@@ -173,7 +175,12 @@ class GraphVectorEnv(VectorEnv):
         return self._observation(), self._info()
 
     def step(self, actions: Any):
-        """Give the actions (B, ...) and go on to the agent's next step."""
+        """Give the actions (B, ...) and go on to the agent's next step.
+
+        Raises:
+            ValueError: The actions have another shape than the action space.
+            ResetNeeded: Before the first reset, or without autoreset after an end.
+        """
         state, waiting = self.state, self._ended
         if waiting.any() and self._mode == AutoresetMode.DISABLED:
             raise gymnasium.error.ResetNeeded(
@@ -211,6 +218,10 @@ class GraphVectorEnv(VectorEnv):
         """
         self._state, _ = self._runtime.step(self.state, self._command(action))
         return {name: value.cpu().numpy()[0] for name, value in self._state.readings.items()}
+
+    def take_single_actions(self) -> None:
+        """Take the actions of the only environment without the batch."""
+        self._single, self._given_shape = True, self.single_action_space.shape
 
     def plan_episodes(self, steps: int) -> None:
         """Set how many steps the episodes to come have."""
@@ -312,7 +323,10 @@ class GraphVectorEnv(VectorEnv):
 
     def _command(self, actions: Any) -> np.ndarray:
         """The supervisor's output (B, ...) for actions (B, ...)."""
-        return np.asarray(actions, self._action_type).reshape(self._action_shape)
+        given = np.asarray(actions, self._action_type)
+        if given.shape != self._given_shape:
+            check_shape(given, self._given_shape, None if self._single else self.num_envs)
+        return given.reshape(self._action_shape)
 
     def _observation(self) -> np.ndarray:
         space = self.single_observation_space

@@ -12,6 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
+from deepkoco.envs.actions import check_shape
 from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
@@ -97,6 +98,7 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         """Send the actions (B, ...); ``info["applied_action"]`` is what acted."""
         if self._generator is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        check_shape(actions, self.action_space.shape, self.num_envs)
         line = self._line
         actions = np.array(actions)
         self._sent = [*self._sent, actions][-max(line.held, 1) :]
