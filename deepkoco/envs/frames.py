@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
+from deepkoco.envs.seeds import Seeds, without_gaps
 from deepkoco.envs.tasks import Task
 from deepkoco.systems import System, drawing
 
@@ -112,8 +113,9 @@ class FrameMaker:
         self._blank = drawing.canvas(size)
         self._seeded = False
 
-    def reset(self, seed: int | Sequence[int] | None, where: np.ndarray | None = None) -> None:
+    def reset(self, seed: Seeds, where: np.ndarray | None = None) -> None:
         """Seed the layers, where there is a seed, and start new episodes in ``where`` (B,), or all."""
+        seed = without_gaps(seed)
         if seed is None and not self._seeded:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
         for layer in self._layers:

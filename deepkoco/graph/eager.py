@@ -12,10 +12,10 @@ from deepkoco.graph import cells
 from deepkoco.graph.computation_graph import concatenate
 from deepkoco.graph.contract import check_action, check_batch, check_output, check_state, located
 from deepkoco.graph.graph import Graph
-from deepkoco.graph.node import GraphError, Input, State, Supervisor
+from deepkoco.graph.node import GraphError, Input, Node, State, Supervisor
 from deepkoco.graph.policy import Policy, as_function, given_actions
 from deepkoco.graph.schedule import Schedule
-from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.supergraph import join_slots
 
 
@@ -44,7 +44,7 @@ class EagerExecutor:
         schedule: Schedule,
         row: np.ndarray,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State],
     ) -> RuntimeState:
         """The state before anything has run.
@@ -73,7 +73,7 @@ class EagerExecutor:
         nodes, outputs, values = {}, {}, {}
         for position, node in enumerate(self.graph.nodes):
             values[node.name] = dict(parameters.get(node.name, {}))
-            node_state = dict(node.init(values[node.name], generator, batch))
+            node_state = _initial_state(node, values[node.name], generator, batch)
             for key, value in initial.get(node.name, {}).items():
                 if key not in node_state or value.shape != node_state[key].shape:
                     there = {k: tuple(v.shape) for k, v in node_state.items()}
@@ -268,6 +268,19 @@ class EagerExecutor:
             outputs=outputs,
             readings=_merged(where, {"": running.readings}, {"": fresh.readings})[""],
         )
+
+
+def _initial_state(
+    node: Node, parameters: Mapping[str, Tensor], generator: Generators, batch: int
+) -> dict[str, Tensor]:
+    """What `init` returns, (B, ...); with a generator for each environment, it draws for one after the other."""
+    if isinstance(generator, torch.Generator):
+        return dict(node.init(parameters, generator, batch))
+    each = []
+    for place, own in enumerate(generator):
+        values = {k: v[place : place + 1] if v.ndim and len(v) > 1 else v for k, v in parameters.items()}
+        each.append(node.init(values, own, 1))
+    return {key: torch.cat([state[key] for state in each]) for key in each[0]}
 
 
 def _merged(mask: Tensor, running: Any, fresh: Any) -> dict[str, dict[str, Tensor]]:

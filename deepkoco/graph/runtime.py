@@ -13,7 +13,7 @@ from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State
 from deepkoco.graph.policy import Policy, recorded_names
 from deepkoco.graph.schedule import Schedule
-from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.supergraph import merge_slots
 
 __all__ = ["EXECUTORS", "BatchedRuntime", "HorizonError", "NodeParameters", "RuntimeState", "Trace"]
@@ -70,7 +70,7 @@ class BatchedRuntime:
     def reset(
         self,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State] | None = None,
         *,
         timing: ComputationGraph | None = None,
@@ -83,7 +83,8 @@ class BatchedRuntime:
 
         Args:
             parameters: by node name; a node that is not named has none. Scalars or (B, ...).
-            generator: passed to each node's `init`.
+            generator: passed to each node's `init`; or one for each environment, whose draws are then those
+                of a batch of one with its generator.
             initial: by node name, states or parts of states (B, ...) that replace those of `init`.
             timing: fresh schedules for the whole batch; of a part of the batch, the rows of the
                 environments in `mask` are used. None: those that `state` runs, or of the constructor.
@@ -114,6 +115,8 @@ class BatchedRuntime:
         if not len(row):
             raise ValueError("no rows: a batch has at least one environment")
         self._check_pure(len(row))
+        if not isinstance(generator, torch.Generator) and len(generator) != len(row):
+            raise ValueError(f"{len(generator)} generators for {len(row)} environments")
         fresh = self._executor.start(schedule, row, parameters, generator, initial or {})
         fresh = self._executor.begin(fresh, trace)
         if state is not None and mask is not None:

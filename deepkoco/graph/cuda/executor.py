@@ -26,7 +26,7 @@ from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import GraphError, Input, State
 from deepkoco.graph.policy import Policy, as_function, given_actions
 from deepkoco.graph.schedule import Schedule
-from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 
 SCHEDULES, BINDINGS = 2, 4  # kept for use again; each binding holds a batch of environments
 
@@ -62,15 +62,12 @@ class TensorExecutor:
         schedule: Schedule,
         row: np.ndarray,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State],
     ) -> RuntimeState:
+        device = (generator if isinstance(generator, torch.Generator) else generator[0]).device
         return self._eager.start(
-            schedule,
-            row,
-            _placed(parameters, generator.device),
-            generator,
-            _placed(initial, generator.device),
+            schedule, row, _placed(parameters, device), generator, _placed(initial, device)
         )
 
     @torch.no_grad()

@@ -25,7 +25,7 @@ from deepkoco.graph.graph import Graph
 from deepkoco.graph.node import Input, State
 from deepkoco.graph.policy import Policy, PolicyFunction, as_function, given_actions
 from deepkoco.graph.schedule import Schedule
-from deepkoco.graph.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 
 FEW = 4  # up to this many environments, one lane each is faster than blocks that are mostly empty
 
@@ -64,7 +64,7 @@ class FusedExecutor:
         schedule: Schedule,
         row: np.ndarray,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State],
     ) -> RuntimeState:
         return self.eager.start(schedule, row, parameters, generator, initial)
