@@ -73,7 +73,7 @@ class LiveRuntime(ABC):
                 "this runtime has nodes in running threads and processes: it cannot be copied or pickled; close "
                 "it first, or make another one from the graph"
             )
-        return self.__dict__
+        return dict(self.__dict__)
 
     def __enter__(self) -> Any:
         return self
