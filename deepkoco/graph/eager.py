@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph import cells
+from deepkoco.graph.calls import call_init, call_initial_output, call_observe, call_step
 from deepkoco.graph.computation_graph import concatenate
 from deepkoco.graph.contract import check_action, check_batch, check_output, check_state, located
 from deepkoco.graph.graph import Graph
@@ -80,7 +81,7 @@ class EagerExecutor:
                     raise ValueError(f'initial "{node.name}.{key}" {tuple(value.shape)} does not fit {there}')
                 node_state[key] = value
             nodes[node.name] = node_state
-            output = node.initial_output(values[node.name], node_state, batch)
+            output = call_initial_output(node, values[node.name], node_state, batch)
             check_batch(f'node "{node.name}": initial output', output, batch)
             for key, value in node_state.items():
                 check_batch(f'node "{node.name}": initial state "{key}"', value, batch)
@@ -149,7 +150,7 @@ class EagerExecutor:
             return state
         seen = self.inputs(state)
         try:
-            own, readings = supervisor.observe(state.parameters[name], state.nodes[name], seen, action)
+            own, readings = call_observe(supervisor, state.parameters[name], state.nodes[name], seen, action)
         except Exception as error:
             raise located(name, state.step, error) from error
         return replace(state, nodes=state.nodes | {name: own}, readings=readings)
@@ -173,7 +174,7 @@ class EagerExecutor:
             inputs = self._inputs(state, position, seq if every[slot] else np.where(runs, seq, seq.max()))
             old = nodes[node.name]
             try:
-                node_state, output = node.step(state.parameters[node.name], old, inputs)
+                node_state, output = call_step(node, state.parameters[node.name], old, inputs)
                 check_state(node_state, old)
                 check_output(output, outputs[node.name][0])
             except Exception as error:
@@ -275,11 +276,11 @@ def _initial_state(
 ) -> dict[str, Tensor]:
     """What `init` returns, (B, ...); with a generator for each environment, it draws for one after the other."""
     if isinstance(generator, torch.Generator):
-        return dict(node.init(parameters, generator, batch))
+        return call_init(node, parameters, generator, batch)
     each = []
     for place, own in enumerate(generator):
         values = {k: v[place : place + 1] if v.ndim and len(v) > 1 else v for k, v in parameters.items()}
-        each.append(node.init(values, own, 1))
+        each.append(call_init(node, values, own, 1))
     return {key: torch.cat([state[key] for state in each]) for key in each[0]}
 
 

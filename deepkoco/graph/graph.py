@@ -5,6 +5,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
+from deepkoco.graph.calls import check_asked
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.delay import (
     DelayError,
@@ -86,6 +87,7 @@ class Graph:
                     f'node "{node.name}" is a Supervisor, but the supervisor is "{self.supervisor}"; '
                     "a graph has one"
                 )
+            check_asked(node)
         seen: set[str] = set()
         for connection in self.connections:
             for end in (connection.sender, connection.receiver):

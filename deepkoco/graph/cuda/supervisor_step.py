@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils._pytree import tree_leaves
 
+from deepkoco.graph.calls import call_observe, call_step
 from deepkoco.graph.cuda.modes import Watching
 from deepkoco.graph.cuda.rings import Cells, merged
 from deepkoco.graph.cuda.tables import PassTables, Read
@@ -119,7 +120,9 @@ class SupervisorStep:
             own, output = self._watched(
                 node.name,
                 inputs,
-                lambda node=node, inputs=inputs: node.step(parameters[node.name], nodes[node.name], inputs),
+                lambda node=node, inputs=inputs: call_step(
+                    node, parameters[node.name], nodes[node.name], inputs
+                ),
             )
             mask = None if slot.always and not first else running[s]
             nodes[node.name] = merged(node, mask, own, nodes[node.name])
@@ -136,7 +139,9 @@ class SupervisorStep:
         self.running = f'node "{name}"'
         inputs = self._supervisor_inputs(carry, self.uses.get(name))
         own, readings = self._watched(
-            name, inputs, lambda: supervisor.observe(parameters[name], carry.nodes[name], inputs, action)
+            name,
+            inputs,
+            lambda: call_observe(supervisor, parameters[name], carry.nodes[name], inputs, action),
         )
         own = merged(supervisor, None, own, carry.nodes[name])
         return Carry(carry.row, carry.step, carry.nodes | {name: own}, carry.rings, readings)

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from deepkoco.graph.calls import call_observe, call_step
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.fused.record import NUMPY, Spec
 from deepkoco.graph.fused.trace import Ref, Trace, TraceError, trace
@@ -101,10 +102,10 @@ def _program(
         values = part(tensors, "p.")
         before, inputs = part(tensors, "s."), make_inputs(edges, tensors)
         if isinstance(node, Supervisor):
-            after, readings = node.observe(values, before, inputs, tensors["action"])
+            after, readings = call_observe(node, values, before, inputs, tensors["action"])
             results = {f"r.{key}": value for key, value in readings.items()}
         else:
-            after, output = node.step(values, before, inputs)
+            after, output = call_step(node, values, before, inputs)
             results = {"output": output}
         return {f"s.{key}": value for key, value in after.items()} | results
 

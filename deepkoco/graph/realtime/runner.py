@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.graph.calls import call_init, call_initial_output, call_observe, call_step
 from deepkoco.graph.connection import Connection
 from deepkoco.graph.contract import check_action, check_batch, check_output, check_state
 from deepkoco.graph.node import Input, Node, State, Supervisor
@@ -50,7 +51,7 @@ class Runner:
             GraphError: a state or the initial output has not one entry for its one environment.
         """
         self._parameters = dict(parameters)
-        self.state = dict(self.node.init(self._parameters, generator, 1))
+        self.state = call_init(self.node, self._parameters, generator, 1)
         for key, value in self.state.items():
             check_batch(f'initial state "{key}"', value, 1)
         for key, value in initial.items():
@@ -60,7 +61,7 @@ class Runner:
                     f'initial "{self.node.name}.{key}" {tuple(value.shape)} does not fit {there}'
                 )
             self.state[key] = value
-        output = self.node.initial_output(self._parameters, self.state, 1)
+        output = call_initial_output(self.node, self._parameters, self.state, 1)
         check_batch("initial output", output, 1)
         self._first = self._own(output)
         return self._first
@@ -115,7 +116,7 @@ class Runner:
         Raises:
             GraphError: the output or the state has another shape or type than the initial one.
         """
-        state, output = self.node.step(self._parameters, self.state, inputs)
+        state, output = call_step(self.node, self._parameters, self.state, inputs)
         check_state(state, self.state)
         check_output(output, self._first)
         self.state = state
@@ -135,7 +136,7 @@ class Runner:
         """Let the supervisor work out its readings, with the action of the step before."""
         if not isinstance(self.node, Supervisor):
             return {}
-        state, readings = self.node.observe(self._parameters, self.state, inputs, action)
+        state, readings = call_observe(self.node, self._parameters, self.state, inputs, action)
         check_state(state, self.state)
         self.state = state
         return readings
