@@ -17,6 +17,7 @@ from torch import Tensor
 
 from deepkoco.graph.node import GraphError, Input, Node, Parameters, State, Supervisor
 from deepkoco.graph.noise import Noise, draw_keys
+from deepkoco.graph.parts import Parts, PartsError
 
 OFFERED = ("dt", "noise")
 KEY, STEP = "noise.key", "noise.step"
@@ -66,7 +67,7 @@ def call_init(node: Node, parameters: Parameters, generator: torch.Generator, ba
 
 def call_initial_output(node: Node, parameters: Parameters, state: State, batch: int) -> Tensor:
     """What receivers see before the first message has arrived, (B, ...)."""
-    return node.initial_output(parameters, _own(state), batch)
+    return _packed(node, node.initial_output(parameters, _own(state), batch))
 
 
 def call_step(
@@ -75,9 +76,10 @@ def call_step(
     """Run one tick; see `Node.step`."""
     asked = asked_by(type(node).step)
     if not asked:
-        return node.step(parameters, state, inputs)
+        after, output = node.step(parameters, state, inputs)
+        return after, _packed(node, output)
     after, output = node.step(parameters, _own(state), inputs, **_given(node, asked, state))
-    return _next(state, after), output
+    return _next(state, after), _packed(node, output)
 
 
 def call_observe(
@@ -89,6 +91,41 @@ def call_observe(
         return node.observe(parameters, state, inputs, action)
     after, readings = node.observe(parameters, _own(state), inputs, action, **_given(node, asked, state))
     return _next(state, after), readings
+
+
+def _packed(node: Node, output: Any) -> Any:
+    """An output as it travels, (B, ...).
+
+    Raises:
+        GraphError: a dict is not what the node declares.
+    """
+    if node.outputs is None:
+        if isinstance(output, Mapping):
+            raise GraphError(
+                f'node "{node.name}": the output is a dict; declare shape and type of each part: '
+                f"outputs = {{{', '.join(map(_declaration, output.items()))}}}"
+            )
+        return output
+    try:
+        return _parts(
+            tuple((name, tuple(shape), dtype) for name, (shape, dtype) in node.outputs.items())
+        ).pack(output)
+    except PartsError as error:
+        raise GraphError(f'node "{node.name}": {error}') from error
+
+
+@lru_cache(maxsize=1024)
+def _parts(declared: tuple[tuple[str, tuple[int, ...], torch.dtype], ...]) -> Parts:
+    return Parts.of({name: (shape, dtype) for name, shape, dtype in declared})
+
+
+def _declaration(entry: tuple[str, Any]) -> str:
+    name, value = entry
+    return (
+        f'"{name}": ({tuple(value.shape[1:])}, {value.dtype})'
+        if isinstance(value, Tensor)
+        else f'"{name}": ...'
+    )
 
 
 def _function(node: Node) -> Callable[..., Any]:

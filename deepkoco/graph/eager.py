@@ -227,7 +227,9 @@ class EagerExecutor:
                 schedule.t_received,
             )
             data = cells.read(state.outputs[connection.sender], seen)
-            inputs[connection.name] = Input(data, *(spread(t) for t in times), t_start=t_start)
+            inputs[connection.name] = Input(
+                connection.seen(data), *(spread(t) for t in times), t_start=t_start
+            )
         return inputs
 
     def merge(self, running: RuntimeState, fresh: RuntimeState, mask: np.ndarray) -> RuntimeState:

@@ -1,6 +1,7 @@
 """Graphs: nodes and connections that fit together."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -16,6 +17,7 @@ from deepkoco.graph.delay import (
     make_stalls,
 )
 from deepkoco.graph.node import GraphError, Node, Supervisor
+from deepkoco.graph.parts import Parts, PartsError
 from deepkoco.graph.timing_plan import TimingPlan
 
 
@@ -31,6 +33,10 @@ class Graph:
         supervisor: name of the node whose output comes from outside.
         correlations: rank correlations between delays of one publisher, or their descriptions.
         stalls: stalls that hold up several channels at once, or their descriptions.
+
+    Attributes:
+        parts: by node name, where the tensors of an output lie that is a dict; `parts[name].split_array`
+            takes apart what an episode has of the node.
 
     Raises:
         GraphError: names the node, connection or cycle that does not fit.
@@ -51,6 +57,11 @@ class Graph:
         self.supervisor = supervisor
         self.index = {node.name: position for position, node in enumerate(self.nodes)}
         self._check()
+        self.parts = self._parts()
+        self.connections = tuple(
+            replace(c, parts=self.parts.get(c.sender)) if c.parts or c.sender in self.parts else c
+            for c in self.connections
+        )
         self.order = self._topological_order()
         self.phases = self._phases()
         self.correlations, self.stalls = check_coupling(self, correlations, stalls)
@@ -107,6 +118,22 @@ class Graph:
             for name in node.inputs or ():
                 if f"{node.name}.{name}" not in seen:
                     raise GraphError(f'input "{name}" of node "{node.name}" is not connected')
+
+    def _parts(self) -> dict[str, Parts]:
+        """The parts of the outputs that are dicts, by node name."""
+        found = {}
+        for node in self.nodes:
+            if node.outputs is None:
+                continue
+            if node.name == self.supervisor:
+                raise GraphError(
+                    f'supervisor "{node.name}": its output is the action, one tensor; leave outputs out'
+                )
+            try:
+                found[node.name] = Parts.of(node.outputs)
+            except PartsError as error:
+                raise GraphError(f'node "{node.name}": outputs: {error}') from error
+        return found
 
     def _topological_order(self) -> tuple[int, ...]:
         """Order the nodes so that messages that are not skipped go forward; first named, first placed."""

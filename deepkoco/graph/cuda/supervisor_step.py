@@ -192,7 +192,7 @@ class SupervisorStep:
                 base = int(layout.step_base[self.graph.index[node]])
                 start = self._table("t_start").take(row * self.schedule.timing.t_start.shape[1] + base + step)
             chosen = start if start is not None and "t_start" in asked else self._zeros(torch.float64, batch)
-            found[name] = Input(data, *fields, t_start=chosen)
+            found[name] = Input(connection.seen(data), *fields, t_start=chosen)
         return found
 
     def _cells(self, carry: Carry) -> Cells:

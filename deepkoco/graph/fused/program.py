@@ -162,7 +162,9 @@ def make_inputs(edges: tuple[Connection, ...], tensors: Mapping[str, Tensor]) ->
     """What a node sees, from the tensors of a trace."""
     return {
         str(edge.name): Input(
-            *(tensors[f"i.{edge.name}.{name}"] for name in ("data", *TIMES)), t_start=tensors["t_start"]
+            edge.seen(tensors[f"i.{edge.name}.data"]),
+            *(tensors[f"i.{edge.name}.{name}"] for name in TIMES),
+            t_start=tensors["t_start"],
         )
         for edge in edges
     }

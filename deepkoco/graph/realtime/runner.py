@@ -92,7 +92,7 @@ class Runner:
             data = [held[seq] if seq >= 0 else self._initial[place] for seq in window.seq]
             assert connection.name is not None
             seen[connection.name] = Input(
-                data=data[0].unsqueeze(1) if len(data) == 1 else torch.stack(data, dim=1),
+                data=connection.seen(data[0].unsqueeze(1) if len(data) == 1 else torch.stack(data, dim=1)),
                 seq=torch.tensor([window.seq], dtype=torch.int64),
                 t_sent=torch.tensor([window.t_sent], dtype=torch.float64),
                 t_received=torch.tensor([window.t_received], dtype=torch.float64),
