@@ -79,7 +79,9 @@ class EngineEnv(gymnasium.Env):
         if self.engine.real_time:
             self._runtime = WallClockRuntime(self.graph, record=False)
         else:
-            self._runtime = SimulatedRuntime(self.graph, record=False)
+            # Each reset draws a timing of its own; without any the runtime would want constant delays.
+            first = draw_timing(self.graph, torch.Generator(), 1, 1)
+            self._runtime = SimulatedRuntime(self.graph, first, record=False)
         self._state: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):

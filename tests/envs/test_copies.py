@@ -71,7 +71,7 @@ ENVIRONMENTS: dict[str, Callable[[], Any]] = {
         gymnasium.make("deepkoco/RodPendulumDelay-v0", render_mode="rgb_array").env, size=16
     ),
     "pixels, vector": lambda: VectorPixels(pendulums(2), size=16),
-    "equations": lambda: EngineEnv(sensing_delay=0.03),
+    "equations": lambda: EngineEnv(sensing_delay=RANDOM),
     "unit in virtual time": lambda: UnitEnv(make_unit("rod_pendulum", seed=0), clock="simulated"),
 }
 
