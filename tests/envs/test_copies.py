@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from counting import ACTIONS, OBSERVATIONS, counting_graph
-from gymnasium.vector import AsyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import deepkoco.envs  # noqa: F401 - registers the ids
 from deepkoco.envs.delay_env import DelayGraphEnv, DelayGraphVectorEnv
@@ -30,6 +30,27 @@ WAYS: dict[str, Callable[[Any], Any]] = {
     "deepcopy": copy.deepcopy,
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),
 }
+
+
+class Lamp(gymnasium.Env):
+    """Its picture is as bright as the sum of its actions; nothing but `render` shows it."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+    observation_space = gymnasium.spaces.Box(0.0, 1.0, (1,))
+    action_space = gymnasium.spaces.Box(0.0, 1.0, (1,))
+    render_mode = "rgb_array"
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.level = 0.0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        self.level += 15.0 * float(action[0])
+        return np.zeros(1, np.float32), 0.0, False, False, {}
+
+    def render(self):
+        return np.full((20, 20, 3), int(self.level), np.uint8)
 
 
 def counting_envs(executor: str) -> GraphVectorEnv:
@@ -67,8 +88,9 @@ ENVIRONMENTS: dict[str, Callable[[], Any]] = {
     "distractors": lambda: StateDistractors(pendulum(), "copies+noise"),
     "distractors, vector": lambda: VectorStateDistractors(pendulums(3), "copies+noise"),
     "pixels": lambda: Pixels(pendulum(), size=16),
-    "pixels, rendered": lambda: Pixels(
-        gymnasium.make("deepkoco/RodPendulumDelay-v0", render_mode="rgb_array").env, size=16
+    "pixels, rendered": lambda: Pixels(Lamp(), size=16),
+    "pixels, rendered, vector": lambda: VectorPixels(
+        SyncVectorEnv([Lamp] * 2, autoreset_mode=AutoresetMode.DISABLED), size=16
     ),
     "pixels, vector": lambda: VectorPixels(pendulums(2), size=16),
     "equations": lambda: EngineEnv(sensing_delay=RANDOM),
