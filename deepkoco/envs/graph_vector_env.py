@@ -18,7 +18,7 @@ from torch import Tensor
 
 from deepkoco.envs.actions import check_shape
 from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
-from deepkoco.envs.seeds import Seeds, joint_seed, read_seeds
+from deepkoco.envs.seeds import Seeds, split_seeds
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
 from deepkoco.graph.delay import RecordedDelays
@@ -167,16 +167,12 @@ class GraphVectorEnv(VectorEnv):
         Raises:
             ValueError: A list of seeds has another length than there are environments.
         """
-        read = read_seeds(seed, self.num_envs)
         mask = _mask((options or {}).get("reset_mask"), self.num_envs)
-        each = read if isinstance(read, tuple) else (None,) * self.num_envs
-        own = {b: s for b, s in enumerate(each) if s is not None and (mask is None or mask[b])}
-        if isinstance(read, tuple):
-            read = joint_seed(read) if None not in read and mask is None else None
-        new_traces = read is not None
-        if read is None and self._np_random is None:
-            read = int(np.random.SeedSequence().generate_state(1)[0])
-        return self.begin(read, options or {}, new_traces, own)
+        joint, own = split_seeds(seed, self.num_envs, mask)
+        new_traces = joint is not None
+        if joint is None and self._np_random is None:
+            joint = int(np.random.SeedSequence().generate_state(1)[0])
+        return self.begin(joint, options or {}, new_traces, own)
 
     def begin(
         self,

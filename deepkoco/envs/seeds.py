@@ -30,6 +30,24 @@ def read_seeds(seed: Seeds, environments: int) -> int | tuple[int | None, ...] |
     return None if all(own is None for own in each) else each
 
 
+def split_seeds(seed: Seeds, environments: int, mask: np.ndarray | None) -> tuple[int | None, dict[int, int]]:
+    """What a reset draws jointly, and who has a seed of its own.
+
+    Args:
+        seed: As for `reset`.
+        environments: Environments B.
+        mask: (B,) bool, who starts; None: all.
+
+    Returns:
+        Seed of all other draws, None to go on with those of before; by place in the batch, seeds of its own.
+    """
+    read = read_seeds(seed, environments)
+    if not isinstance(read, tuple):
+        return read, {}
+    own = {place: s for place, s in enumerate(read) if s is not None and (mask is None or mask[place])}
+    return joint_seed(read) if None not in read and mask is None else None, own
+
+
 def joint_seed(seeds: Sequence[int | None]) -> int:
     """One seed that follows from those of all environments."""
     words = [0 if own is None else own + 1 for own in seeds]

@@ -23,7 +23,7 @@ from deepkoco.envs.delay_arguments import (
 )
 from deepkoco.envs.delay_line import DelayLine
 from deepkoco.envs.delay_wrapper import as_action, first_action, with_history
-from deepkoco.envs.seeds import Seeds, joint_seed, read_seeds
+from deepkoco.envs.seeds import Seeds, split_seeds
 from deepkoco.graph.delay import exact_fraction
 
 
@@ -94,13 +94,9 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         """
         mask = None if options is None else options.get("reset_mask")  # Gymnasium takes it out of options
         observation, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
-        read = read_seeds(seed, self.num_envs)
-        each = read if isinstance(read, tuple) else ()
-        own = {b: s for b, s in enumerate(each) if s is not None and (mask is None or mask[b])}
-        if isinstance(read, tuple):
-            read = joint_seed(read) if None not in read and mask is None else None
-        if read is not None or self._generator is None:
-            self._generator = seeded(read)
+        joint, own = split_seeds(seed, self.num_envs, mask)
+        if joint is not None or self._generator is None:
+            self._generator = seeded(joint)
         self._restart(observation, mask, own)
         self._ended = self._ended & (False if mask is None else ~mask)
         return self._with_history(observation if mask is None else self._delayed(now=True)), info
