@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from deepkoco.envs.finite_actions import check_finite_action
+from deepkoco.envs.actions import check_finite_action
 
 
 class DmControlError(ValueError):
@@ -83,8 +83,12 @@ def make_dm_control(
     flat: Any = gymnasium.wrappers.FlattenObservation(env)
     shape = flat.observation_space.shape
     space = spaces.Box(-np.inf, np.inf, shape, np.float32)
-    flat = gymnasium.wrappers.TransformObservation(flat, lambda o: np.asarray(o, np.float32), space)
+    flat = gymnasium.wrappers.TransformObservation(flat, _as_float32, space)
     return CostOfReward(flat, action_repeat, period)
+
+
+def _as_float32(observation: Any) -> np.ndarray:
+    return np.asarray(observation, np.float32)
 
 
 def _import_suite() -> tuple[Any, Any]:
