@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import torch
 
 from deepkoco.agent.config import flatten
+from deepkoco.whole_file import whole_file
 
 FORMAT_VERSION = 2
 
@@ -24,13 +24,12 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Args:
         path: Target file.
         state: Tensors and plain values; generator states as byte tensors.
+
+    Raises:
+        WriteError: The disk is full, or the place cannot be written.
     """
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
+    with whole_file(path) as partial, partial.open("wb") as file:
         torch.save({"version": FORMAT_VERSION, **state}, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
+
+from deepkoco.whole_file import write_whole_text
 
 Row = dict[str, float]
 
@@ -18,14 +19,15 @@ def write_rows(path: Path, rows: list[Row]) -> None:
     Args:
         path: Target file.
         rows: At least one; all have the keys of the first.
+
+    Raises:
+        WriteError: The disk is full, or the place cannot be written.
     """
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text.getvalue())
-    os.replace(partial, path)
+    write_whole_text(path, text.getvalue())
 
 
 class MetricsLog:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -18,7 +16,9 @@ from matplotlib.figure import Figure
 
 from deepkoco.analysis.plan_film import PlanFilm
 from deepkoco.envs.film import write_clip
+from deepkoco.new_folder import new_folder
 from deepkoco.picture import Picture, house_style
+from deepkoco.whole_file import whole_file
 
 
 class PageExistsError(FileExistsError):
@@ -77,14 +77,12 @@ def write_page(page: Page, path: Path) -> None:
 
     Raises:
         PageExistsError: It exists.
+        WriteError: The disk is full, or the place cannot be written.
         FilmError: The clip could not be written.
     """
     check_free(path)
     folder = data_folder(path)
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    partial.mkdir(parents=True)
-    written = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as written, new_folder(folder) as partial:
         pictures = []
         for picture in page.pictures:
             png = as_png(picture.figure)
@@ -117,12 +115,6 @@ def write_page(page: Page, path: Path) -> None:
             )
         )
         written.write_text(html, encoding="utf-8")
-        os.rename(partial, folder)
-        os.rename(written, path)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        written.unlink(missing_ok=True)
-        raise
 
 
 def as_png(figure: Figure) -> bytes:
