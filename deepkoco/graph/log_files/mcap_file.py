@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from mcap.exceptions import McapError
 from mcap.records import Channel, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
 
 from deepkoco.graph.log_files.fields import TopicColumns
 from deepkoco.graph.log_files.log_file import LogError, LogFile, Table
 from deepkoco.graph.log_files.open_log import Wanted
+from deepkoco.graph.mcap_records import DAMAGE, mcap_records
 
 MAGIC = b"\x89MCAP0\r\n"
 Decoder = Callable[[bytes], Any]
-_DAMAGE = (McapError, ZstdError, struct.error, ValueError, OverflowError, RuntimeError, MemoryError)
 _OWN = "deepkoco"  # name of the metadata record that our own recordings begin with
 
 
@@ -44,21 +40,20 @@ def read_mcap(path: Path, wanted: Wanted = None) -> LogFile:
 
 def _records(path: Path) -> Iterator[McapRecord]:
     count = 0
-    with path.open("rb") as file:
-        records = iter(StreamReader(file, validate_crcs=True).records)
-        while True:
-            try:
-                record = next(records)
-            except StopIteration:
-                return
-            except _DAMAGE as damage:
-                reason = " ".join(str(damage).split()) or type(damage).__name__
-                raise LogError(
-                    f"{path}: is cut off or damaged after {count} messages ({reason[:160]}); copy it again, or "
-                    'repair it with "mcap recover"'
-                ) from damage
-            count += isinstance(record, Message)
-            yield record
+    records = mcap_records(path)
+    while True:
+        try:
+            record = next(records)
+        except StopIteration:
+            return
+        except DAMAGE as damage:
+            reason = " ".join(str(damage).split()) or type(damage).__name__
+            raise LogError(
+                f"{path}: is cut off or damaged after {count} messages ({reason[:160]}); copy it again, or "
+                'repair it with "mcap recover"'
+            ) from damage
+        count += isinstance(record, Message)
+        yield record
 
 
 def _is_own(path: Path) -> bool:
