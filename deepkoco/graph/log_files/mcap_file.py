@@ -79,6 +79,10 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
             channels[record.id] = record
         elif isinstance(record, Message):
             origin = record.log_time if origin is None else origin
+            if record.channel_id not in channels:
+                raise LogError(
+                    f"{path}: is damaged: it does not describe channel {record.channel_id}; copy it again"
+                )
             channel = channels[record.channel_id]
             topic = channel.topic
             if topic in skipped or (wanted is not None and topic not in wanted):
@@ -92,14 +96,14 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
                     continue
                 fields = None if wanted is None else wanted[topic]
                 topics.setdefault(topic, TopicColumns(schema.name if schema else "", origin, fields))
+            number = len(topics[topic]) + 1
             try:
-                content = decoders[channel.id](record.data)
+                topics[topic].add(record.log_time, decoders[channel.id](record.data))
             except Exception as error:  # a decoder of a foreign library may raise anything on damaged bytes
                 raise LogError(
-                    f'{path}: topic "{topic}": message {len(topics[topic]) + 1} is no {channel.message_encoding}: '
+                    f'{path}: topic "{topic}": message {number} is no {channel.message_encoding}: '
                     f"{' '.join(str(error).split())[:160]}"
                 ) from error
-            topics[topic].add(record.log_time, content)
     tables = {topic: columns.table() for topic, columns in topics.items()}
     return LogFile(path, "MCAP", tables, skipped, origin or 0)
 
@@ -115,7 +119,11 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decoder:
         raise LogError("its messages have no schema, so nothing says what their bytes mean")
     from deepkoco.graph.log_files.ros_bag import message_decoder
 
-    return message_decoder(schema.name, schema.encoding, schema.data.decode(), channel.message_encoding)
+    try:
+        text = schema.data.decode()
+    except UnicodeDecodeError as error:
+        raise LogError(f'the definition of "{schema.name}" is no text in UTF-8') from error
+    return message_decoder(schema.name, schema.encoding, text, channel.message_encoding)
 
 
 def _own_recording(path: Path) -> LogFile:
