@@ -26,6 +26,9 @@ def read_only(folder: Path) -> Iterator[None]:
     administrator = os.geteuid() == 0
     folder.chmod(0o555)
     if administrator:
+        for parent in folder.parents[:-1]:
+            if not parent.stat().st_mode & 0o001:  # the folders of temporary files are closed to other users
+                parent.chmod(parent.stat().st_mode | 0o055)
         os.seteuid(65534)  # "nobody": the administrator may write everywhere
     try:
         yield

@@ -19,16 +19,6 @@ from deepkoco.whole_file import WriteError, system_error, whole_file, write_whol
 from tests.full_disk import everything_in, largest_file, read_only
 
 
-@pytest.fixture
-def open_folder(tmp_path_factory):
-    """A folder that every user may enter."""
-    folder = tmp_path_factory.mktemp("out")
-    for parent in (folder, *folder.parents):
-        if parent.stat().st_uid == folder.stat().st_uid and parent != Path("/"):
-            parent.chmod(parent.stat().st_mode | 0o055)
-    return folder
-
-
 def _log(values: int) -> Recording:
     t = np.arange(values) / 100
     series = {n: Series(t, np.sin(t + k), u, kind) for k, (n, u, kind) in enumerate(CHANNELS)}
@@ -85,14 +75,14 @@ def test_a_full_disk_is_told_in_one_sentence_and_nothing_is_left(tmp_path, name)
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_folder_that_cannot_be_written_is_told_in_one_sentence(open_folder, name):
-    path = open_folder / name
-    with pytest.raises(WriteError) as told, read_only(open_folder):
+def test_a_folder_that_cannot_be_written_is_told_in_one_sentence(tmp_path, name):
+    path = tmp_path / name
+    with pytest.raises(WriteError) as told, read_only(tmp_path):
         WRITERS[name](path)
     sentence = "cannot be written: permission denied; choose a place that you may write to"
     # Of a log the sidecar is written first.
     assert str(told.value).replace("log.yaml", "log.csv").startswith(f"{path}: {sentence}")
-    assert not list(open_folder.iterdir())
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_full_disk_leaves_the_checkpoint_that_was_there(tmp_path):
@@ -112,11 +102,11 @@ def test_a_log_whose_table_is_not_written_leaves_no_sidecar(tmp_path):
     assert read_log(tmp_path / "log.csv").system == "rod_pendulum"
 
 
-def test_a_new_folder_is_refused_before_any_work_where_it_cannot_be_written(open_folder):
-    with pytest.raises(WriteError, match="permission denied"), read_only(open_folder):
-        check_new(open_folder / "deep" / "report")
-    check_new(open_folder / "deep" / "report")
-    assert not list(open_folder.iterdir())
+def test_a_new_folder_is_refused_before_any_work_where_it_cannot_be_written(tmp_path):
+    with pytest.raises(WriteError, match="permission denied"), read_only(tmp_path):
+        check_new(tmp_path / "deep" / "report")
+    check_new(tmp_path / "deep" / "report")
+    assert not list(tmp_path.iterdir())
 
 
 def test_whole_file_replaces_a_file_only_when_all_is_written(tmp_path):
