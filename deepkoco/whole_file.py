@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 REMEDIES = {
@@ -106,7 +106,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
                 os.fsync(file.fileno())
             os.replace(partial, path)
     finally:
-        partial.unlink(missing_ok=True)
+        # On a read-only disk this fails too, and the user is to hear of the first failure.
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def write_whole_text(path: str | Path, text: str) -> None:

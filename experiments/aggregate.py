@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import os
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from deepkoco.new_folder import new_folder
 from experiments.settings import ExperimentError, TrainRunConfig
 from experiments.train import is_finished, load_run_config
 
@@ -254,10 +253,8 @@ def aggregate(runs: Path, out: Path) -> pd.DataFrame:
     """
     if out.exists():
         raise ExperimentError(f"{out}: exists already; choose another --out")
-    partial = out.with_name(f"{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    final = write_aggregate(runs, partial)
-    os.replace(partial, out)
+    with new_folder(out) as partial:
+        final = write_aggregate(runs, partial)
     return final_table(final)
 
 

@@ -24,6 +24,7 @@ from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
+from deepkoco.whole_file import WriteError
 from experiments.agents import register
 from experiments.settings import ExperimentError
 from experiments.sweep import Failure, SweepFailed, check_launcher
@@ -40,6 +41,7 @@ BAD_INPUT = (
     SpaceError,
     TrainingConfigError,
     UnknownSolverError,
+    WriteError,
 )
 
 

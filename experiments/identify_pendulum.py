@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from dataclasses import replace
@@ -41,6 +40,7 @@ from deepkoco.picture import house_style
 from deepkoco.systems import make_system
 from deepkoco.unit.record import record
 from deepkoco.unit.unit_file import make_unit
+from deepkoco.whole_file import whole_file
 
 SECONDS = 21.0
 ACTUATION, CAMERA = 0.007, 0.008  # [s]
@@ -172,9 +172,8 @@ def summary(table: pd.DataFrame) -> dict:
 def write_table(table: pd.DataFrame, path: Path) -> None:
     """Write the units found so far, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial")
-    table.to_csv(partial, index=False, lineterminator="\n", float_format="%.8g")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        table.to_csv(partial, index=False, lineterminator="\n", float_format="%.8g")
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-from deepkoco.whole_file import write_whole_text
+from deepkoco.whole_file import write_whole_text, writing
 
 Row = dict[str, float]
 
@@ -46,10 +46,11 @@ class MetricsLog:
         """
         self.rows = list(rows)
         self._path = folder / "metrics.csv"
-        events = folder / "tensorboard"
-        for old in events.glob("events.out.tfevents.*"):
+        self._events = folder / "tensorboard"
+        for old in self._events.glob("events.out.tfevents.*"):
             old.unlink()
-        self._writer = SummaryWriter(str(events))
+        with writing(self._events):
+            self._writer = SummaryWriter(str(self._events))
         for row in self.rows:
             self._write_events(row)
         if self.rows:
@@ -71,6 +72,7 @@ class MetricsLog:
         self._writer.close()
 
     def _write_events(self, row: Row) -> None:
-        for name, value in row.items():
-            self._writer.add_scalar(name, value, global_step=int(row["episodes"]))
-        self._writer.flush()
+        with writing(self._events):
+            for name, value in row.items():
+                self._writer.add_scalar(name, value, global_step=int(row["episodes"]))
+            self._writer.flush()
