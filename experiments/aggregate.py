@@ -275,7 +275,7 @@ def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
     curves = learning_curves(rows)
     final = rows.sort_values("episodes").groupby("run").tail(1).sort_values(["condition", "seed"])
     kept = ["episodes", "updates", "evaluation/cost", "evaluation/cost_sd", "evaluation/cost_median"]
-    out.mkdir(parents=True)
+    out.mkdir(parents=True, exist_ok=True)
     curves.to_csv(out / "curves.csv", index=False, float_format="%.6g")
     final[["condition", "seed", *kept, "evaluation/episodes", "seconds"]].to_csv(
         out / "final.csv", index=False, float_format="%.6g"

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from deepkoco.analysis.plan_film import PlanFilm
 from deepkoco.envs.film import write_clip
-from deepkoco.new_folder import new_folder
+from deepkoco.new_folder import check_writable, new_folder
 from deepkoco.picture import Picture, house_style
 from deepkoco.whole_file import whole_file
 
@@ -59,6 +59,7 @@ def check_free(page: Path) -> None:
 
     Raises:
         PageExistsError: The page or its folder exists, or something on the path is a file.
+        WriteError: The disk is full, or the place cannot be written.
     """
     for target in (page, data_folder(page)):
         if target.exists():
@@ -66,6 +67,7 @@ def check_free(page: Path) -> None:
     blocked = next((parent for parent in page.parents if parent.exists() and not parent.is_dir()), None)
     if blocked is not None:
         raise PageExistsError(f"{page}: {blocked} is no folder; choose another place with --out")
+    check_writable(page)
 
 
 def write_page(page: Page, path: Path) -> None:
