@@ -15,8 +15,7 @@ from yaml import YAMLError
 
 from deepkoco.agent.standing import Standing
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
-from deepkoco.new_folder import new_folder
-from deepkoco.whole_file import WriteError
+from deepkoco.whole_file import WriteError, writing
 from experiments.agents import settings_class, trainer_class
 from experiments.commands import BAD_INPUT, run_command
 from experiments.environments import make_environments
@@ -103,8 +102,16 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
     make_environments(config)
     config.agent.check()
     # The folder appears with its settings inside, so a kill leaves one that can be resumed, or none.
-    with new_folder(folder) as partial:
-        OmegaConf.save(OmegaConf.structured(config), partial / CONFIG_FILE, resolve=True)
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        with writing(folder, partial):
+            partial.mkdir(parents=True)
+            OmegaConf.save(OmegaConf.structured(config), partial / CONFIG_FILE, resolve=True)
+            partial.replace(folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
     return config, folder, True
 
 
