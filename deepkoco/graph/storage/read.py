@@ -64,6 +64,7 @@ class _Contents:
 
     graph: Graph | None = None
     windows: dict[str, dict[str, int]] = field(default_factory=dict)
+    connections: frozenset[str] = frozenset()
     meta: dict[str, Any] | None = None
     begun: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
     extents: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -178,6 +179,7 @@ def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: 
             if contents.graph is not None:
                 raise ContentError("the description of the graph is there twice")
             contents.graph = _read_graph(path, record.data)
+            contents.connections = frozenset(c.key for c in contents.graph.connections)
             contents.windows = {
                 node.name: {str(c.name): c.window for c in contents.graph.inputs_of(node.name)}
                 for node in contents.graph.nodes
@@ -187,7 +189,7 @@ def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: 
 
 
 def _sort_in_message(record: Message, channel: Channel | None, contents: _Contents) -> None:
-    graph = _graph_of(contents)
+    _graph_of(contents)
     if channel is None:
         raise ContentError(f"a message of channel {record.channel_id}, which the file does not describe")
     kinds = [kind for kind in ("node", "connection", "notes") if kind in channel.metadata]
@@ -208,7 +210,7 @@ def _sort_in_message(record: Message, channel: Channel | None, contents: _Conten
             check_step(content, contents.windows[name])
             contents.steps[number, name].append(content)
         elif kind == "connection":
-            if all(name != c.key for c in graph.connections):
+            if name not in contents.connections:
                 raise ContentError(f'"{name[:50]}" is no connection of the graph')
             check_message(content)
             contents.messages[number, name].append(content)
