@@ -25,6 +25,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from deepkoco.output.whole_file import write_whole_text
 from experiments.ablation_differences import differences, draw
 from experiments.commands import BAD_INPUT, CONFIGS
 from experiments.evaluate import run_episodes
@@ -137,9 +138,7 @@ def train_and_evaluate(run: Run, episodes: int, overrides: Sequence[str]) -> str
         "failures": measured.failures,
     }
     run.evaluation.parent.mkdir(parents=True, exist_ok=True)
-    partial = run.evaluation.with_suffix(".partial")
-    partial.write_text(json.dumps(result) + "\n", encoding="utf-8")
-    os.replace(partial, run.evaluation)
+    write_whole_text(run.evaluation, json.dumps(result) + "\n")
     return ""
 
 

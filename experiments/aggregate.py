@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import os
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from deepkoco.output.new_folder import new_folder
 from experiments.settings import ExperimentError, TrainRunConfig
 from experiments.train import is_finished, load_run_config
 
@@ -254,10 +253,8 @@ def aggregate(runs: Path, out: Path) -> pd.DataFrame:
     """
     if out.exists():
         raise ExperimentError(f"{out}: exists already; choose another --out")
-    partial = out.with_name(f"{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    final = write_aggregate(runs, partial)
-    os.replace(partial, out)
+    with new_folder(out) as partial:
+        final = write_aggregate(runs, partial)
     return final_table(final)
 
 
@@ -278,7 +275,7 @@ def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
     curves = learning_curves(rows)
     final = rows.sort_values("episodes").groupby("run").tail(1).sort_values(["condition", "seed"])
     kept = ["episodes", "updates", "evaluation/cost", "evaluation/cost_sd", "evaluation/cost_median"]
-    out.mkdir(parents=True)
+    out.mkdir(parents=True, exist_ok=True)
     curves.to_csv(out / "curves.csv", index=False, float_format="%.6g")
     final[["condition", "seed", *kept, "evaluation/episodes", "seconds"]].to_csv(
         out / "final.csv", index=False, float_format="%.6g"

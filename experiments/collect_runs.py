@@ -7,7 +7,6 @@ learning curves and where it all comes from are written. The weights stay in the
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import sys
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from typing import Any
 import pandas as pd
 import torch
 
+from deepkoco.output.new_folder import new_folder
 from experiments.aggregate import finished_runs, write_aggregate
 from experiments.commands import BAD_INPUT
 from experiments.evaluate import measure
@@ -63,15 +63,8 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
     if episodes < 1:
         raise ExperimentError(f"--episodes {episodes}: give at least 1")
     folders = finished_runs(runs)
-    partial = out.with_name(f"{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    try:
-        table = _write(runs, folders, partial, episodes)
-        os.replace(partial, out)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-    return table
+    with new_folder(out) as partial:
+        return _write(runs, folders, partial, episodes)
 
 
 def _write(runs: Path, folders: Sequence[Path], partial: Path, episodes: int) -> pd.DataFrame:

@@ -23,6 +23,7 @@ from deepkoco.agent.checkpoint import CheckpointError
 from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.files.model_folder import ModelFolderError
+from deepkoco.output.whole_file import WriteError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
 from experiments.agents import register
 from experiments.settings import ExperimentError
@@ -40,6 +41,7 @@ BAD_INPUT = (
     SpaceError,
     TrainingConfigError,
     UnknownSolverError,
+    WriteError,
 )
 
 

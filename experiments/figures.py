@@ -7,9 +7,7 @@ draws, every evaluation of every seed, tables of final costs and of sample effic
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
-import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +15,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from deepkoco.output.new_folder import new_folder
 from experiments.commands import BAD_INPUT
 from experiments.comparison.curves import learning_curves
 from experiments.comparison.drawing import draw, panel_title
@@ -132,18 +131,15 @@ def write_figure(
     efficiency = sample_efficiency(times)
     there = {run.panel for run in runs}
     missing = [panel_title(*panel) for panel in figure.panels if panel not in there]
-    partial = out.with_name(f"{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    tables = {"curves": curves, "raw": table, "final": final, "times": times, "efficiency": efficiency}
-    tables["settings"] = settings_table(runs)
-    for name, content in tables.items():
-        content.to_csv(partial / f"{name}.csv", index=False, float_format="%.6g")
-    draw(curves, known, partial / "learning_curves.png")
-    text = page(figure.title, command, Path("learning_curves.png"), final, efficiency, known, missing)
-    (partial / "README.md").write_text(text, encoding="utf-8")
-    (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
-    os.replace(partial, out)
+    with new_folder(out) as partial:
+        tables = {"curves": curves, "raw": table, "final": final, "times": times, "efficiency": efficiency}
+        tables["settings"] = settings_table(runs)
+        for name, content in tables.items():
+            content.to_csv(partial / f"{name}.csv", index=False, float_format="%.6g")
+        draw(curves, known, partial / "learning_curves.png")
+        text = page(figure.title, command, Path("learning_curves.png"), final, efficiency, known, missing)
+        (partial / "README.md").write_text(text, encoding="utf-8")
+        (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
     return final
 
 

@@ -7,7 +7,6 @@ reached, not a bound. `experiments.figures` draws both and counts episodes to a 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ import torch
 
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.optimal import TrueModelError, start_states
+from deepkoco.output.whole_file import whole_file
 from experiments.commands import BAD_INPUT
 from experiments.comparison.references import COLUMNS, REFERENCES
 from experiments.environments import make_factory
@@ -104,9 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     args.out.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.partial")
-    table.to_csv(partial, index=False, float_format="%.6g")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        table.to_csv(partial, index=False, float_format="%.6g")
     (args.out / f"{args.task}_PROVENANCE.md").write_text(f"{name}\n\n{as_markdown()}\n", encoding="utf-8")
     means = table[list(COLUMNS[3:])].mean()
     print(

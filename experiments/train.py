@@ -15,6 +15,7 @@ from yaml import YAMLError
 
 from deepkoco.agent.standing import Standing
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
+from deepkoco.output.whole_file import WriteError, writing
 from experiments.agents import settings_class, trainer_class
 from experiments.commands import BAD_INPUT, run_command
 from experiments.environments import make_environments
@@ -103,9 +104,14 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
     # The folder appears with its settings inside, so a kill leaves one that can be resumed, or none.
     partial = folder.with_name(f"{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    OmegaConf.save(OmegaConf.structured(config), partial / CONFIG_FILE, resolve=True)
-    partial.replace(folder)
+    try:
+        with writing(folder, partial):
+            partial.mkdir(parents=True)
+            OmegaConf.save(OmegaConf.structured(config), partial / CONFIG_FILE, resolve=True)
+            partial.replace(folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
     return config, folder, True
 
 
@@ -140,10 +146,15 @@ def train(given: TrainRunConfig) -> None:
         torch.set_num_threads(given.threads)
         try:
             _train(config, folder)
-        except BAD_INPUT:
+        except BAD_INPUT as error:
             # Without a checkpoint there is nothing to lose, and the folder would block the corrected command.
-            if new and not (folder / CHECKPOINT_FILE).exists():
+            kept = (folder / CHECKPOINT_FILE).exists()
+            if new and not kept:
                 shutil.rmtree(folder)
+            if kept and isinstance(error, WriteError):
+                raise ExperimentError(
+                    f"{error}; then go on from the last checkpoint with resume={folder}"
+                ) from error
             raise
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
 from deepkoco import __version__
 from deepkoco.cli.input_error import InputError
+from deepkoco.output.whole_file import system_error
 from deepkoco.unit.messages import UnitError
 
 DESCRIPTION = "Record a robot, show what its simulation gets wrong, and list what can be simulated."
@@ -90,17 +92,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Command line without the program's name; None takes the process's.
 
     Returns:
-        Exit status: 0 done, 1 the unit failed, 2 bad input, 130 interrupted; `diagnose` adds its own.
+        Exit status: 0 done, 1 the unit failed, 2 bad input or a place that cannot be written,
+            130 interrupted; `diagnose` adds its own.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     command = next((a for a in arguments if not a.startswith("-")), None)
     args = build_parser(command).parse_args(arguments)
     try:
-        return args.run(args)
+        status = args.run(args)
+        sys.stdout.flush()
+        return status
     except InputError as error:
         status, text = 2, str(error)
     except UnitError as error:
         status, text = 1, str(error)
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):  # nobody reads what is printed any more, as behind "| head"
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
+        status, text = 2, system_error(error)
     except KeyboardInterrupt as interrupt:
         status, text = 130, "; ".join(("interrupted", *map(str, interrupt.args)))
     sys.stderr.write(f"deepkoco {args.command}: {' '.join(text.split())}\n")

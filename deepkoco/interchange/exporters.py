@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from deepkoco.interchange.constants import controller_constants, network_arrays
 from deepkoco.interchange.loaded_model import LoadedModel
 from deepkoco.koopman.exported import ExportedModel
+from deepkoco.output.whole_file import whole_file
 
 OUTPUTS = ("latent", "B", "C")
 
@@ -177,10 +177,5 @@ def export(model: LoadedModel, form: str, path: str | Path) -> None:
         raise ExportError(f"{path}: exists already; choose another name")
     if not path.parent.is_dir():
         raise ExportError(f"{path}: there is no folder {path.parent}")
-    # The ending stays in place: writers choose their format by it.
-    partial = path.with_name(f".partial-{path.name}")
-    try:
+    with whole_file(path) as partial:
         EXPORTERS[form](model, partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

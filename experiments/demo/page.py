@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from rich.table import Table
 from deepkoco.diagnose import Diagnosis
 from deepkoco.diagnose.report.text import headline, lead
 from deepkoco.envs.film import film_strip
+from deepkoco.output.whole_file import write_whole_text
 from experiments.unit_trials import Trial
 
 COLOURS = {"baseline": "#b5483a", "extended": "#26547c"}
@@ -126,9 +126,7 @@ def write_page(outcome: Outcome) -> Path:
         )
     )
     path = outcome.folder / "index.html"
-    partial = path.with_suffix(".html.partial")
-    partial.write_text(page, encoding="utf-8")
-    os.replace(partial, path)
+    write_whole_text(path, page)
     return path
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -18,7 +16,9 @@ from matplotlib.figure import Figure
 
 from deepkoco.analysis.page.plan_film import PlanFilm
 from deepkoco.envs.film import write_clip
+from deepkoco.output.new_folder import check_writable, new_folder
 from deepkoco.output.picture import Picture, house_style
+from deepkoco.output.whole_file import whole_file
 
 
 class PageExistsError(FileExistsError):
@@ -59,6 +59,7 @@ def check_free(page: Path) -> None:
 
     Raises:
         PageExistsError: The page or its folder exists, or something on the path is a file.
+        WriteError: The disk is full, or the place cannot be written.
     """
     for target in (page, data_folder(page)):
         if target.exists():
@@ -66,6 +67,7 @@ def check_free(page: Path) -> None:
     blocked = next((parent for parent in page.parents if parent.exists() and not parent.is_dir()), None)
     if blocked is not None:
         raise PageExistsError(f"{page}: {blocked} is no folder; choose another place with --out")
+    check_writable(page)
 
 
 def write_page(page: Page, path: Path) -> None:
@@ -77,14 +79,12 @@ def write_page(page: Page, path: Path) -> None:
 
     Raises:
         PageExistsError: It exists.
+        WriteError: The disk is full, or the place cannot be written.
         FilmError: The clip could not be written.
     """
     check_free(path)
     folder = data_folder(path)
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    partial.mkdir(parents=True)
-    written = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as written, new_folder(folder) as partial:
         pictures = []
         for picture in page.pictures:
             png = as_png(picture.figure)
@@ -117,12 +117,6 @@ def write_page(page: Page, path: Path) -> None:
             )
         )
         written.write_text(html, encoding="utf-8")
-        os.rename(partial, folder)
-        os.rename(written, path)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        written.unlink(missing_ok=True)
-        raise
 
 
 def as_png(figure: Figure) -> bytes:
