@@ -14,7 +14,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from experiments.aggregate import mean_with_band
+from deepkoco.runs.aggregate import mean_with_band
 
 STYLE = str(files("deepkoco").joinpath("figures.mplstyle"))
 SAME = "trained at each intensity"

@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from scipy.stats import qmc
 from yaml import YAMLError
 
-from experiments.settings import ExperimentError
+from deepkoco.runs.settings import ExperimentError
 
 DIGITS = 3
 KINDS = ("uniform", "log_uniform", "integer", "choice")

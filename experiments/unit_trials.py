@@ -25,10 +25,10 @@ from deepkoco.agent.policy import ObservationError, load_model
 from deepkoco.envs.distractors import StateDistractors
 from deepkoco.envs.film import write_clip
 from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.train import check_finished, load_run_config
 from deepkoco.unit import UnitError, UnitSpec, UnitSpecError, load_unit
-from experiments.commands import BAD_INPUT
-from experiments.settings import ExperimentError, TrainRunConfig
-from experiments.train import check_finished, load_run_config
 
 UPRIGHT_ANGLE = 0.5  # mean distance from upright over the last quarter that counts as standing [rad]
 

@@ -15,12 +15,12 @@ import pandas as pd
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
 from deepkoco.graph.contract import StepError
 from deepkoco.graph.recording import read_log, write_log
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.train import is_finished
 from deepkoco.systems import ExtendedSystem, MemoryEffectError, make_system, save_model
 from deepkoco.unit import load_unit
 from deepkoco.unit.record import record
 from experiments.closing_the_loop.hidden import SYSTEM, Case
-from experiments.settings import ExperimentError
-from experiments.train import is_finished
 from experiments.unit_trials import run_trials
 
 LOG_SECONDS, LOG_SEED = 30.0, 3

@@ -6,11 +6,11 @@ import pytest
 
 from deepkoco.envs.task_factory import TaskConfig
 from deepkoco.planning import PlannerConfig
-from experiments.aggregate import aggregate, bootstrap_interval, conditions, interquartile_mean, read_runs
-from experiments.aggregate import main as main_of_aggregate
+from deepkoco.runs.aggregate import aggregate, bootstrap_interval, conditions, interquartile_mean, read_runs
+from deepkoco.runs.aggregate import main as main_of_aggregate
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.train import load_run_config
 from experiments.collect_runs import collect, main
-from experiments.settings import ExperimentError
-from experiments.train import load_run_config
 
 
 def labels(*runs):

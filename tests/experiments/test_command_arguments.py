@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from experiments.commands import run_command
+from deepkoco.runs.hydra_command import run_command
 
 
 def refusal(monkeypatch, capsys, command, *arguments):

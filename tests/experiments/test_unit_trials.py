@@ -10,8 +10,8 @@ import pytest
 
 from deepkoco.agent.policy import load_policy
 from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.runs.settings import ExperimentError, TaskConfig
 from deepkoco.unit import make_unit
-from experiments.settings import ExperimentError, TaskConfig
 from experiments.unit_trials import (
     Trial,
     as_json,

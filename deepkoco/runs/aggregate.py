@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from experiments.settings import ExperimentError, TrainRunConfig
-from experiments.train import is_finished, load_run_config
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.train import is_finished, load_run_config
 
 logger = logging.getLogger(__name__)
 

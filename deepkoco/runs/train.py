@@ -15,11 +15,11 @@ from yaml import YAMLError
 
 from deepkoco.agent.standing import Standing
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
-from experiments.agents import settings_class, trainer_class
-from experiments.commands import BAD_INPUT, run_command
-from experiments.environments import make_environments
-from experiments.run_lock import locked
-from experiments.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.agents import settings_class, trainer_class
+from deepkoco.runs.environments import make_environments
+from deepkoco.runs.hydra_command import BAD_INPUT, run_command
+from deepkoco.runs.run_lock import locked
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 
 CONFIG_FILE = "config.yaml"
 

@@ -15,7 +15,7 @@ from deepkoco.agent.collection import BatchController, VectorEnvFactory
 from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.standing import Report
 from deepkoco.envs.task_factory import TaskConfig
-from experiments.settings import EvaluateConfig, ExperimentError, TrainRunConfig
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TrainRunConfig
 
 
 class AgentSettings(Protocol):

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from experiments.settings import ExperimentError
+from deepkoco.runs.settings import ExperimentError
 
 # hydra/launcher=NAME -> (the plugin's module, the extra that installs it). A new launcher is one line and
 # one file in configs/hydra/launcher.

@@ -14,12 +14,12 @@ from gymnasium.vector import VectorEnv
 
 from deepkoco.agent.collection import collect_episodes, cost_spread, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
-from experiments.agents import load_controller
-from experiments.commands import run_command
-from experiments.environments import make_environments, make_factory
-from experiments.optimal_cost import optimal_costs, paired_difference
-from experiments.settings import EvaluateConfig, ExperimentError, TrainRunConfig
-from experiments.train import check_finished, load_run_config
+from deepkoco.runs.agents import load_controller
+from deepkoco.runs.environments import make_environments, make_factory
+from deepkoco.runs.hydra_command import run_command
+from deepkoco.runs.optimal_cost import optimal_costs, paired_difference
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TrainRunConfig
+from deepkoco.runs.train import check_finished, load_run_config
 
 
 @dataclass

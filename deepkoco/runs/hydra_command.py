@@ -24,11 +24,11 @@ from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
-from experiments.agents import register
-from experiments.settings import ExperimentError
-from experiments.sweep import Failure, SweepFailed, check_launcher
+from deepkoco.runs.agents import register
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.sweep import Failure, SweepFailed, check_launcher
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 BAD_INPUT = (
     BaselineConfigError,
     CheckpointError,
