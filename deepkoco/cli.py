@@ -9,6 +9,8 @@ from importlib import import_module
 
 from deepkoco import __version__
 from deepkoco.command_line import InputError
+from deepkoco.command_parser import CommandParser
+from deepkoco.suggestion import did_you_mean
 from deepkoco.unit.messages import UnitError
 
 DESCRIPTION = "Record a robot, show what its simulation gets wrong, and list what can be simulated."
@@ -19,7 +21,8 @@ example, from a unit to a diagnosis:
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out logs/coulomb_report
 
 "deepkoco COMMAND --help" says more about each."""
-# subcommand: (module with add_arguments, run, DESCRIPTION and EXAMPLE, one line for the list)
+# subcommand: (module with add_arguments, DESCRIPTION, EXAMPLE and run, or run_settings where the arguments are for
+# Hydra; one line for the list)
 COMMANDS = {
     "record": ("deepkoco.unit.record_command", "drive a unit with an excitation and write a measured log"),
     "inspect": (
@@ -38,6 +41,10 @@ COMMANDS = {
         "deepkoco.diagnose.design.command",
         "find the commands that tell causes apart best, to be played by record",
     ),
+    "train": ("deepkoco.commands.train_command", "train an agent in a task, and write its model"),
+    "evaluate": ("deepkoco.commands.evaluate_command", "run a trained agent in noise-free episodes"),
+    "sweep": ("deepkoco.commands.sweep_command", "train for all combinations of seeds and settings"),
+    "aggregate": ("deepkoco.commands.aggregate_command", "learning curves and final costs of many runs"),
     "show": (
         "deepkoco.commands.show_command",
         "show what a recording of a graph holds, or what a trained model has learned",
@@ -51,14 +58,14 @@ COMMANDS = {
 }
 
 
-def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+def build_parser(command: str | None = None) -> CommandParser:
     """Parser of the command line.
 
     Args:
         command: Subcommand to declare in full; the others are only listed, so that no subcommand waits
             for another one's imports.
     """
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="deepkoco",
         description=DESCRIPTION,
         epilog=EXAMPLE,
@@ -79,7 +86,8 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(subparser)
-        subparser.set_defaults(run=module.run)
+        if not hasattr(module, "run_settings"):
+            subparser.set_defaults(run=module.run)
     return parser
 
 
@@ -94,8 +102,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     command = next((a for a in arguments if not a.startswith("-")), None)
-    args = build_parser(command).parse_args(arguments)
+    parser = build_parser(command)
+    if command is not None and command not in COMMANDS:
+        suggestion = did_you_mean(command, COMMANDS) or "; choose one of the commands below"
+        parser.print_help(sys.stderr)
+        sys.stderr.write(f'\ndeepkoco: there is no command "{command}"{suggestion}\n')
+        return 2
     try:
+        settings = _settings_of(command, arguments)
+        if settings is not None:
+            return import_module(COMMANDS[str(command)][0]).run_settings(settings)
+        args = parser.parse_args(arguments)
         return args.run(args)
     except InputError as error:
         status, text = 2, str(error)
@@ -103,8 +120,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status, text = 1, str(error)
     except KeyboardInterrupt as interrupt:
         status, text = 130, "; ".join(("interrupted", *map(str, interrupt.args)))
-    sys.stderr.write(f"deepkoco {args.command}: {' '.join(text.split())}\n")
+    sys.stderr.write(f"deepkoco {command}: {' '.join(text.split())}\n")
     return status
+
+
+def _settings_of(command: str | None, arguments: Sequence[str]) -> list[str] | None:
+    """What follows a command whose arguments are for Hydra; None for others, and where help is asked for."""
+    if command is None or arguments[0] != command or {"-h", "--help"} & set(arguments):
+        return None
+    return list(arguments[1:]) if hasattr(import_module(COMMANDS[command][0]), "run_settings") else None
 
 
 if __name__ == "__main__":

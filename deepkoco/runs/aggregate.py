@@ -1,4 +1,4 @@
-"""Learning curves and final costs of many runs: `python -m experiments.aggregate RUNS --out FOLDER`."""
+"""`deepkoco aggregate`: learning curves and final costs of many runs."""
 
 from __future__ import annotations
 
@@ -12,13 +12,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 from scipy import stats
 
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
@@ -27,6 +23,9 @@ from deepkoco.runs.train import is_finished, load_run_config
 logger = logging.getLogger(__name__)
 
 RESAMPLES = 4000
+FEWEST_SEEDS = 5
+"""Fewest seeds of an interval. Of fewer, more than 2.5 % of the resamples consist of the lowest (or the highest) value
+alone in the part that the interquartile mean takes, so that a 95 % interval is the range of the values."""
 ABSENT = "not given"
 CURVES = {"train/cost": "training episodes", "evaluation/cost": "noise-free episodes"}
 
@@ -145,7 +144,7 @@ def interquartile_mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """95 % percentile bootstrap interval of the interquartile mean over seeds.
+    """95 % percentile bootstrap interval of the interquartile mean over seeds; the range of fewer than `FEWEST_SEEDS`.
 
     The conditions are bootstrapped one by one, for their costs have no common scale.
 
@@ -160,6 +159,8 @@ def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]
     """
     if values.size < 2:
         return float("nan"), float("nan")
+    if values.size < FEWEST_SEEDS:
+        return float(values.min()), float(values.max())
     found = stats.bootstrap(
         (values,),
         interquartile_mean,
@@ -170,6 +171,13 @@ def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
+def kind_of_interval(seeds: int) -> str:
+    """What the two limits of `bootstrap_interval` are for a number of seeds: "none", "range" or "95 %"."""
+    if seeds < 2:
+        return "none"
+    return "range" if seeds < FEWEST_SEEDS else "95 %"
+
+
 def learning_curves(rows: pd.DataFrame) -> pd.DataFrame:
     """Average over seeds at every number of episodes.
 
@@ -177,7 +185,7 @@ def learning_curves(rows: pd.DataFrame) -> pd.DataFrame:
         rows: As given by `read_runs`.
 
     Returns:
-        Columns condition, curve, episodes, iqm, low, high, seeds: interquartile mean and its bootstrap interval.
+        Columns condition, curve, episodes, iqm, low, high, seeds: interquartile mean and `bootstrap_interval`.
     """
     curves = []
     for (condition, episodes), group in rows.groupby(["condition", "episodes"], sort=True):  # type: ignore[reportGeneralTypeIssues]
@@ -197,7 +205,8 @@ def final_table(final: pd.DataFrame) -> pd.DataFrame:
         final: The last row of every run.
 
     Returns:
-        Columns condition, n, iqm, low, high, mean, median, best, worst.
+        Columns condition, n, iqm, low, high, mean, median, best, worst, interval: what low and high are, as
+        `kind_of_interval` says.
     """
     rows = []
     for condition, group in final.groupby("condition", sort=True):
@@ -205,10 +214,9 @@ def final_table(final: pd.DataFrame) -> pd.DataFrame:
         low, high = bootstrap_interval(costs)
         middle = float(interquartile_mean(costs))
         spread = (costs.mean(), np.median(costs), costs.min(), costs.max())
-        rows.append((condition, costs.size, middle, low, high, *spread))
-    return pd.DataFrame(
-        rows, columns=["condition", "n", "iqm", "low", "high", "mean", "median", "best", "worst"]
-    )
+        rows.append((condition, costs.size, middle, low, high, *spread, kind_of_interval(costs.size)))
+    names = ["condition", "n", "iqm", "low", "high", "mean", "median", "best", "worst", "interval"]
+    return pd.DataFrame(rows, columns=names)  # pyright: ignore[reportArgumentType]
 
 
 def draw(curves: pd.DataFrame, path: Path) -> None:
@@ -218,25 +226,24 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
         curves: As given by `learning_curves`.
         path: PNG to write.
     """
-    figure, axes = plt.subplots(1, len(CURVES), figsize=(9, 3.5), sharey=True, layout="constrained")
+    figure = Figure(figsize=(9, 3.5), layout="constrained")
+    axes = figure.subplots(1, len(CURVES), sharey=True)
     for axis, (curve, title) in zip(axes, CURVES.items(), strict=True):
         chosen = curves[curves["curve"] == curve]
         for i, (condition, group) in enumerate(chosen.groupby("condition", sort=True)):
+            seeds = int(group["seeds"].max())
+            band = f", band: {kind_of_interval(seeds)}" if seeds > 1 else ""
             axis.plot(
-                group["episodes"],
-                group["iqm"],
-                color=f"C{i}",
-                label=f"{condition} (n = {group['seeds'].max()})",
+                group["episodes"], group["iqm"], color=f"C{i}", label=f"{condition} (n = {seeds}{band})"
             )
             axis.fill_between(
                 group["episodes"], group["low"], group["high"], color=f"C{i}", alpha=0.2, linewidth=0
             )
         axis.set(title=title, xlabel="training episodes", ylim=(0, None))
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel("cost per episode (iqm, 95 % band)")
+    axes[0].set_ylabel("cost per episode (iqm over seeds)")
     axes[-1].legend(fontsize=8)
     figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 def aggregate(runs: Path, out: Path) -> pd.DataFrame:
@@ -288,22 +295,41 @@ def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
     return final
 
 
+def summarise(runs: Path, out: Path | None) -> str:
+    """`aggregate`, and what a terminal shows of it.
+
+    Args:
+        runs: Folder that holds runs, at any depth.
+        out: Folder to make; None takes RUNS_summary beside them.
+
+    Returns:
+        The table as text, what its interval is, and where the files are.
+
+    Raises:
+        ExperimentError: See `aggregate`.
+    """
+    out = out or runs.with_name(f"{runs.resolve().name}_summary")
+    table = aggregate(runs, out)
+    told = "cost of noise-free episodes; iqm: mean over seeds without the best and the worst quarter"
+    if (table["n"] >= FEWEST_SEEDS).any():
+        told += "; low, high: its 95 % bootstrap interval"
+    if table["n"].between(2, FEWEST_SEEDS - 1).any():
+        told += (
+            f"; of fewer than {FEWEST_SEEDS} seeds low and high are the lowest and the highest cost, for these are "
+            "too few for an interval"
+        )
+    return f"{table.to_string(index=False, float_format='%.1f')}\n{told}. Written to {out}"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description="Learning curves and final costs of many runs.")
     parser.add_argument("runs", type=Path, metavar="RUNS", help="folder that holds runs, at any depth")
     parser.add_argument("--out", type=Path, help="new folder (default RUNS_summary, beside RUNS)")
     args = parser.parse_args(arguments)
-    out = args.out or args.runs.with_name(f"{args.runs.resolve().name}_summary")
     try:
-        table = aggregate(args.runs, out)
+        print(summarise(args.runs, args.out))
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(table.to_string(index=False, float_format="%.1f"))
-    print(f"cost of noise-free episodes; iqm with its 95 % bootstrap interval. Written to {out}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Evaluate a trained run: `python -m experiments.evaluate run=RUN episodes=50 json=true`."""
+"""`deepkoco evaluate`: noise-free episodes of a trained run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from deepkoco.agent.collection import collect_episodes, cost_spread, episode_cos
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.runs.agents import load_controller
 from deepkoco.runs.environments import make_environments, make_factory
-from deepkoco.runs.hydra_command import run_command
 from deepkoco.runs.optimal_cost import optimal_costs, paired_difference
 from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TrainRunConfig
 from deepkoco.runs.train import check_finished, load_run_config
@@ -150,7 +149,3 @@ def evaluate(config: EvaluateConfig) -> None:
             f"(sd {result['sd']:.1f}, median {result['median']:.1f}{optimum}), "
             f"upright {100 * result['upright']:.0f} % of {config.episodes} noise-free episodes"
         )
-
-
-if __name__ == "__main__":
-    run_command("evaluate", evaluate)

@@ -1,4 +1,4 @@
-"""Train an agent: `python -m experiments.train agent=deepkoco task=pendulum seed=0 distractors=none run=RUN`."""
+"""`deepkoco train`: train an agent in a folder of its own, or go on with a run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from deepkoco.agent.standing import Standing
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
 from deepkoco.runs.agents import settings_class, trainer_class
 from deepkoco.runs.environments import make_environments
-from deepkoco.runs.hydra_command import BAD_INPUT, run_command
+from deepkoco.runs.hydra_command import BAD_INPUT
 from deepkoco.runs.run_lock import locked
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 
@@ -68,8 +68,7 @@ def check_finished(folder: Path) -> None:
     """
     if not is_finished(folder):
         raise ExperimentError(
-            f"{folder}: this run is not finished; continue it with "
-            f"python -m experiments.train resume={folder}"
+            f"{folder}: this run is not finished; continue it with deepkoco train resume={folder}"
         )
 
 
@@ -192,7 +191,3 @@ def _train(config: TrainRunConfig, folder: Path) -> None:
         f"{last['updates']:.0f} updates, {last['seconds']:.0f} s",
         flush=True,
     )
-
-
-if __name__ == "__main__":
-    run_command("train", train)

@@ -1,0 +1,8 @@
+"""`python -m experiments.aggregate` is `deepkoco aggregate`, for the commands that recorded results name."""
+
+import sys
+
+from deepkoco.runs.aggregate import main
+
+if __name__ == "__main__":
+    sys.exit(main())
