@@ -14,6 +14,7 @@ from gymnasium.vector import VectorEnv
 
 from deepkoco.agent.collection import collect_episodes, cost_spread, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.envs.task_files import find_files
 from deepkoco.runs.agents import load_controller
 from deepkoco.runs.environments import make_environments, make_factory
 from deepkoco.runs.optimal_cost import optimal_costs, paired_difference
@@ -55,7 +56,7 @@ def run_episodes(config: EvaluateConfig) -> Measured:
     if config.upright_steps < 1:
         raise ExperimentError(f"upright_steps = {config.upright_steps}; give at least 1")
     folder = Path(config.run)
-    run = load_run_config(folder)
+    run = _settings(folder)
     check_finished(folder)
     agent = load_controller(run.agent.name, folder, config.episodes)
     envs = _environments(run, config)
@@ -92,7 +93,7 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
 
 def _against_optimum(config: EvaluateConfig, costs: np.ndarray) -> dict[str, Any]:
     """The optimum of the start states, without distractors, and how much more was paid; None where not known."""
-    run = load_run_config(Path(config.run))
+    run = _settings(Path(config.run))
     envs = make_factory(run.task, "none")(config.episodes, run.seed)
     best = optimal_costs(envs, _seed(run, config))
     envs.close()
@@ -105,6 +106,12 @@ def _against_optimum(config: EvaluateConfig, costs: np.ndarray) -> dict[str, Any
         "above_optimum": above,
         "above_optimum_standard_error": error,
     }
+
+
+def _settings(folder: Path) -> TrainRunConfig:
+    run = load_run_config(folder)
+    run.task.kwargs = find_files(run.task.kwargs, folder)
+    return run
 
 
 def _seed(run: TrainRunConfig, config: EvaluateConfig) -> int:

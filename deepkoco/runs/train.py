@@ -15,6 +15,7 @@ from yaml import YAMLError
 
 from deepkoco.agent.standing import Standing
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
+from deepkoco.envs.task_files import find_files, keep_copies, with_absolute_paths
 from deepkoco.runs.agents import settings_class, trainer_class
 from deepkoco.runs.environments import make_environments
 from deepkoco.runs.hydra_command import BAD_INPUT
@@ -87,6 +88,7 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
         PlannerConfigError: A setting of the planner is out of range.
     """
     config.check()
+    config.task.kwargs = with_absolute_paths(config.task.kwargs)
     if config.resume is not None:
         folder = Path(config.resume)
         return load_run_config(folder), folder, False
@@ -103,6 +105,7 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
     partial = folder.with_name(f"{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
+    keep_copies(config.task.kwargs, partial)
     OmegaConf.save(OmegaConf.structured(config), partial / CONFIG_FILE, resolve=True)
     partial.replace(folder)
     return config, folder, True
@@ -111,6 +114,7 @@ def prepare_folder(config: TrainRunConfig) -> tuple[TrainRunConfig, Path, bool]:
 def _same_settings(config: TrainRunConfig, folder: Path) -> TrainRunConfig:
     """The settings stored in a folder, which must be those given."""
     stored = load_run_config(folder)
+    stored.task.kwargs = with_absolute_paths(stored.task.kwargs)
     given, there = config.identity(), stored.identity()
     names = [name for name in given | there if given.get(name) != there.get(name)]
     if names:
@@ -153,6 +157,7 @@ def _draws_progress() -> bool:
 
 
 def _train(config: TrainRunConfig, folder: Path) -> None:
+    config.task.kwargs = find_files(config.task.kwargs, folder)
     evaluation = make_environments(config, "evaluation")
     description = {
         "name": config.task.name,

@@ -365,7 +365,9 @@ def load_model(path: str | Path) -> ExtendedSystem:
     path = Path(path)
     try:
         document = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
         raise ModelFileError(f"{path}: cannot be read as YAML: {error}") from error
     if not isinstance(document, dict) or document.get("version") != MODEL_VERSION:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
