@@ -10,6 +10,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from deepkoco.extras import install_command
+
 
 class DmControlError(ValueError):
     """The suite is not installed, or has no such task."""
@@ -94,6 +96,6 @@ def _import_suite() -> tuple[Any, Any]:
     except ImportError as error:
         raise DmControlError(
             "tasks of the DeepMind Control Suite need the extra dm_control; run: "
-            f'pip install "deepkoco[dm_control]" ({error})'
+            f"{install_command('dm_control')} ({error})"
         ) from error
     return suite, DmControlCompatibilityV0

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from deepkoco.extras import install_command
 from deepkoco.graph.log_files.fields import TopicColumns
 from deepkoco.graph.log_files.log_file import LogError, LogFile
 from deepkoco.graph.log_files.open_log import Wanted
@@ -22,7 +23,7 @@ def _rosbags() -> SimpleNamespace:
         from rosbags import highlevel, serde, typesys
     except ImportError as error:
         raise LogError(
-            'ROS messages need the library rosbags; install it with pip install "deepkoco[ros]"'
+            f"ROS messages need the library rosbags; install it with {install_command('ros')}"
         ) from error
     return SimpleNamespace(highlevel=highlevel, serde=serde, typesys=typesys)
 
