@@ -310,15 +310,18 @@ def summarise(runs: Path, out: Path | None) -> str:
     """
     out = out or runs.with_name(f"{runs.resolve().name}_summary")
     table = aggregate(runs, out)
-    told = "cost of noise-free episodes; iqm: mean over seeds without the best and the worst quarter"
+    lines = [
+        table.to_string(index=False, float_format="%.1f"),
+        "Cost of noise-free episodes; iqm is the interquartile mean over seeds.",
+    ]
     if (table["n"] >= FEWEST_SEEDS).any():
-        told += "; low, high: its 95 % bootstrap interval"
+        lines.append("interval 95 %: low and high are the 95 % bootstrap interval of iqm.")
     if table["n"].between(2, FEWEST_SEEDS - 1).any():
-        told += (
-            f"; of fewer than {FEWEST_SEEDS} seeds low and high are the lowest and the highest cost, for these are "
-            "too few for an interval"
+        lines.append(
+            "interval range: low and high are the lowest and the highest cost; "
+            f"an interval takes {FEWEST_SEEDS} seeds or more."
         )
-    return f"{table.to_string(index=False, float_format='%.1f')}\n{told}. Written to {out}"
+    return "\n".join([*lines, f"Written to {out}"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,6 +15,7 @@ from gymnasium.vector import VectorEnv
 from deepkoco.agent.collection import collect_episodes, cost_spread, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.envs.task_files import find_files
+from deepkoco.envs.tasks.swing_up import SwingUp
 from deepkoco.runs.agents import load_controller
 from deepkoco.runs.environments import make_environments, make_factory
 from deepkoco.runs.optimal_cost import optimal_costs, paired_difference
@@ -30,11 +31,13 @@ class Measured:
         costs: Of each episode (n,).
         ends: Mean step cost at the end of each episode (n,).
         failures: Plans that could not be made.
+        swing_up: Whether a low cost at the end says that something stands upright.
     """
 
     costs: np.ndarray
     ends: np.ndarray
     failures: int
+    swing_up: bool
 
 
 def run_episodes(config: EvaluateConfig) -> Measured:
@@ -61,9 +64,10 @@ def run_episodes(config: EvaluateConfig) -> Measured:
     agent = load_controller(run.agent.name, folder, config.episodes)
     envs = _environments(run, config)
     episodes = collect_episodes(envs, agent, _seed(run, config), record=False)
+    swing_up = _is_swing_up(envs)
     envs.close()
     ends = np.array([episode.costs[-config.upright_steps :].mean().item() for episode in episodes])
-    return Measured(episode_costs(episodes), ends, agent.failures)
+    return Measured(episode_costs(episodes), ends, agent.failures, swing_up)
 
 
 def measure(config: EvaluateConfig) -> dict[str, Any]:
@@ -73,8 +77,8 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
         config: Settings of the command.
 
     Returns:
-        Number of episodes, mean, spread and median of their cost, share of those that end upright, and how far
-        that is from the optimum of the same start states, where that is known.
+        Number of episodes, mean, spread and median of their cost, share of those that end upright (None where the
+        task is no swing-up), and how far the mean is from the optimum of the same start states, where that is known.
     """
     measured = run_episodes(config)
     costs, spread = measured.costs, cost_spread(measured.costs)
@@ -85,7 +89,7 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
         "sd": spread,
         "standard_error": spread / config.episodes**0.5,
         "median": float(np.median(costs)),
-        "upright": float((measured.ends <= config.upright_cost).mean()),
+        "upright": float((measured.ends <= config.upright_cost).mean()) if measured.swing_up else None,
         "planner_failures": measured.failures,
         **_against_optimum(config, costs),
     }
@@ -106,6 +110,14 @@ def _against_optimum(config: EvaluateConfig, costs: np.ndarray) -> dict[str, Any
         "above_optimum": above,
         "above_optimum_standard_error": error,
     }
+
+
+def _is_swing_up(envs: VectorEnv) -> bool:
+    """Whether the task is a swing-up of the package, or Gymnasium's own."""
+    inner: Any = envs.unwrapped
+    inner = getattr(inner, "envs", [inner])[0].unwrapped
+    spec = getattr(inner, "spec", None)
+    return isinstance(getattr(inner, "task", None), SwingUp) or (spec is not None and spec.name == "Pendulum")
 
 
 def _settings(folder: Path) -> TrainRunConfig:
@@ -137,6 +149,10 @@ def _environments(run: TrainRunConfig, config: EvaluateConfig) -> VectorEnv:
     return envs
 
 
+def _upright(share: float | None) -> str:
+    return "" if share is None else f"upright {100 * share:.0f} % of "
+
+
 def evaluate(config: EvaluateConfig) -> None:
     """Run noise-free episodes and print their cost.
 
@@ -154,5 +170,5 @@ def evaluate(config: EvaluateConfig) -> None:
         print(
             f"{config.run}: cost {result['mean']:.1f} +- {result['standard_error']:.1f} "
             f"(sd {result['sd']:.1f}, median {result['median']:.1f}{optimum}), "
-            f"upright {100 * result['upright']:.0f} % of {config.episodes} noise-free episodes"
+            f"{_upright(result['upright'])}{config.episodes} noise-free episodes"
         )

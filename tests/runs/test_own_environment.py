@@ -95,7 +95,11 @@ def test_a_task_that_cannot_be_drawn_is_trained_evaluated_and_shown(here, capsys
     monkeypatch.setattr(view, "GRID", 21)
     assert train("task=gymnasium", "task.id=my_cart:Cart-v0", "run=run") == 0
     assert main(["evaluate", "run", "episodes=2", "json=true"]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["n"] == 2
+    evaluated = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert evaluated["n"] == 2
+    assert evaluated["upright"] is None  # a cart on a line has no up
+    assert main(["evaluate", "run", "episodes=2"]) == 0
+    assert "upright" not in capsys.readouterr().out
     assert main(["show", "run", "--json"]) == 0
     left_out = json.loads(capsys.readouterr().out)["left_out"]
     assert left_out == ["The film of the plan: the environment cannot be drawn: it has no render()."]
