@@ -1,7 +1,7 @@
 """How far from the best possible: `python -m experiments.optimum --task pendulum --run RUN --out FOLDER`.
 
 Value iteration, MPC on the true model, no action and random actions from the start states of
-`experiments.evaluate`, with and without DeepKoCo's one step of input delay; and trained runs from the same ones.
+`deepkoco evaluate`, with and without DeepKoCo's one step of input delay; and trained runs from the same ones.
 """
 
 from __future__ import annotations

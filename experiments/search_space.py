@@ -135,7 +135,7 @@ def load_search_space(path: Path) -> SearchSpace:
 
 
 def as_overrides(values: dict[str, Any]) -> list[str]:
-    """Settings of an agent as arguments of `experiments.train`.
+    """Settings of an agent as arguments of `deepkoco train`.
 
     Args:
         values: Dotted name to value.
