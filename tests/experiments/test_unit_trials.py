@@ -11,8 +11,7 @@ import pytest
 from deepkoco.agent.policy import load_policy
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.runs.settings import ExperimentError, TaskConfig
-from deepkoco.unit import make_unit
-from experiments.unit_trials import (
+from deepkoco.runs.unit_trials import (
     Trial,
     as_json,
     check_run,
@@ -22,6 +21,7 @@ from experiments.unit_trials import (
     run_trials,
     summarise,
 )
+from deepkoco.unit import make_unit
 
 UNIT = Path(__file__).resolve().parents[2] / "configs" / "units" / "rod_pendulum_healthy.yaml"
 
