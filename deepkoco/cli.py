@@ -45,6 +45,7 @@ COMMANDS = {
     "evaluate": ("deepkoco.commands.evaluate_command", "run a trained agent in noise-free episodes"),
     "sweep": ("deepkoco.commands.sweep_command", "train for all combinations of seeds and settings"),
     "aggregate": ("deepkoco.commands.aggregate_command", "learning curves and final costs of many runs"),
+    "trial": ("deepkoco.commands.trial_command", "run trained policies on a unit and compare their costs"),
     "show": (
         "deepkoco.commands.show_command",
         "show what a recording of a graph holds, or what a trained model has learned",

@@ -2,7 +2,7 @@
 
 import sys
 
-from deepkoco.runs.aggregate import main
+from deepkoco.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["aggregate", *sys.argv[1:]]))

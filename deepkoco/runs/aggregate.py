@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import os
 import shutil
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -322,17 +320,3 @@ def summarise(runs: Path, out: Path | None) -> str:
             f"an interval takes {FEWEST_SEEDS} seeds or more."
         )
     return "\n".join([*lines, f"Written to {out}"])
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(description="Learning curves and final costs of many runs.")
-    parser.add_argument("runs", type=Path, metavar="RUNS", help="folder that holds runs, at any depth")
-    parser.add_argument("--out", type=Path, help="new folder (default RUNS_summary, beside RUNS)")
-    args = parser.parse_args(arguments)
-    try:
-        print(summarise(args.runs, args.out))
-    except ExperimentError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0

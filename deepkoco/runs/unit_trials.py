@@ -1,15 +1,13 @@
-"""Run trained policies on a unit: `python -m experiments.unit_trials RUN [RUN ...] --unit UNIT.yaml --json`.
+"""`deepkoco trial`: run trained policies on a unit.
 
 Every policy starts from the same states and among the same distractors, so differences are paired.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -21,14 +19,13 @@ from gymnasium import spaces
 from scipy.stats import bootstrap
 
 from deepkoco.agent import load_policy
-from deepkoco.agent.policy import ObservationError, load_model
+from deepkoco.agent.policy import load_model
 from deepkoco.envs.distractors import StateDistractors
 from deepkoco.envs.film import write_clip
 from deepkoco.envs.unit_env import UnitEnv
-from deepkoco.runs.hydra_command import BAD_INPUT
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from deepkoco.runs.train import check_finished, load_run_config
-from deepkoco.unit import UnitError, UnitSpec, UnitSpecError, load_unit
+from deepkoco.unit import UnitSpec
 
 UPRIGHT_ANGLE = 0.5  # mean distance from upright over the last quarter that counts as standing [rad]
 
@@ -269,51 +266,24 @@ def as_json(summary: dict) -> str:
     return json.dumps(known(summary), allow_nan=False)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(description="Run trained policies on a unit.")
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folders of finished training runs")
-    parser.add_argument("--unit", type=Path, required=True, help="UNIT.yaml")
-    parser.add_argument("--episodes", type=int, default=20, help="episodes for each policy (default 20)")
-    parser.add_argument("--clock", choices=("wall", "simulated"), default="wall", help="real or virtual time")
-    parser.add_argument("--parallel", type=int, default=8, help="units that run at once (default 8)")
-    parser.add_argument("--seed", type=int, default=0, help="which set of start states (default 0)")
-    parser.add_argument("--out", type=Path, help="new folder for trials.csv and films")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    args = parser.parse_args(arguments)
-    try:
-        unit = load_unit(args.unit)
-        if args.out is not None and args.out.exists():
-            raise ExperimentError(f"{args.out}: exists already; choose another --out")
-        if args.episodes < 1 or args.parallel < 1:
-            raise ExperimentError("--episodes and --parallel take 1 or more")
-        if args.seed < 0:
-            raise ExperimentError(f"--seed {args.seed}: give 0 or more")
-        trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel)
-        if args.out is not None:
-            args.out.mkdir(parents=True)
-            rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
-            pd.DataFrame(rows).to_csv(args.out / "trials.csv", index=False)
-            for run, name in zip(args.runs, policy_names(args.runs), strict=True):
-                film = run_trial(run, unit, 0, args.clock, args.seed, film=True)
-                path = args.out / f"{name}.webm"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_clip(path, film.frames, 20.0)
-    except (*BAD_INPUT, ObservationError, UnitSpecError, UnitError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    summary = summarise(trials)
-    if args.json:
-        print(as_json(summary))
-        return 0
-    for name, row in summary.items():
-        print(
-            f"{name}: cost {row['mean']:.1f} [{row['low']:.1f}, {row['high']:.1f}], "
-            f"median {row['median']:.1f}, "
-            f"upright {100 * row['upright']:.0f} % of {row['episodes']}, late steps {row['overruns']}"
-        )
-    return 0
+def write_trials(
+    out: Path, trials: Sequence[Trial], runs: Sequence[Path], unit: UnitSpec, clock: str, seed: int
+) -> None:
+    """Write the table `trials.csv` and a film of the first episode of every policy.
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    Args:
+        out: New folder.
+        trials: As given by `run_trials`.
+        runs: Folders of the training runs.
+        unit: The unit.
+        clock: "wall" or "simulated".
+        seed: Seed of the set of episodes.
+    """
+    out.mkdir(parents=True)
+    rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
+    pd.DataFrame(rows).to_csv(out / "trials.csv", index=False)
+    for run, name in zip(runs, policy_names(runs), strict=True):
+        film = run_trial(run, unit, 0, clock, seed, film=True)
+        path = out / f"{name}.webm"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_clip(path, film.frames, 20.0)

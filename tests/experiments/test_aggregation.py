@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from deepkoco.cli import main as command_line
 from deepkoco.envs.task_factory import TaskConfig
 from deepkoco.planning import PlannerConfig
 from deepkoco.runs.aggregate import (
@@ -18,7 +19,6 @@ from deepkoco.runs.aggregate import (
     read_runs,
     summarise,
 )
-from deepkoco.runs.aggregate import main as main_of_aggregate
 from deepkoco.runs.settings import ExperimentError
 from deepkoco.runs.train import load_run_config
 from experiments.collect_runs import collect, main
@@ -144,7 +144,7 @@ def test_the_table_has_one_row_per_condition_and_its_number_of_seeds(make_run, t
     for seed, cost in enumerate((150.0, 160.0, 170.0)):
         make_run(runs / f"seed_{seed}", seed=seed, cost=cost)
     make_run(runs / "copies", distractors="copies", cost=200.0)
-    assert main_of_aggregate([str(runs)]) == 0
+    assert command_line(["aggregate", str(runs)]) == 0
     assert "162.7" in capsys.readouterr().out
     table = pd.read_csv(tmp_path / "runs_summary" / "table.csv").set_index("condition")
     assert table["n"].to_dict() == {"pendulum, distractors copies": 1, "pendulum, distractors none": 3}
@@ -153,7 +153,7 @@ def test_the_table_has_one_row_per_condition_and_its_number_of_seeds(make_run, t
     spread = pytest.approx([162.727, 162.727, 152.727, 172.727])
     assert row[["iqm", "median", "best", "worst"]].tolist() == spread
     assert row["best"] <= row["low"] < row["iqm"] < row["high"] <= row["worst"]
-    assert main_of_aggregate([str(runs)]) == 2
+    assert command_line(["aggregate", str(runs)]) == 2
     assert "exists already" in capsys.readouterr().err
 
 

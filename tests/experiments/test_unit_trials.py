@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from deepkoco.agent.policy import load_policy
+from deepkoco.cli import main
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.runs.settings import ExperimentError, TaskConfig
 from deepkoco.runs.unit_trials import (
@@ -16,7 +17,6 @@ from deepkoco.runs.unit_trials import (
     as_json,
     check_run,
     interval,
-    main,
     policy_names,
     run_trials,
     summarise,
@@ -128,22 +128,22 @@ def test_interval_of_a_mean_is_near_that_of_the_normal_law():
 def test_the_command_writes_trials_and_films(runs, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--unit", str(UNIT), "--episodes", "1", "--clock", "simulated"]
-    assert main([str(runs[0]), str(runs[1]), *options, "--out", str(out), "--json"]) == 0
+    assert main(["trial", str(runs[0]), str(runs[1]), *options, "--out", str(out), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     table = pd.read_csv(out / "trials.csv")
     assert table["policy"].tolist() == list(printed) == ["none/seed_0", "copies/seed_0"]
     assert (out / "none" / "seed_0.webm").stat().st_size > 0
     assert (out / "copies" / "seed_0.webm").stat().st_size > 0
-    assert main([str(runs[0]), *options, "--out", str(out)]) == 2
+    assert main(["trial", str(runs[0]), *options, "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_line(runs, make_run, tmp_path, capsys):
     options = ["--unit", str(UNIT), "--clock", "simulated"]
-    assert main([str(runs[0]), *options, "--episodes", "0"]) == 2
-    assert main([str(tmp_path / "nothing"), *options]) == 2
-    assert main([str(make_run(tmp_path / "r", entries=4)), *options]) == 2
-    assert main([str(runs[0]), str(runs[0]), *options]) == 2
+    assert main(["trial", str(runs[0]), *options, "--episodes", "0"]) == 2
+    assert main(["trial", str(tmp_path / "nothing"), *options]) == 2
+    assert main(["trial", str(make_run(tmp_path / "r", entries=4)), *options]) == 2
+    assert main(["trial", str(runs[0]), str(runs[0]), *options]) == 2
     errors = capsys.readouterr().err.splitlines()
     assert len(errors) == 4
-    assert all(line.startswith("error: ") for line in errors)
+    assert all(line.startswith("deepkoco trial: ") for line in errors)
