@@ -35,4 +35,4 @@ def run_settings(arguments: Sequence[str]) -> int:
     """
     options = [] if {"-m", "--multirun"} & set(arguments) else ["--multirun"]
     existing = [] if any(a.startswith("existing=") for a in arguments) else ["existing=resume"]
-    return train([*options, *arguments, *existing])
+    return train([*arguments, *existing, *options])

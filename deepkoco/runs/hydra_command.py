@@ -25,6 +25,7 @@ from deepkoco.koopman.model_folder import ModelFolderError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
 from deepkoco.runs.agents import check_installed, register
 from deepkoco.runs.configs import CONFIGS
+from deepkoco.runs.setting_names import check_names
 from deepkoco.runs.settings import ExperimentError
 from deepkoco.runs.sweep import Failure, SweepFailed, check_launcher
 
@@ -141,6 +142,7 @@ def _run_command(name: str, task: Callable[[Any], None], arguments: list[str]) -
     try:
         _check_form(arguments)
         _check_choices(arguments)
+        check_names(name, arguments)
         check_launcher(arguments)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
