@@ -229,7 +229,7 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
     for axis, (curve, title) in zip(axes, CURVES.items(), strict=True):
         chosen = curves[curves["curve"] == curve]
         for i, (condition, group) in enumerate(chosen.groupby("condition", sort=True)):
-            seeds = int(group["seeds"].max())
+            seeds = int(np.max(group["seeds"]))
             band = f", band: {kind_of_interval(seeds)}" if seeds > 1 else ""
             axis.plot(
                 group["episodes"], group["iqm"], color=f"C{i}", label=f"{condition} (n = {seeds}{band})"
@@ -312,9 +312,10 @@ def summarise(runs: Path, out: Path | None) -> str:
         table.to_string(index=False, float_format="%.1f"),
         "Cost of noise-free episodes; iqm is the interquartile mean over seeds.",
     ]
-    if (table["n"] >= FEWEST_SEEDS).any():
+    kinds = {kind_of_interval(n) for n in table["n"].tolist()}
+    if "95 %" in kinds:
         lines.append("interval 95 %: low and high are the 95 % bootstrap interval of iqm.")
-    if table["n"].between(2, FEWEST_SEEDS - 1).any():
+    if "range" in kinds:
         lines.append(
             "interval range: low and high are the lowest and the highest cost; "
             f"an interval takes {FEWEST_SEEDS} seeds or more."

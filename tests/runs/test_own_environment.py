@@ -141,3 +141,16 @@ def test_a_relative_path_that_leads_nowhere_is_explained(tmp_path, monkeypatch):
         make_task_factory(task)
     assert "report/model.yaml: cannot be read: No such file" in str(error.value)
     assert f"is not below the current folder, {tmp_path}" in str(error.value)
+
+
+def test_a_sweep_is_gone_on_with_by_the_same_command_and_averaged(here, capsys):
+    sweep = ["sweep", *FEW, "task=gymnasium", "task.id=my_cart:Cart-v0", "run=runs/seed_${seed}"]
+    assert main([*sweep, "seed=0"]) == 0
+    assert main([*sweep, "seed=0,1"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("finished already") == 1
+    assert "runs/seed_0: finished already" in printed
+    assert main(["aggregate", "runs", "--out", "summary"]) == 0
+    assert "gymnasium, distractors none  2" in capsys.readouterr().out
+    assert main(["sweep", "seeds=0"]) == 2
+    assert "did you mean seed?" in capsys.readouterr().err
