@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
+from types import ModuleType
 
 from deepkoco import __version__
 from deepkoco.command_line import InputError
@@ -13,12 +14,13 @@ from deepkoco.command_parser import CommandParser
 from deepkoco.suggestion import did_you_mean
 from deepkoco.unit.messages import UnitError
 
-DESCRIPTION = "Record a robot, show what its simulation gets wrong, and list what can be simulated."
+DESCRIPTION = "Record a robot, show what its simulation gets wrong, extend the simulation, and train a controller in it."
 EXAMPLE = """\
-example, from a unit to a diagnosis:
+example, from a unit to a diagnosis and a controller:
   deepkoco record --unit configs/units/rod_pendulum_coulomb.yaml --seconds 30 --out logs/coulomb.csv
   deepkoco inspect logs/coulomb.csv
-  deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out logs/coulomb_report
+  deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out report
+  deepkoco train task.id=deepkoco/RodPendulumDelay-v0 +task.kwargs.model=report/model.yaml run=runs/extended
 
 "deepkoco COMMAND --help" says more about each."""
 # subcommand: (module with add_arguments, DESCRIPTION, EXAMPLE and run, or run_settings where the arguments are for
@@ -87,8 +89,7 @@ def build_parser(command: str | None = None) -> CommandParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(subparser)
-        if not hasattr(module, "run_settings"):
-            subparser.set_defaults(run=module.run)
+        subparser.set_defaults(run=getattr(module, "run", None) or _without_settings(module))
     return parser
 
 
@@ -105,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = next((a for a in arguments if not a.startswith("-")), None)
     parser = build_parser(command)
     if command is not None and command not in COMMANDS:
-        suggestion = did_you_mean(command, COMMANDS) or "; choose one of the commands below"
+        suggestion = did_you_mean(command, COMMANDS) or "; the commands are listed above"
         parser.print_help(sys.stderr)
         sys.stderr.write(f'\ndeepkoco: there is no command "{command}"{suggestion}\n')
         return 2
@@ -123,6 +124,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status, text = 130, "; ".join(("interrupted", *map(str, interrupt.args)))
     sys.stderr.write(f"deepkoco {command}: {' '.join(text.split())}\n")
     return status
+
+
+def _without_settings(module: ModuleType) -> Callable[[argparse.Namespace], int]:
+    return lambda args: module.run_settings([])
 
 
 def _settings_of(command: str | None, arguments: Sequence[str]) -> list[str] | None:
