@@ -14,7 +14,7 @@ from deepkoco.command_parser import CommandParser
 from deepkoco.suggestion import did_you_mean
 from deepkoco.unit.messages import UnitError
 
-DESCRIPTION = "Record a robot, show what its simulation gets wrong, extend the simulation, and train a controller in it."
+DESCRIPTION = "Record a robot, show what its simulation gets wrong, extend that, and train a controller in it."
 EXAMPLE = """\
 example, from a unit to a diagnosis and a controller:
   deepkoco record --unit configs/units/rod_pendulum_coulomb.yaml --seconds 30 --out logs/coulomb.csv
@@ -108,8 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if command is not None and command not in COMMANDS:
         suggestion = did_you_mean(command, COMMANDS) or "; the commands are listed above"
         parser.print_help(sys.stderr)
-        sys.stderr.write(f'\ndeepkoco: there is no command "{command}"{suggestion}\n')
-        return 2
+        parser.exit(2, f'\ndeepkoco: there is no command "{command}"{suggestion}\n')
     try:
         settings = _settings_of(command, arguments)
         if settings is not None:

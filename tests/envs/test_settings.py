@@ -23,7 +23,7 @@ def test_a_model_that_acts_along_a_log_only_is_refused_before_an_episode_begins(
     if name not in ALONG_A_LOG:
         EnvironmentSettings("rod_pendulum", model=extended(name)).make_system()
         return
-    with pytest.raises(SettingsError, match="cannot be simulated step by step: .*leave that effect out"):
+    with pytest.raises(SettingsError, match=r"cannot be simulated step by step: .*leave that effect out"):
         EnvironmentSettings("rod_pendulum", model=extended(name))
 
 
