@@ -14,7 +14,9 @@ from deepkoco.command_parser import CommandParser
 from deepkoco.suggestion import did_you_mean
 from deepkoco.unit.messages import UnitError
 
-DESCRIPTION = "Record a robot, show what its simulation gets wrong, extend that, and train a controller in it."
+DESCRIPTION = (
+    "Record a robot, show what its simulation gets wrong, extend that, and train a controller in it."
+)
 EXAMPLE = """\
 example, from a unit to a diagnosis and a controller:
   deepkoco record --unit configs/units/rod_pendulum_coulomb.yaml --seconds 30 --out logs/coulomb.csv

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from deepkoco.agent.policy import ObservationError
     from deepkoco.runs.hydra_command import BAD_INPUT
-    from deepkoco.runs.unit_trials import as_json, run_trials, summarise, write_trials
+    from deepkoco.runs.unit_trials import FEWEST_EPISODES, as_json, run_trials, summarise, write_trials
     from deepkoco.unit import UnitSpecError, load_unit
 
     if args.out is not None and args.out.exists():
@@ -70,5 +70,9 @@ def run(args: argparse.Namespace) -> int:
             f"{name}: cost {row['mean']:.1f} [{row['low']:.1f}, {row['high']:.1f}], "
             f"median {row['median']:.1f}, "
             f"upright {100 * row['upright']:.0f} % of {row['episodes']}, late steps {row['overruns']}\n"
+        )
+    if 1 < args.episodes < FEWEST_EPISODES:
+        sys.stdout.write(
+            f"[ ]: lowest and highest cost; a 95 % interval takes {FEWEST_EPISODES} episodes or more\n"
         )
     return 0

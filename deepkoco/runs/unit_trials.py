@@ -27,6 +27,7 @@ from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from deepkoco.runs.train import check_finished, load_run_config
 from deepkoco.unit import UnitSpec
 
+FEWEST_EPISODES = 5  # of an interval; resamples of fewer have few different means
 UPRIGHT_ANGLE = 0.5  # mean distance from upright over the last quarter that counts as standing [rad]
 
 
@@ -213,7 +214,7 @@ def run_trials(
 
 
 def interval(values: np.ndarray, seed: int = 0) -> tuple[float, float, float]:
-    """Mean and its 95 % bootstrap interval.
+    """Mean and its 95 % bootstrap interval; the range of fewer than `FEWEST_EPISODES` values.
 
     Args:
         values: (n,) values.
@@ -227,6 +228,8 @@ def interval(values: np.ndarray, seed: int = 0) -> tuple[float, float, float]:
         return mean, math.nan, math.nan
     if np.ptp(values) == 0:
         return mean, mean, mean
+    if len(values) < FEWEST_EPISODES:
+        return mean, float(values.min()), float(values.max())
     result = bootstrap((values,), np.mean, n_resamples=9999, rng=np.random.default_rng(seed))
     low, high = result.confidence_interval
     return mean, float(low), float(high)

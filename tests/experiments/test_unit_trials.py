@@ -118,6 +118,14 @@ def test_the_interval_of_one_value_is_not_known():
     assert row["saved_against_first"] == {"mean": 0.0, "low": None, "high": None}
 
 
+def test_few_episodes_give_the_range_and_the_command_says_so(runs, capsys):
+    values = np.array([3.0, 5.0, 4.0])
+    assert interval(values) == (4.0, 3.0, 5.0)
+    options = ["--unit", str(UNIT), "--clock", "simulated", "--episodes", "2"]
+    assert main(["trial", str(runs[0]), *options]) == 0
+    assert "[ ]: lowest and highest cost" in capsys.readouterr().out
+
+
 def test_interval_of_a_mean_is_near_that_of_the_normal_law():
     values = np.random.default_rng(0).normal(10.0, 2.0, 400)
     mean, low, high = interval(values)
