@@ -26,12 +26,12 @@ from pathlib import Path
 import pandas as pd
 
 from deepkoco.output.whole_file import write_whole_text
+from deepkoco.runs.evaluate import run_episodes
+from deepkoco.runs.hydra_command import BAD_INPUT, CONFIGS
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError
+from deepkoco.runs.train import is_finished
 from experiments.ablation_differences import differences, draw
-from experiments.commands import BAD_INPUT, CONFIGS
-from experiments.evaluate import run_episodes
 from experiments.provenance import as_markdown
-from experiments.settings import EvaluateConfig, ExperimentError
-from experiments.train import is_finished
 
 DEFAULT = "default"
 COMPARED_WITH = {"sparse_discounted": "sparse", "sparse": None}

@@ -34,13 +34,13 @@ from deepkoco.envs.frames import FrameMaker, PaintedFrames, find_painter
 from deepkoco.envs.pixels import FRAME_SIZE
 from deepkoco.output.new_folder import new_folder
 from deepkoco.output.whole_file import whole_file
-from experiments.aggregate import mean_with_band
-from experiments.commands import BAD_INPUT
+from deepkoco.runs.aggregate import mean_with_band
+from deepkoco.runs.environments import make_factory
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.train import check_finished, load_run_config
 from experiments.comparison.style import STYLE, method_rank, method_style
-from experiments.environments import make_factory
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError, TrainRunConfig
-from experiments.train import check_finished, load_run_config
 
 INDEX = 2_000  # of the start states: none that an agent was trained or evaluated from
 FIRST_DISTRACTORS, OTHER_DISTRACTORS = 1, 2

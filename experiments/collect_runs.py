@@ -17,12 +17,12 @@ import pandas as pd
 import torch
 
 from deepkoco.output.new_folder import new_folder
-from experiments.aggregate import finished_runs, write_aggregate
-from experiments.commands import BAD_INPUT
-from experiments.evaluate import measure
+from deepkoco.runs.aggregate import finished_runs, write_aggregate
+from deepkoco.runs.evaluate import measure
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError
+from deepkoco.runs.train import load_run_config
 from experiments.provenance import as_markdown
-from experiments.settings import EvaluateConfig, ExperimentError
-from experiments.train import load_run_config
 
 
 def evaluate_run(run: Path, episodes: int) -> dict[str, Any]:

@@ -17,12 +17,12 @@ from pathlib import Path
 import pandas as pd
 
 from deepkoco.output.whole_file import whole_file
-from experiments.aggregate import conditions, finished_runs
-from experiments.commands import BAD_INPUT
+from deepkoco.runs.aggregate import conditions, finished_runs
+from deepkoco.runs.evaluate import measure
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError
+from deepkoco.runs.train import load_run_config
 from experiments.difficulty_figure import curves, draw
-from experiments.evaluate import measure
-from experiments.settings import EvaluateConfig, ExperimentError
-from experiments.train import load_run_config
 
 EVALUATIONS = "evaluations.csv"
 KEY = ["method", "trained_at", "evaluated_at", "seed", "n"]

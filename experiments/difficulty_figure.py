@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 from deepkoco.output.whole_file import whole_file
-from experiments.aggregate import mean_with_band
+from deepkoco.runs.aggregate import mean_with_band
 
 STYLE = str(files("deepkoco.output").joinpath("figures.mplstyle"))
 SAME = "trained at each intensity"

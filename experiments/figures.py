@@ -16,7 +16,8 @@ from pathlib import Path
 import pandas as pd
 
 from deepkoco.output.new_folder import new_folder
-from experiments.commands import BAD_INPUT
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import ExperimentError
 from experiments.comparison.curves import learning_curves
 from experiments.comparison.drawing import draw, panel_title
 from experiments.comparison.efficiency import sample_efficiency, times_to_target
@@ -25,7 +26,6 @@ from experiments.comparison.references import REFERENCES, References, load_refer
 from experiments.comparison.runs import ComparedRun, evaluations, find_runs, settings_table
 from experiments.comparison.tables import final_costs
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ import torch
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.optimal import TrueModelError, start_states
 from deepkoco.output.whole_file import whole_file
-from experiments.commands import BAD_INPUT
+from deepkoco.runs.environments import make_factory
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.optimal_cost import episode_steps
+from deepkoco.runs.settings import ExperimentError
 from experiments.comparison.references import COLUMNS, REFERENCES
-from experiments.environments import make_factory
-from experiments.optimal_cost import episode_steps
 from experiments.optimum import controllers, load_task
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError
 
 PURPOSES = {"evaluation": Purpose.EVALUATION, "final": Purpose.FINAL_EVALUATION}
 

@@ -25,11 +25,11 @@ import torch
 import deepkoco.envs  # noqa: F401 - registers the ids
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.output.whole_file import whole_file, write_whole_text
+from deepkoco.runs.aggregate import mean_with_band
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.unit_trials import UPRIGHT_ANGLE
 from deepkoco.unit import make_unit
-from experiments.aggregate import mean_with_band
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError
-from experiments.unit_trials import UPRIGHT_ANGLE
 
 PLACES = {"simulator": "its own simulator", "unit": "unit", "unit_wall": "unit, wall clock"}
 NETWORK = (64, 64)

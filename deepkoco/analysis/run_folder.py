@@ -12,6 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from deepkoco.agent.stored_controller import StoredController, read_controller
 from deepkoco.envs.distractors import DistractorOptions
 from deepkoco.envs.task_factory import TaskConfig
+from deepkoco.envs.task_files import find_files
 from deepkoco.koopman.files.folder_files import ModelFolderError
 from deepkoco.koopman.latent_model import Array, LatentModel
 from deepkoco.planning.config import PlannerConfig
@@ -93,6 +94,7 @@ def read_trained(path: Path, task: str | None = None) -> TrainedRun:
         settings = TaskSettings(TaskConfig(name=task, id=task))
     elif isinstance(details.get("task"), dict) and details["task"].get("id"):
         settings = _task_settings(details, path)
+        settings.task.kwargs = find_files(settings.task.kwargs, path)
     else:
         raise RunFolderError(
             f"{path}: does not say which task it belongs to; give --task with a Gymnasium id"

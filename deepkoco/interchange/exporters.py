@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deepkoco.extras import install_command
 from deepkoco.interchange.constants import controller_constants, network_arrays
 from deepkoco.interchange.loaded_model import LoadedModel
 from deepkoco.koopman.exported import ExportedModel
@@ -51,7 +52,7 @@ def export_onnx(model: LoadedModel, path: Path) -> None:
         import onnx  # noqa: F401
         import onnxscript  # noqa: F401
     except ImportError as error:
-        raise ExportError("ONNX needs two further packages: pip install 'deepkoco[onnx]'") from error
+        raise ExportError(f"ONNX needs two further packages: {install_command('onnx')}") from error
     import torch
 
     with warnings.catch_warnings():

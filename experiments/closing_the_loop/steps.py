@@ -16,12 +16,12 @@ from deepkoco.excitation.record import record
 from deepkoco.graph.model.contract import StepError
 from deepkoco.logs.recording import read_log, write_log
 from deepkoco.output.whole_file import write_whole_text
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.train import is_finished
+from deepkoco.runs.unit_trials import run_trials
 from deepkoco.systems import ExtendedSystem, MemoryEffectError, make_system, save_model
 from deepkoco.unit import load_unit
 from experiments.closing_the_loop.hidden import SYSTEM, Case
-from experiments.settings import ExperimentError
-from experiments.train import is_finished
-from experiments.unit_trials import run_trials
 
 LOG_SECONDS, LOG_SEED = 30.0, 3
 # Past actions in the observation, so that a policy trained with a delay can know what is under way; the same for all.

@@ -19,11 +19,11 @@ from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.report.folder import write_report
 from deepkoco.envs.film import write_clip
 from deepkoco.logs.recording import LogError, read_log
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.unit_trials import Trial, run_trial, run_trials, summarise
 from deepkoco.unit import UnitError, UnitSpecError, load_unit
-from experiments.commands import BAD_INPUT
 from experiments.demo.page import Outcome, terminal_table, write_page
 from experiments.demo.training import POLICIES, DemoError, train_side_by_side
-from experiments.unit_trials import Trial, run_trial, run_trials, summarise
 
 HERE = Path(__file__).parent
 SYSTEM = "rod_pendulum"

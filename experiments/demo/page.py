@@ -26,7 +26,7 @@ from deepkoco.diagnose import Diagnosis
 from deepkoco.diagnose.report.text import headline, lead
 from deepkoco.envs.film import film_strip
 from deepkoco.output.whole_file import write_whole_text
-from experiments.unit_trials import Trial
+from deepkoco.runs.unit_trials import Trial
 
 COLOURS = {"baseline": "#b5483a", "extended": "#26547c"}
 LABELS = {"baseline": "trained in the simulator as given", "extended": "trained in the extended simulator"}

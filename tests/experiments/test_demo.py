@@ -11,11 +11,11 @@ from rich.console import Console
 from deepkoco.diagnose import Diagnosis
 from deepkoco.diagnose.diagnosis import Estimate, Finding
 from deepkoco.envs.film import write_clip
+from deepkoco.runs.unit_trials import Trial, summarise
 from deepkoco.systems import JointSystem, make_system
 from experiments.demo.__main__ import main
 from experiments.demo.page import Outcome, terminal_table, write_page
 from experiments.demo.training import DemoError, run_side_by_side
-from experiments.unit_trials import Trial, summarise
 
 
 @pytest.mark.parametrize("option", [["--unit-episodes", "0"], ["--episodes", "-3"], ["--seed", "-1"]])

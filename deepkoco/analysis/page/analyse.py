@@ -106,7 +106,7 @@ class _Analysis:
         self.pictures |= {picture.name: picture for picture in pictures if picture is not None}
 
     def seed(self, purpose: int) -> int:
-        # Far from the indices of training's own evaluation and of `experiments.evaluate`.
+        # Far from the indices of training's own evaluation and of `deepkoco evaluate`.
         index = 2**20 + 16 * self.options.seed + purpose
         return derive_seed(self.run.settings.seed, Purpose.FINAL_EVALUATION, index)
 

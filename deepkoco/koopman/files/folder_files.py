@@ -106,7 +106,7 @@ def _read_file(path: Path, limit: int, root: Path) -> bytes:
         inside = resolved.is_relative_to(root.resolve(strict=True))
     except (OSError, RuntimeError, ValueError) as error:
         raise ModelFolderError(
-            f"{path.parent}: no {path.name}; give the folder of an exported model"
+            f"{path.parent}: no {path.name}; give the folder of a finished training run, or of an exported model"
         ) from error
     if not inside:
         raise ModelFolderError(f"{path}: a link that leaves its folder; copy the file itself")

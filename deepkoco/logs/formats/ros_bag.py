@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from deepkoco.extras import install_command
 from deepkoco.logs.formats.fields import TopicColumns
 from deepkoco.logs.formats.log_file import LogError, LogFile
 from deepkoco.logs.formats.ros_definition import Definitions, check_size, check_text
@@ -23,7 +24,7 @@ def _rosbags() -> SimpleNamespace:
         from rosbags import highlevel, serde, typesys
     except ImportError as error:
         raise LogError(
-            'ROS messages need the library rosbags; install it with pip install "deepkoco[ros]"'
+            f"ROS messages need the library rosbags; install it with {install_command('ros')}"
         ) from error
     return SimpleNamespace(highlevel=highlevel, serde=serde, typesys=typesys)
 
