@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.diagnose.report import write_report
     from deepkoco.diagnose.words import terminal_table
     from deepkoco.graph.recording import LogError
+    from deepkoco.identify.scaled_inverse import NotFiniteError
     from deepkoco.new_folder import FolderExistsError, check_new
 
     first = args.recording[0]
@@ -102,6 +103,10 @@ def run(args: argparse.Namespace) -> int:
             page = write_report(result, out)
     except (LogError, FolderExistsError) as error:
         raise InputError(str(error)) from error
+    except NotFiniteError as error:
+        raise InputError(
+            f"{first}: cannot be fitted: {error}; check that the log is of this system, or give a shorter --window"
+        ) from error
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
     if args.json:

@@ -257,7 +257,7 @@ class _Messages:
         """Parameters under the messages' delays; the fitted delay stays, the messages carry the rest."""
         free = tuple(n for n in self.question.free if n not in self.delays)
         trial = Trial("delays", free, self.question.prior, values, fit.state, fit.nuisance)
-        return self.problem(shift).fit([trial], 12, TOLERANCE)[0]
+        return self.problem(shift).fit_one(trial, 12, TOLERANCE)
 
     def _predict(
         self, problem: FitProblem, fit: Fit, states: bool = True

@@ -83,17 +83,17 @@ def fit(
         )
         try:
             answer = method.answer(question, np.random.default_rng(seed), progress or _quiet)
+            # As if nobody knew yet that logs differ.
+            shared = replace(
+                answer.question,
+                windows=replace(answer.question.windows, varies={}),
+            )
+            zero = answer.fit.nuisance[: question.nuisances.zeros.count]
+            before = held(shared, question.start, answer.fit.state, zero)
         except FloatingPointError as error:
             raise FitError(
-                "the simulation diverges at the start values; give others, or shorter windows"
+                f"the simulation diverges at the start values; give others, or shorter windows ({error})"
             ) from error
-        # As if nobody knew yet that logs differ.
-        shared = replace(
-            answer.question,
-            windows=replace(answer.question.windows, varies={}),
-        )
-        zero = answer.fit.nuisance[: question.nuisances.zeros.count]
-        before = held(shared, question.start, answer.fit.state, zero)
     convergence = Convergence(
         method.name,
         answer.converged,

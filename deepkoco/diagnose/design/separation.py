@@ -22,6 +22,7 @@ from deepkoco.diagnose.design.doses import Dose
 from deepkoco.identify.fit import FitProblem
 from deepkoco.identify.levenberg_marquardt import PARAMETER_STEP, state_steps
 from deepkoco.identify.prior import Prior
+from deepkoco.identify.scaled_inverse import scaled_inverse
 from deepkoco.identify.windows import Windows
 from deepkoco.systems import ExtendedSystem
 
@@ -185,11 +186,7 @@ def _without(gram: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Inner products (K, C, C) after some of the columns are projected out."""
     if len(index) == 0:
         return gram
-    block = gram[:, index][:, :, index]
-    size = np.sqrt(np.einsum("kii->ki", block).clip(0.0))
-    size = np.where(size > TINY, size, 1.0)
-    scaled = block / (size[:, :, None] * size[:, None, :]) + RIDGE * np.eye(len(index))
-    inverse = np.linalg.pinv(scaled, hermitian=True) / (size[:, :, None] * size[:, None, :])
+    inverse = scaled_inverse(gram[:, index][:, :, index], ridge=RIDGE, smallest=TINY)
     through = gram[:, :, index]
     return gram - through @ inverse @ through.transpose(0, 2, 1)
 
