@@ -17,6 +17,7 @@ from deepkoco.identify.linear_delays import SMALLEST_SPREAD, LinearDelays, mixtu
 from deepkoco.identify.methods import TOLERANCE
 from deepkoco.identify.normal_law import normal_law
 from deepkoco.identify.question import FitError, command_delays
+from deepkoco.identify.scaled_inverse import NotFiniteError
 from deepkoco.identify.threads import one_thread
 from deepkoco.identify.trial import Fit, Trial
 from deepkoco.identify.windows import CommandSeries
@@ -257,7 +258,10 @@ class _Messages:
         """Parameters under the messages' delays; the fitted delay stays, the messages carry the rest."""
         free = tuple(n for n in self.question.free if n not in self.delays)
         trial = Trial("delays", free, self.question.prior, values, fit.state, fit.nuisance)
-        return self.problem(shift).fit_one(trial, 12, TOLERANCE)
+        try:
+            return self.problem(shift).fit_one(trial, 12, TOLERANCE)
+        except NotFiniteError as error:
+            raise FitError(f"with the delays found so far, {error}; give a shorter window") from error
 
     def _predict(
         self, problem: FitProblem, fit: Fit, states: bool = True
