@@ -207,7 +207,7 @@ class Selection:
         for k, cause in enumerate(accepted):
             others = [*accepted[:k], *accepted[k + 1 :]]
             self.progress(f"{cause.name} once more{in_company_of(c.name for c in others)}")
-            less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]
+            less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE)
             hints = self._hints(problem, less, missing_torque(problem, less))
             # A push mends any window that another cause left; it is only put where it belongs beside the others.
             rivals = [cause] if cause.effect == "event" else lasting
