@@ -1,0 +1,81 @@
+"""Bring a wide figure into the width of a phone: its panels go below each other."""
+
+from __future__ import annotations
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+
+PHONE_INCHES = 4.1
+"""Width at which letters of 10 points are as large on a phone as the text around them."""
+_MOST_ROWS = 12  # panels below each other; more of them stay beside each other
+
+
+def narrow(figure: Figure, width: float = PHONE_INCHES) -> None:
+    """Change a figure in place.
+
+    Panels of a grid go below each other, small ones (of grids with many columns) a few in a row; each keeps about
+    its shape. Tick labels and axis labels that a shared axis had hidden come back where a row or column begins.
+
+    Args:
+        figure: With at most one grid of panels; other axes, such as colour bars, stay with theirs.
+        width: New width [inch].
+    """
+    wide, high = figure.get_size_inches()
+    if wide <= width:
+        return
+    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
+    rows, columns = _shape(panels)
+    across = _columns(rows, columns)
+    if across < columns:
+        high = _rearranged(figure, panels, rows, columns, across, wide, high, width)
+    for legend in figure.legends:
+        legend.set_ncols(1 if len(legend.get_texts()) <= 4 else 2)
+    extra = 0.2 * sum(max(len(legend.get_texts()) - 1, 0) for legend in figure.legends)
+    figure.set_size_inches(width, high + extra)
+
+
+def _shape(panels: list[Axes]) -> tuple[int, int]:
+    specs = [spec for panel in panels if (spec := panel.get_subplotspec()) is not None]
+    if not specs:
+        return 1, 1
+    return specs[0].get_gridspec().get_geometry()
+
+
+def _columns(rows: int, columns: int) -> int:
+    """Panels in a row of the narrow figure: one, or as many as keep it from becoming endless."""
+    for across in range(1, columns + 1):
+        if columns % across == 0 and rows * (columns // across) <= _MOST_ROWS:
+            return across
+    return columns
+
+
+def _rearranged(
+    figure: Figure,
+    panels: list[Axes],
+    rows: int,
+    columns: int,
+    across: int,
+    wide: float,
+    high: float,
+    width: float,
+) -> float:
+    """Put the panels into the new grid; returns the figure's new height [inch]."""
+    parts = columns // across
+    grid = GridSpec(rows * parts, across, figure=figure)
+    labels: dict[int, str] = {}
+    for panel in panels:
+        spec = panel.get_subplotspec()
+        assert spec is not None
+        row, column = spec.rowspan.start, spec.colspan.start
+        if column == 0:
+            labels[row] = panel.get_ylabel()
+        new_row, new_column = row * parts + column // across, column % across
+        panel.set_subplotspec(grid[new_row, new_column])
+        panel.tick_params(labelbottom=panel.xaxis.get_visible(), bottom=True)
+        if new_column == 0:
+            panel.tick_params(labelleft=True)
+            if not panel.get_ylabel():
+                panel.set_ylabel(labels.get(row, ""), fontsize=panel.yaxis.label.get_fontsize())
+    share = (width / across) / (wide / columns)  # how much wider a panel becomes
+    return rows * parts * max(high / rows * min(share, 1.0), 1.1)
