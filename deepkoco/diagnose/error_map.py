@@ -8,6 +8,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
+from deepkoco.diagnose.joint_words import joint_name
 from deepkoco.diagnose.layout import LABELS, Layout, shown_models
 from deepkoco.diagnose.missing_figure import joint_shown, one_turn
 from deepkoco.identify.fit import Fit
@@ -40,10 +41,10 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     mesh = None
     for axis, (name, (across, up, mean)) in zip(axes.ravel(), cells.items(), strict=True):
-        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis")
+        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis", rasterized=True)
         axis.set_title(LABELS[name])
         axis.grid(visible=False)
-    of_joint = f" of joint {joint + 1}" if system.joints > 1 else ""
+    of_joint = f" of {joint_name(system, joint)}" if system.joints > 1 else ""
     for axis in axes[-1]:
         what = f"angle{of_joint}, one turn" if turning else "position"
         axis.set_xlabel(f"{what} [{system.state_units[joint]}]")
@@ -57,7 +58,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     )
     caption = (
         "Every cell is a region of position and speed that the log visits; its colour says how wrong the simulation is "
-        "there (root mean square). Yellow is wrong, dark is right; white was never visited."
+        "there (root mean square). Yellow is wrong, dark blue is right; where there is no colour, the log never was."
     )
     return Picture("error_map", "Where the simulation is wrong", caption, figure, table)
 

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
 from deepkoco.diagnose.friction_curve import friction_curve
+from deepkoco.diagnose.joint_words import joint_name
 from deepkoco.diagnose.layout import COLOURS, Layout
 from deepkoco.picture import Picture
 
@@ -42,7 +43,7 @@ def friction_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
             f"{short}_high": curve.high,
         }
     unit = details.system.state_units[details.system.joints + joint]
-    of_joint = f" of joint {joint + 1}" if details.system.joints > 1 else ""
+    of_joint = f" of {joint_name(details.system, joint)}" if details.system.joints > 1 else ""
     axis.set_xlabel(f"speed{of_joint} [{unit}]")
     axis.set_ylabel(f"friction [{details.missing[joint].unit}]")
     figure.legend(loc="outside upper center", ncols=min(2, layout.entries))

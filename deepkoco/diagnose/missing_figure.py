@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
 from deepkoco.diagnose.findings import motion_of
+from deepkoco.diagnose.joint_words import joint_name, with_joint_names
 from deepkoco.diagnose.layout import COLOURS, Layout
 from deepkoco.diagnose.missing_curve import expected_missing_torque
 from deepkoco.diagnose.words import spoken
@@ -21,7 +22,7 @@ def missing_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> P
     missing = details.missing[joint_shown(details)]
     system = details.system
     motion = motion_of(details.windows, missing, system)
-    of_joint = f", joint {missing.joint + 1}" if system.joints > 1 else ""
+    of_joint = f", {joint_name(system, missing.joint)}" if system.joints > 1 else ""
     position, speed = system.state_units[missing.joint], system.state_units[system.joints + missing.joint]
     turning = position == "rad"
     load = "torque" if turning else "force"
@@ -99,5 +100,5 @@ def _binned(
 
 def _title(diagnosis: Diagnosis) -> str:
     if all(kind_of(n) in CAUSES for n in diagnosis.names):
-        return " and ".join(spoken(n) for n in diagnosis.names)
+        return with_joint_names(" and ".join(spoken(n) for n in diagnosis.names), diagnosis.model)
     return "the cause"
