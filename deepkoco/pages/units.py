@@ -66,11 +66,14 @@ def less(before: float, after: float) -> str:
     """How an error has changed: "360 times less", "25 % less", "12 % more"."""
     if not (before > 0.0 and after > 0.0):
         return "no comparison"
-    ratio = before / after
-    if ratio >= 2.0:
-        return f"{plain(float(f'{ratio:.2g}'), 2)} times less"
-    if ratio > 1.0:
-        return f"{100.0 * (1.0 - after / before):.0f} % less"
-    if ratio > 0.5:
-        return "the same" if before == after else f"{100.0 * (after / before - 1.0):.0f} % more"
-    return f"{plain(float(f'{after / before:.2g}'), 2)} times more"
+    if before == after:
+        return "the same"
+    larger, smaller = max(before, after), min(before, after)
+    word = "less" if after < before else "more"
+    if larger >= 2.0 * smaller:
+        return f"{plain(_rounded(larger / smaller, 2), 2)} times {word}"
+    return f"{100.0 * abs(after / before - 1.0):.0f} % {word}"
+
+
+def _rounded(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}")
