@@ -36,7 +36,7 @@ from deepkoco.analysis.saliency import draw_saliency
 from deepkoco.analysis.sensitivity import draw_sensitivity, input_sensitivity
 from deepkoco.analysis.steps import Steps
 from deepkoco.analysis.view import choose_axes, choose_view
-from deepkoco.analysis.words import facts, lead, tiles
+from deepkoco.analysis.words import facts, lead, next_steps, pages_around, tiles
 from deepkoco.analysis.wrapped_model import WrappedModel
 from deepkoco.koopman.exported import ExportedModel
 from deepkoco.koopman.latent_model import LatentModel
@@ -190,6 +190,8 @@ def _analyse(work: _Analysis, reference: Mapping[str, EpisodeCost]) -> Page:
         facts=facts(run, options.episodes, work.seed(0)),
         settings=yaml.safe_dump(run.details, sort_keys=False),
         notes=work.notes,
+        steps=next_steps(run),
+        pages=pages_around(run),
     )
 
 

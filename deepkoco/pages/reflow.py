@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 PHONE_INCHES = 4.1
 """Width at which letters of 10 points are as large on a phone as the text around them."""
@@ -15,24 +19,31 @@ def narrow(figure: Figure, width: float = PHONE_INCHES) -> None:
     """Change a figure in place.
 
     Panels of a grid go below each other, small ones (of grids with many columns) a few in a row; each keeps about
-    its shape. Tick labels and axis labels that a shared axis had hidden come back where a row or column begins.
+    its shape. Tick labels and axis labels that a shared axis had hidden come back where a row or column begins, and
+    labels that are longer than their axis are broken into lines.
 
     Args:
-        figure: With at most one grid of panels; other axes, such as colour bars, stay with theirs.
+        figure: With at most one grid of panels; colour bars stay with their panels.
         width: New width [inch].
     """
     wide, high = figure.get_size_inches()
     if wide <= width:
         return
     panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
+    bars = [axes for axes in figure.axes if axes.get_subplotspec() is None]
     rows, columns = _shape(panels)
-    across = _columns(rows, columns)
+    across = _columns(rows, columns, panels, bars)
     if across < columns:
         high = _rearranged(figure, panels, rows, columns, across, wide, high, width)
+        for bar in bars:
+            _beside(bar)
     for legend in figure.legends:
         legend.set_ncols(1 if len(legend.get_texts()) <= 4 else 2)
     extra = 0.2 * sum(max(len(legend.get_texts()) - 1, 0) for legend in figure.legends)
     figure.set_size_inches(width, high + extra)
+    for panel in panels:
+        _wrap(panel.xaxis.label, width / across)
+        _wrap(panel.yaxis.label, high / (rows * (columns // across)))
 
 
 def _shape(panels: list[Axes]) -> tuple[int, int]:
@@ -42,12 +53,42 @@ def _shape(panels: list[Axes]) -> tuple[int, int]:
     return specs[0].get_gridspec().get_geometry()
 
 
-def _columns(rows: int, columns: int) -> int:
-    """Panels in a row of the narrow figure: one, or as many as keep it from becoming endless."""
+def _columns(rows: int, columns: int, panels: list[Axes], bars: list[Axes]) -> int:
+    """Panels in a row of the narrow figure: one, or as many as keep it from becoming endless.
+
+    Panels that share a colour bar stay in one row, unless it belongs to all.
+    """
+    shared = [_columns_of(bar) for bar in bars if len(_parents(bar)) < len(panels)]
     for across in range(1, columns + 1):
-        if columns % across == 0 and rows * (columns // across) <= _MOST_ROWS:
+        together = all(min(own) // across == max(own) // across for own in shared if own)
+        if columns % across == 0 and rows * (columns // across) <= _MOST_ROWS and together:
             return across
     return columns
+
+
+def _parents(bar: Axes) -> list[Axes]:
+    """The panels of a colour bar; none for other axes."""
+    return list(getattr(bar, "_colorbar_info", {}).get("parents", ()))
+
+
+def _columns_of(bar: Axes) -> list[int]:
+    specs = [spec for panel in _parents(bar) if (spec := panel.get_subplotspec()) is not None]
+    return [spec.colspan.start for spec in specs]
+
+
+def _beside(bar: Axes) -> None:
+    """Put a colour bar to the right of where its panels are now; the layout engine starts from there."""
+    if parents := _parents(bar):
+        box = Bbox.union([panel.get_position(original=True) for panel in parents])
+        start = box.x0 + 0.9 * box.width
+        bar._set_position((start, box.y0, 0.05 * box.width, box.height))  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _wrap(label: Text, inches: float) -> None:
+    """Break a label that is longer than its axis into lines."""
+    letters = max(int(inches * 72 / (0.58 * label.get_fontsize())) - 4, 8)
+    if any(len(line) > letters for line in label.get_text().splitlines()):
+        label.set_text("\n".join(textwrap.fill(line, letters) for line in label.get_text().splitlines()))
 
 
 def _rearranged(
