@@ -144,7 +144,14 @@ def show_recording(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
-    from deepkoco.graph.drawing import DrawingError, draw_delays, draw_graph, draw_timeline, write_page
+    from deepkoco.graph.drawing import (
+        DrawingError,
+        draw_delays,
+        draw_graph,
+        draw_signals,
+        draw_timeline,
+        write_page,
+    )
 
     if not 0 <= args.episode < len(recorded.episodes):
         raise InputError(f"{args.path}: there is no episode {args.episode}; it has {len(recorded.episodes)}")
@@ -153,6 +160,8 @@ def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
         pictures = [draw_graph(graph), draw_timeline(graph, episode, args.start, args.stop)]
         with contextlib.suppress(DrawingError):  # nothing took any time
             pictures.append(draw_delays(graph, recorded.episodes))
+        with contextlib.suppress(DrawingError):  # no output is a few numbers
+            pictures.append(draw_signals(graph, episode, args.start, args.stop))
         for picture in pictures:
             picture.save(args.pictures)
     if args.html is not None:
