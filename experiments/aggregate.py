@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from deepkoco.analysis.sweep_page import PAGE, write_sweep_page
 from experiments.settings import ExperimentError, TrainRunConfig
 from experiments.train import is_finished, load_run_config
 
@@ -240,7 +241,7 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
 
 
 def aggregate(runs: Path, out: Path) -> pd.DataFrame:
-    """Write `curves.csv`, `final.csv`, `table.csv` and `learning_curve.png`.
+    """Write `curves.csv`, `final.csv`, `table.csv`, `learning_curve.png`, and `index.html`, which shows them.
 
     Args:
         runs: Folder that holds runs, at any depth.
@@ -257,8 +258,10 @@ def aggregate(runs: Path, out: Path) -> pd.DataFrame:
     partial = out.with_name(f"{out.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     final = write_aggregate(runs, partial)
+    curves, table = pd.read_csv(partial / "curves.csv"), final_table(final)
+    write_sweep_page(partial, curves, final, table, runs.resolve().name, out)
     os.replace(partial, out)
-    return final_table(final)
+    return table
 
 
 def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
@@ -301,7 +304,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(table.to_string(index=False, float_format="%.1f"))
-    print(f"cost of noise-free episodes; iqm with its 95 % bootstrap interval. Written to {out}")
+    print(f"cost of noise-free episodes; iqm with its 95 % bootstrap interval. {out / PAGE} shows them")
     return 0
 
 

@@ -39,7 +39,8 @@ def narrow(figure: Figure, width: float = PHONE_INCHES) -> None:
             _beside(bar)
     for legend in figure.legends:
         legend.set_ncols(1 if len(legend.get_texts()) <= 4 else 2)
-    extra = 0.2 * sum(max(len(legend.get_texts()) - 1, 0) for legend in figure.legends)
+    lines = [text.get_text().count("\n") + 1 for legend in figure.legends for text in legend.get_texts()]
+    extra = 0.2 * max(sum(lines) - len(figure.legends), 0)
     figure.set_size_inches(width, high + extra)
     for panel in panels:
         _wrap(panel.xaxis.label, width / across)
