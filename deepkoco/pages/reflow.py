@@ -44,6 +44,7 @@ def narrow(figure: Figure, width: float = PHONE_INCHES) -> None:
     figure.set_size_inches(width, high + extra)
     for panel in panels:
         _wrap(panel.xaxis.label, width / across)
+        _wrap(panel.title, width / across)
         _wrap(panel.yaxis.label, high / (rows * (columns // across)))
 
 
