@@ -73,7 +73,6 @@ def write_sweep_page(
         lead=_lead(final, table, few),
         tiles=_tiles(table),
         pictures=draw_sweep(curves, final, table, few),
-        band="range of seeds" if few else "95 %",
         table=[_condition(row) for row in table.to_dict("records")],
         runs=[_run(row, page) for row in final.to_dict("records")],
         steps=[
@@ -91,11 +90,9 @@ def write_sweep_page(
 def draw_sweep(curves: pd.DataFrame, final: pd.DataFrame, table: pd.DataFrame, few: bool) -> list[Shown]:
     """The figures of a sweep; arguments as for `write_sweep_page`, and whether there are few seeds."""
     colours = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(table["condition"])}
-    band = (
-        f"With fewer than {FEW} seeds the bands are hardly more than the range of the seeds."
-        if few
-        else "Bands are 95 % bootstrap intervals over seeds."
-    )
+    band = "Bands and bars are 95 % bootstrap intervals over seeds."
+    if few:
+        band += f" Of fewer than {FEW} seeds they are hardly more than the range of the seeds."
     with house_style():
         pictures = [_learning(curves, colours, band), _final(final, table, colours, band)]
         numbers = ("curves.csv", "final.csv")
@@ -104,7 +101,7 @@ def draw_sweep(curves: pd.DataFrame, final: pd.DataFrame, table: pd.DataFrame, f
 
 def _learning(curves: pd.DataFrame, colours: dict[str, str], band: str) -> Picture:
     lines = sum(_wrapped(name).count("\n") + 1 for name in colours)
-    figure = Figure(figsize=(9.0, 3.4 + 0.2 * lines))
+    figure = Figure(figsize=(9.0, 3.4 + 0.1 * lines))
     panels = figure.subplots(1, len(CURVES), sharey=True)
     for axes, (curve, title) in zip(panels, CURVES.items(), strict=True):
         for condition, colour in colours.items():
@@ -115,7 +112,7 @@ def _learning(curves: pd.DataFrame, colours: dict[str, str], band: str) -> Pictu
             axes.fill_between(rows["episodes"], rows["low"], rows["high"], color=colour, alpha=0.2, lw=0)
         axes.set(title=title, xlabel="training episodes", ylim=(0.0, None))
     panels[0].set_ylabel("cost of an episode")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=1)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     caption = (
         f"Interquartile mean over seeds of the cost of an episode, while the controllers learned. {band}"
     )
@@ -168,7 +165,7 @@ def _tiles(table: pd.DataFrame) -> list[dict[str, str]]:
 
 
 def _condition(row: dict[str, Any]) -> dict[str, str]:
-    interval = "one seed" if math.isnan(row["low"]) else f"{rounded(row['low'])} to {rounded(row['high'])}"
+    interval = f"{rounded(row['low'])} to {rounded(row['high'])}" if row["n"] >= FEW else "too few seeds"
     return {
         "condition": row["condition"],
         "seeds": str(row["n"]),

@@ -7,11 +7,13 @@ import textwrap
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
+from matplotlib.legend import Legend
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 PHONE_INCHES = 4.1
 """Width at which letters of 10 points are as large on a phone as the text around them."""
+_LETTERS = 48  # of a legend that has room in one row
 _MOST_ROWS = 12  # panels below each other; more of them stay beside each other
 
 
@@ -37,10 +39,7 @@ def narrow(figure: Figure, width: float = PHONE_INCHES) -> None:
         high = _rearranged(figure, panels, rows, columns, across, wide, high, width)
         for bar in bars:
             _beside(bar)
-    for legend in figure.legends:
-        legend.set_ncols(1 if len(legend.get_texts()) <= 4 else 2)
-    lines = [text.get_text().count("\n") + 1 for legend in figure.legends for text in legend.get_texts()]
-    extra = 0.2 * max(sum(lines) - len(figure.legends), 0)
+    extra = sum(_narrow_legend(figure, legend) for legend in list(figure.legends))
     figure.set_size_inches(width, high + extra)
     for panel in panels:
         _wrap(panel.xaxis.label, width / across)
@@ -84,6 +83,17 @@ def _beside(bar: Axes) -> None:
         box = Bbox.union([panel.get_position(original=True) for panel in parents])
         start = box.x0 + 0.9 * box.width
         bar._set_position((start, box.y0, 0.05 * box.width, box.height))  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _narrow_legend(figure: Figure, legend: Legend) -> float:
+    """Put a legend above the figure, its entries below each other unless they are short; returns its growth [inch]."""
+    texts = [text.get_text() for text in legend.get_texts()]
+    size = legend.get_texts()[0].get_fontsize() if texts else 9.0
+    if sum(len(text) + 6 for text in texts) <= _LETTERS:
+        return 0.0
+    figure.legend(legend.legend_handles, texts, loc="outside upper center", ncols=1, fontsize=size)
+    legend.remove()
+    return 0.2 * (sum(text.count("\n") + 1 for text in texts) - 1)
 
 
 def _wrap(label: Text, inches: float) -> None:
