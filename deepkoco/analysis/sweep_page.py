@@ -62,7 +62,7 @@ def write_sweep_page(
         Path of the page.
     """
     page = (place or folder) / PAGE
-    few = int(table["n"].min()) < FEW
+    few = bool((table["n"] < FEW).any())
     best = final.loc[final["evaluation/cost"].idxmin()]
     text = render_page(
         "deepkoco.analysis",

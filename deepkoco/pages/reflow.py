@@ -88,17 +88,18 @@ def _beside(bar: Axes) -> None:
 def _narrow_legend(figure: Figure, legend: Legend) -> float:
     """Put a legend above the figure, its entries below each other unless they are short; returns its growth [inch]."""
     texts = [text.get_text() for text in legend.get_texts()]
-    size = legend.get_texts()[0].get_fontsize() if texts else 9.0
+    size = float(legend.get_texts()[0].get_fontsize()) if texts else 9.0
     if sum(len(text) + 6 for text in texts) <= _LETTERS:
         return 0.0
-    figure.legend(legend.legend_handles, texts, loc="outside upper center", ncols=1, fontsize=size)
+    handles = [handle for handle in legend.legend_handles if handle is not None]
+    figure.legend(handles, texts, loc="outside upper center", ncols=1, fontsize=size)
     legend.remove()
     return 0.2 * (sum(text.count("\n") + 1 for text in texts) - 1)
 
 
 def _wrap(label: Text, inches: float) -> None:
     """Break a label that is longer than its axis into lines."""
-    letters = max(int(inches * 72 / (0.58 * label.get_fontsize())) - 4, 8)
+    letters = max(int(inches * 72 / (0.58 * float(label.get_fontsize()))) - 4, 8)
     if any(len(line) > letters for line in label.get_text().splitlines()):
         label.set_text("\n".join(textwrap.fill(line, letters) for line in label.get_text().splitlines()))
 
