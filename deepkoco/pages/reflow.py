@@ -41,10 +41,13 @@ def narrow(figure: Figure, width: float = PHONE_INCHES) -> None:
             _beside(bar)
     extra = sum(_narrow_legend(figure, legend) for legend in list(figure.legends))
     figure.set_size_inches(width, high + extra)
+    figure.draw_without_rendering()  # to see how much room the panels have
     for panel in panels:
-        _wrap(panel.xaxis.label, width / across)
-        _wrap(panel.title, width / across)
-        _wrap(panel.yaxis.label, high / (rows * (columns // across)))
+        box = panel.get_window_extent()
+        for label in (panel.xaxis.label, panel.title):
+            centre = 0.5 * (box.x0 + box.x1)
+            _wrap(label, label.get_window_extent().width, 2.0 * min(centre, figure.bbox.width - centre))
+        _wrap(panel.yaxis.label, panel.yaxis.label.get_window_extent().height, 1.1 * box.height)
 
 
 def _shape(panels: list[Axes]) -> tuple[int, int]:
@@ -97,10 +100,11 @@ def _narrow_legend(figure: Figure, legend: Legend) -> float:
     return 0.2 * (sum(text.count("\n") + 1 for text in texts) - 1)
 
 
-def _wrap(label: Text, inches: float) -> None:
-    """Break a label that is longer than its axis into lines."""
-    letters = max(int(inches * 72 / (0.58 * float(label.get_fontsize()))) - 4, 8)
-    if any(len(line) > letters for line in label.get_text().splitlines()):
+def _wrap(label: Text, length: float, room: float) -> None:
+    """Break a label of some length into lines that have room; both in pixels."""
+    if length > room:
+        longest = max(len(line) for line in label.get_text().splitlines())
+        letters = max(int(0.97 * longest * room / length), 8)
         label.set_text("\n".join(textwrap.fill(line, letters) for line in label.get_text().splitlines()))
 
 
