@@ -95,7 +95,7 @@ def _narrow_legend(figure: Figure, legend: Legend) -> float:
     if sum(len(text) + 6 for text in texts) <= _LETTERS:
         return 0.0
     handles = [handle for handle in legend.legend_handles if handle is not None]
-    figure.legend(handles, texts, loc="outside upper center", ncols=1, fontsize=size)
+    figure.legend(handles, texts, loc="outside upper center", ncols=1, fontsize=size, frameon=False)
     legend.remove()
     return 0.2 * (sum(text.count("\n") + 1 for text in texts) - 1)
 
