@@ -57,6 +57,24 @@ def test_a_phone_gets_the_same_pictures_in_a_width_that_it_can_show(diagnosis):
         assert a.table.equals(b.table)
 
 
+@pytest.mark.parametrize(
+    ("panels", "wide"), [(1, (1, 1)), (2, (1, 2)), (3, (1, 3)), (4, (2, 2)), (5, (2, 3))]
+)
+def test_panels_get_rows_in_which_their_labels_have_room(panels, wide):
+    assert DESKTOP.grid(panels) == wide
+    assert PHONE.grid(panels) == (panels, 1)
+
+
+def test_the_line_of_least_evidence_is_labelled_above_all_bars_and_grey_bars_beyond_it_are_explained(
+    diagnosis,
+):
+    (picture,) = (p for p in draw_all(diagnosis) if p.name == "candidates")
+    (axis,) = picture.figure.axes
+    (label,) = (text for text in axis.texts if "least evidence" in text.get_text())
+    assert label.get_position()[1] < min(bar.get_y() for bar in axis.patches)
+    assert "Grey bars beyond the dashed line" in picture.caption
+
+
 def test_the_bias_is_shown_with_its_null_and_its_interval(diagnosis):
     (found,) = (p for p in draw_all(diagnosis) if p.name == "found_parameters")
     (row,) = found.table.to_dict("records")
