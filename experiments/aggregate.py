@@ -2,7 +2,7 @@
 
 import sys
 
-from deepkoco.cli.command_line import main
+from deepkoco.cli import main
 
 if __name__ == "__main__":
     sys.exit(main(["aggregate", *sys.argv[1:]]))

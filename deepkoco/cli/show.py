@@ -147,7 +147,14 @@ def show_recording(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
-    from deepkoco.graph.drawing import DrawingError, draw_delays, draw_graph, draw_timeline, write_page
+    from deepkoco.graph.drawing import (
+        DrawingError,
+        draw_delays,
+        draw_graph,
+        draw_signals,
+        draw_timeline,
+        write_page,
+    )
     from deepkoco.output.new_folder import new_folder
     from deepkoco.output.whole_file import writing
 
@@ -158,6 +165,8 @@ def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
         pictures = [draw_graph(graph), draw_timeline(graph, episode, args.start, args.stop)]
         with contextlib.suppress(DrawingError):  # nothing took any time
             pictures.append(draw_delays(graph, recorded.episodes))
+        with contextlib.suppress(DrawingError):  # no output is a few numbers
+            pictures.append(draw_signals(graph, episode, args.start, args.stop))
         with new_folder(args.pictures) as folder:
             for picture in pictures:
                 picture.save(folder)

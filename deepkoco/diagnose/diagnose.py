@@ -19,7 +19,7 @@ from deepkoco.diagnose.baseline import (
 )
 from deepkoco.diagnose.causes import Cause, catalogue, causes_named
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data, describe_data
-from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding
+from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.evidence.forward import Selected, Selection, Step, learned_instead
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
@@ -289,7 +289,19 @@ class _Study:
             },
             detection=self.detection,
             details=self._details(reference, final, missing),
+            final=self._written(final, kept, gain, after.deflation),
         )
+
+    def _written(
+        self, final: Fit, learned: ResidualModel | None, gain: Gain | None, deflation: float
+    ) -> dict[str, Estimate]:
+        """The system's own parameters as `_model` writes them; those kept as given have no width."""
+        fit = final if learned is None else self.problem.recentred(learned.fit)
+        own = estimates(self.problem, fit, self.reference.free, deflation)
+        if gain is None or not gain.as_given:
+            return own
+        given = {name: self.start.values[name] for name in own}
+        return {name: Estimate(given[name], given[name], given[name], e.unit) for name, e in own.items()}
 
     def _unidentified(self) -> tuple[Direction, ...]:
         reference, prior = self.reference, self.start.prior

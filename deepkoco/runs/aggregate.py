@@ -13,6 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
+from deepkoco.analysis.page.sweep_page import PAGE, write_sweep_page
 from deepkoco.output.new_folder import new_folder
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from deepkoco.runs.train import is_finished, load_run_config
@@ -244,7 +245,7 @@ def draw(curves: pd.DataFrame, path: Path) -> None:
 
 
 def aggregate(runs: Path, out: Path) -> pd.DataFrame:
-    """Write `curves.csv`, `final.csv`, `table.csv` and `learning_curve.png`.
+    """Write `curves.csv`, `final.csv`, `table.csv`, `learning_curve.png`, and `index.html`, which shows them.
 
     Args:
         runs: Folder that holds runs, at any depth.
@@ -260,7 +261,9 @@ def aggregate(runs: Path, out: Path) -> pd.DataFrame:
         raise ExperimentError(f"{out}: exists already; choose another --out")
     with new_folder(out) as partial:
         final = write_aggregate(runs, partial)
-    return final_table(final)
+        curves, table = pd.read_csv(partial / "curves.csv"), final_table(final)
+        write_sweep_page(partial, curves, final, table, runs.resolve().name, out)
+    return table
 
 
 def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
@@ -317,4 +320,4 @@ def summarise(runs: Path, out: Path | None) -> str:
             "interval range: low and high are the lowest and the highest cost; "
             f"an interval takes {FEWEST_SEEDS} seeds or more."
         )
-    return "\n".join([*lines, f"Written to {out}"])
+    return "\n".join([*lines, f"Written to {out}; {out / PAGE} shows it"])

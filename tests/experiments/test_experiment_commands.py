@@ -97,7 +97,7 @@ def test_aggregation_averages_seeds_and_draws(run, tmp_path):
 
     aggregate(run.parent, tmp_path / "out")
     written = {p.name for p in (tmp_path / "out").iterdir()}
-    assert written == {"curves.csv", "final.csv", "table.csv", "learning_curve.png"}
+    assert written == {"curves.csv", "final.csv", "table.csv", "learning_curve.png", "index.html"}
     assert pd.read_csv(tmp_path / "out" / "final.csv")["seed"].tolist() == [3]
     with pytest.raises(ExperimentError, match="exists already"):
         aggregate(run.parent, tmp_path / "out")

@@ -40,7 +40,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     mesh = None
     for axis, (name, (across, up, mean)) in zip(axes.ravel(), cells.items(), strict=True):
-        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis")
+        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis", rasterized=True)
         axis.set_title(LABELS[name])
         axis.grid(visible=False)
     of_joint = f" of {system.joint_names[joint]}" if system.joints > 1 else ""
@@ -57,7 +57,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     )
     caption = (
         "Every cell is a region of position and speed that the log visits; its colour says how wrong the simulation is "
-        "there (root mean square). Yellow is wrong, dark is right; white was never visited."
+        "there (root mean square). Yellow is wrong, dark blue is right; where there is no colour, the log never was."
     )
     return Picture("error_map", "Where the simulation is wrong", caption, figure, table)
 
