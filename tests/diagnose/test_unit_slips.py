@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 from deepkoco.diagnose import diagnose
 from deepkoco.logs.recording import Recording
