@@ -4,5 +4,5 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/environment.sh
 .venv/bin/python -m pytest tests/bench "$@"
-.venv/bin/python -m experiments.planner_benchmark
-.venv/bin/python -m experiments.graph_benchmark
+.venv/bin/python -m experiments.benchmarks.planner_benchmark
+.venv/bin/python -m experiments.benchmarks.graph_benchmark

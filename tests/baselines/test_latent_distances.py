@@ -12,7 +12,7 @@ from baselines.training import BaselineTrainer
 from deepkoco.envs.task_factory import TaskConfig
 from deepkoco.runs.environments import make_environments
 from deepkoco.runs.settings import TrainRunConfig
-from experiments.bisimulation_sanity import distances, main, motions, show_states, showings
+from experiments.studies.learning.bisimulation_sanity import distances, main, motions, show_states, showings
 
 TASK = TaskConfig("pendulum", "deepkoco/RodPendulum-v0", kwargs={"action_units": "physical"})
 CONFIG = DbcConfig(

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from experiments import sac_comparison
+from experiments.studies.learning import sac_comparison
 
 
 def test_wrong_numbers_are_named(capsys):

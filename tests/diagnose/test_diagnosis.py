@@ -19,7 +19,7 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.report.text import headline, lead, terminal_table
 from deepkoco.logs.recording import Series, write_log
 from deepkoco.systems import load_model, make_system
-from experiments.hidden.recorded import unit_log
+from experiments.studies.diagnosis.hidden.recorded import unit_log
 
 HIDDEN = {"coulomb": {"torque": 0.15}}
 KEYS = {

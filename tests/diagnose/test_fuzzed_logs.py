@@ -1,7 +1,7 @@
 """Damaged logs end in one clear error or an honest diagnosis.
 
 The suite reads and inspects 100 cases and diagnoses a few. DEEPKOCO_FUZZ_CASES=N diagnoses N cases as well;
-`python -m experiments.fuzz_logs --cases 1000` writes down what became of each.
+`python -m experiments.studies.diagnosis.fuzz_logs --cases 1000` writes down what became of each.
 """
 
 import os
@@ -9,8 +9,16 @@ import os
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
-from experiments.fuzz_logs import FuzzCase, Verdicts, case_strategy, cases, main, read_case, run_case
-from experiments.log_faults import FAULTS
+from experiments.studies.diagnosis.fuzz_logs import (
+    FuzzCase,
+    Verdicts,
+    case_strategy,
+    cases,
+    main,
+    read_case,
+    run_case,
+)
+from experiments.studies.diagnosis.log_faults import FAULTS
 
 pytest.importorskip("rosbags")
 DIAGNOSED = int(os.environ.get("DEEPKOCO_FUZZ_CASES", "0"))

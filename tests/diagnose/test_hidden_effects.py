@@ -5,7 +5,7 @@ import pytest
 from deepkoco.diagnose import diagnose
 from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
-from experiments.hidden.recorded import strength, unit_log
+from experiments.studies.diagnosis.hidden.recorded import strength, unit_log
 from tests.oracle.unit import hidden_log
 
 SECONDS = 20.0

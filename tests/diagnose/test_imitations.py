@@ -15,7 +15,7 @@ from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import make_system
-from experiments.hidden.cases import small_effects
+from experiments.studies.diagnosis.hidden.cases import small_effects
 from tests.oracle.unit import hidden_log
 
 TETHER = {"tether": {"stiffness": 0.235}}

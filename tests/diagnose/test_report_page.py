@@ -18,7 +18,7 @@ from deepkoco.diagnose.report.parameter_table import parameter_rows
 from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.fit.data.windows import CommandSeries
 from deepkoco.pages.figures import Shown
-from experiments.hidden.recorded import unit_log
+from experiments.studies.diagnosis.hidden.recorded import unit_log
 
 LEARNED = {
     "accepted": True,

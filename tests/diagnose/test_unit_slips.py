@@ -4,10 +4,10 @@ import math
 from dataclasses import replace
 
 import pytest
-from tests.oracle.unit import hidden_log
 
 from deepkoco.diagnose import diagnose
 from deepkoco.logs.recording import Recording
+from tests.oracle.unit import hidden_log
 
 RIVALS = ("gain", "length", "payload", "coulomb", "unit_slip", "channel_slip(theta)")
 

@@ -12,8 +12,8 @@ from omegaconf import OmegaConf
 from deepkoco.runs.agents import register
 from deepkoco.runs.hydra_command import CONFIGS
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
-from experiments.ablation_differences import differences, paired_interval
-from experiments.ablations import available, main, with_references
+from experiments.studies.learning.ablation_differences import differences, paired_interval
+from experiments.studies.learning.ablations import available, main, with_references
 
 
 def read(*overrides: str) -> TrainRunConfig:

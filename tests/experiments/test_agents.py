@@ -5,8 +5,8 @@ from hydra.errors import HydraException
 
 from deepkoco.runs.agents import AGENTS
 from deepkoco.runs.hydra_command import CONFIGS
-from experiments.comparison.style import METHODS
-from experiments.training_benchmark import read_settings
+from experiments.benchmarks.training_benchmark import read_settings
+from experiments.studies.learning.comparison.style import METHODS
 
 
 @pytest.mark.parametrize("agent", AGENTS)

@@ -7,8 +7,8 @@ import pytest
 
 from deepkoco.runs.agents import AGENTS
 from deepkoco.runs.settings import ExperimentError
-from experiments.agent_work import PARTS, Part, count_steps
-from experiments.agents_benchmark import main, settings_of, time_in_turns
+from experiments.benchmarks.agent_work import PARTS, Part, count_steps
+from experiments.benchmarks.agents_benchmark import main, settings_of, time_in_turns
 
 SHORT = ["task=gymnasium_pendulum", "+task.kwargs.max_episode_steps=20"]
 NETWORKS = {
@@ -49,7 +49,7 @@ def test_a_seed_of_deepkoco_by_hand():
 def test_all_parts_take_turns_and_times_are_of_one_unit(monkeypatch):
     calls = []
     clock = iter(range(0, 10**9, 10**6))  # every look at it is 1 ms later
-    monkeypatch.setattr("experiments.agents_benchmark.CLOCKS", {"wall": lambda: next(clock)})
+    monkeypatch.setattr("experiments.benchmarks.agents_benchmark.CLOCKS", {"wall": lambda: next(clock)})
     parts = {
         ("a", "x"): Part(lambda: calls.append("x"), 2, 0),
         ("b", "y"): Part(lambda: calls.append("y"), 1, 0),

@@ -21,7 +21,7 @@ from deepkoco.runs.aggregate import (
 )
 from deepkoco.runs.settings import ExperimentError
 from deepkoco.runs.train import load_run_config
-from experiments.collect_runs import collect, main
+from experiments.studies.learning.collect_runs import collect, main
 
 
 def labels(*runs):

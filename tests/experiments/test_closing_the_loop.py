@@ -10,10 +10,16 @@ from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.runs.settings import ExperimentError
 from deepkoco.systems import ExtendedSystem, load_model, make_system, save_model
 from deepkoco.unit import load_unit
-from experiments.closing_the_loop.__main__ import collected, main
-from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, SYSTEM, Case, cases
-from experiments.closing_the_loop.steps import evaluate, refusal, run_folder, training_command, write_once
-from experiments.closing_the_loop.summary import READING, as_table, summarise, write_results
+from experiments.studies.diagnosis.closing_the_loop.__main__ import collected, main
+from experiments.studies.diagnosis.closing_the_loop.hidden import EFFECTS, NOTHING, SYSTEM, Case, cases
+from experiments.studies.diagnosis.closing_the_loop.steps import (
+    evaluate,
+    refusal,
+    run_folder,
+    training_command,
+    write_once,
+)
+from experiments.studies.diagnosis.closing_the_loop.summary import READING, as_table, summarise, write_results
 
 
 def episodes(costs: dict[tuple[str, int], list[float]], case: str = "gain_strong") -> pd.DataFrame:

@@ -9,15 +9,15 @@ from scipy import stats
 
 from deepkoco.runs.aggregate import bootstrap_interval
 from deepkoco.runs.settings import ExperimentError
-from experiments.comparison.curves import band, learning_curves
-from experiments.comparison.efficiency import (
+from experiments.studies.learning.comparison.curves import band, learning_curves
+from experiments.studies.learning.comparison.efficiency import (
     censored_median,
     first_and_kept,
     sample_efficiency,
     times_to_target,
 )
-from experiments.comparison.references import COLUMNS, References
-from experiments.comparison.runs import COST
+from experiments.studies.learning.comparison.references import COLUMNS, References
+from experiments.studies.learning.comparison.runs import COST
 
 
 def evaluated(

@@ -21,7 +21,7 @@ from deepkoco.systems import JointSystem, make_system
 from experiments.demo.__main__ import main, show_graph
 from experiments.demo.page import Outcome, pages_of, terminal_table, write_page
 from experiments.demo.training import DemoError, run_side_by_side
-from experiments.hidden.recorded import unit_log
+from experiments.studies.diagnosis.hidden.recorded import unit_log
 
 
 @pytest.mark.parametrize("option", [["--unit-episodes", "0"], ["--episodes", "-3"], ["--seed", "-1"]])

@@ -6,9 +6,9 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from experiments import design_study
-from experiments.design_study import all_cases, main, run_cases
-from experiments.rows import read_rows
+from experiments.plumbing.rows import read_rows
+from experiments.studies.diagnosis import design_study
+from experiments.studies.diagnosis.design_study import all_cases, main, run_cases
 from tests.oracle.excitations import Drive
 from tests.oracle.unit import HiddenUnit, hidden_log
 

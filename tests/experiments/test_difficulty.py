@@ -8,8 +8,8 @@ import pytest
 
 from deepkoco.runs.settings import ExperimentError, TaskConfig
 from deepkoco.runs.train import load_run_config
-from experiments import difficulty
-from experiments.difficulty_figure import SAME, curves
+from experiments.studies.learning import difficulty
+from experiments.studies.learning.difficulty_figure import SAME, curves
 
 
 @pytest.fixture

@@ -14,7 +14,13 @@ from deepkoco.agent.collection import SpaceError
 from deepkoco.runs.aggregate import aggregate, learning_curves, mean_with_band, read_runs
 from deepkoco.runs.environments import make_factory
 from deepkoco.runs.settings import ExperimentError, TaskConfig
-from experiments.planner_benchmark import CEM, FRESH, benchmark, random_model, wandering_observations
+from experiments.benchmarks.planner_benchmark import (
+    CEM,
+    FRESH,
+    benchmark,
+    random_model,
+    wandering_observations,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -6,9 +6,9 @@ from omegaconf import OmegaConf
 
 from deepkoco.envs.task_factory import TaskConfig
 from deepkoco.runs.settings import ExperimentError
-from experiments.comparison.references import COLUMNS
-from experiments.comparison.runs import evaluations, find_runs, variants
-from experiments.figures import main
+from experiments.studies.learning.comparison.references import COLUMNS
+from experiments.studies.learning.comparison.runs import evaluations, find_runs, variants
+from experiments.studies.learning.figures import main
 
 
 def write(folder, make_run, costs=(300.0, 160.0), every=100, agent="deepkoco", **settings):
@@ -147,5 +147,8 @@ def test_what_cannot_be_drawn_is_said_in_one_line(make_run, tmp_path, references
     (references / "pendulum.csv").write_text("seed\n0\n")
     write(tmp_path / "more" / "a", make_run)
     assert call(tmp_path / "out", tmp_path / "more", references=references) == 2
-    assert "pendulum.csv: not what experiments.reference_costs writes" in capsys.readouterr().err
+    assert (
+        "pendulum.csv: not what experiments.studies.learning.reference_costs writes"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "out").exists()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from experiments.rows import append_row, read_rows
+from experiments.plumbing.rows import append_row, read_rows
 from tests.experiments.conftest import SMALL
 from tests.full_disk import largest_file
 

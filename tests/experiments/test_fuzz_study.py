@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("hypothesis")
 
-from experiments import fuzz_logs
-from experiments.fuzz_logs import FuzzCase, Verdict, content_key, read_case, run_cases
-from experiments.rows import append_row, read_rows
+from experiments.plumbing.rows import append_row, read_rows
+from experiments.studies.diagnosis import fuzz_logs
+from experiments.studies.diagnosis.fuzz_logs import FuzzCase, Verdict, content_key, read_case, run_cases
 
 
 def test_formats_of_one_log_share_a_verdict_and_a_changed_value_does_not():

@@ -8,10 +8,10 @@ import pytest
 
 from deepkoco.diagnose import diagnose
 from deepkoco.logs.recording import LogError
-from experiments import gallery
-from experiments.gallery import EXHIBITS, Exhibit, index, main, make
-from experiments.hidden.recorded import unit_log
-from experiments.real_log_studies import STUDIES
+from experiments.studies.diagnosis import gallery
+from experiments.studies.diagnosis.gallery import EXHIBITS, Exhibit, index, main, make
+from experiments.studies.diagnosis.hidden.recorded import unit_log
+from experiments.studies.diagnosis.real_log_studies import STUDIES
 
 
 @pytest.fixture(scope="module")

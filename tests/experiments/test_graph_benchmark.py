@@ -5,10 +5,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from experiments import graph_benchmark
-from experiments.supergraph_efficiency_table import answers, summarise
+from experiments.benchmarks import graph_benchmark
+from experiments.benchmarks.supergraph_efficiency_table import answers, summarise
 
-SUPERGRAPHS = Path(graph_benchmark.__file__).parents[1] / "results" / "graph" / "supergraph"
+SUPERGRAPHS = Path(graph_benchmark.__file__).parents[2] / "results" / "graph" / "supergraph"
 COUNTING = """
 import shutil
 from pathlib import Path

@@ -5,10 +5,10 @@ import json
 
 import pytest
 
-from experiments.hidden.goals import GOALS, reached
-from experiments.hidden.power import confusion, power
-from experiments.hidden_effects import COLUMNS
-from experiments.hidden_results import main
+from experiments.studies.diagnosis.hidden.goals import GOALS, reached
+from experiments.studies.diagnosis.hidden.power import confusion, power
+from experiments.studies.diagnosis.hidden_effects import COLUMNS
+from experiments.studies.diagnosis.hidden_results import main
 
 
 def row(seed, kind, hidden, strength, verdict, classes, condition="clean"):

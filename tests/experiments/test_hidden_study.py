@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from experiments.hidden.cases import make_case, record_case
-from experiments.hidden.measures import measures
-from experiments.hidden_effects import COLUMNS, ResumeError, read_rows
+from experiments.studies.diagnosis.hidden.cases import make_case, record_case
+from experiments.studies.diagnosis.hidden.measures import measures
+from experiments.studies.diagnosis.hidden_effects import COLUMNS, ResumeError, read_rows
 from tests.oracle.doses import scaled, strength, unexplained
 from tests.oracle.unit import HiddenUnit, hidden_log
 

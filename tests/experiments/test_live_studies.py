@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from experiments import asynchronous_drift, real_time_factor, wall_clock_timing
+from experiments.studies.graph import asynchronous_drift, real_time_factor, wall_clock_timing
 
 SMALL = {
     asynchronous_drift: ("--factors", "20", "--seconds", "1", "--repetitions", "1"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepkoco.graph.delay import Autoregressive, Gaussian
-from experiments.real_delays import (
+from experiments.studies.graph.real_delays import (
     SETUPS,
     compare,
     correlation_time,

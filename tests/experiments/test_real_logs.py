@@ -10,8 +10,8 @@ import pytest
 
 from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
-from experiments.real_log_studies import STUDIES, Piece, parse_piece, split, study_of
-from experiments.real_logs import main
+from experiments.studies.diagnosis.real_log_studies import STUDIES, Piece, parse_piece, split, study_of
+from experiments.studies.diagnosis.real_logs import main
 
 REAL = os.environ.get("DEEPKOCO_REAL_LOGS")
 NAMES = ("energy_shaping", "sac", "ddp_pd", "direct_collocation_pd")
@@ -110,7 +110,7 @@ def test_stretches_are_given_as_file_and_times():
 @pytest.mark.parametrize(
     ("folder", "header", "message"),
     [
-        ("rex_real_delays", "t,a", "experiments.real_delays studies them"),
+        ("rex_real_delays", "t,a", "experiments.studies.graph.real_delays studies them"),
         ("odd", "t,a,b", "no known kind of log"),
         ("gone", None, "no such folder; known ones are"),
     ],

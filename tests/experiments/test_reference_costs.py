@@ -6,10 +6,10 @@ import pandas as pd
 from deepkoco.agent.collection import collect_episodes, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.runs.environments import make_factory
-from experiments import optimum
-from experiments.comparison.references import REFERENCES, load_references
-from experiments.optimum import load_task
-from experiments.reference_costs import main
+from experiments.studies.learning import optimum
+from experiments.studies.learning.comparison.references import REFERENCES, load_references
+from experiments.studies.learning.optimum import load_task
+from experiments.studies.learning.reference_costs import main
 
 
 class Idle:

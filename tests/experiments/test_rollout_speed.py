@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from experiments import rollout_speed
+from experiments.benchmarks import rollout_speed
 
 
 def test_speeds_are_printed_and_written(tmp_path, capsys, monkeypatch):

@@ -12,7 +12,7 @@ from deepkoco.runs.evaluate import evaluate
 from deepkoco.runs.hydra_command import run_command
 from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TaskConfig, TrainRunConfig
 from deepkoco.runs.train import load_run_config, prepare_folder, train
-from experiments import planner_benchmark
+from experiments.benchmarks import planner_benchmark
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import pandas as pd
 import pytest
 
 from deepkoco.runs.settings import ExperimentError
-from experiments import delay_training, domain_randomization
-from experiments.sac_on_unit import main, run_study
+from experiments.studies.learning import delay_training, domain_randomization
+from experiments.studies.learning.sac_on_unit import main, run_study
 
 STUDY = delay_training.STUDY
 

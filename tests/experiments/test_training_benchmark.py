@@ -8,7 +8,7 @@ import torch
 from deepkoco.agent.buffer import Episode, EpisodeBuffer
 from deepkoco.koopman import KoopmanModel, ModelConfig, chunk_losses
 from deepkoco.koopman.losses import ChunkBatch
-from experiments.training_benchmark import main, read_settings, separate_windows, updates_of_a_run
+from experiments.benchmarks.training_benchmark import main, read_settings, separate_windows, updates_of_a_run
 
 
 def draw(observations: torch.Tensor, history: int) -> ChunkBatch:

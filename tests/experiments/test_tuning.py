@@ -13,10 +13,10 @@ from omegaconf import OmegaConf
 from deepkoco.runs.agents import AGENTS
 from deepkoco.runs.hydra_command import CONFIGS
 from deepkoco.runs.settings import ExperimentError
-from experiments import tuning
-from experiments.search_space import Dimension, SearchSpace, as_overrides, load_search_space
-from experiments.training_benchmark import read_settings
-from experiments.tuning_report import chosen_yaml, trial_table
+from experiments.benchmarks.training_benchmark import read_settings
+from experiments.studies.learning import tuning
+from experiments.studies.learning.search_space import Dimension, SearchSpace, as_overrides, load_search_space
+from experiments.studies.learning.tuning_report import chosen_yaml, trial_table
 
 SPACES = sorted(path.stem for path in (CONFIGS / "tuning").glob("*.yaml"))
 

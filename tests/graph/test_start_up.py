@@ -20,7 +20,7 @@ import sys
 import numpy as np
 import torch
 from deepkoco.graph import BatchedRuntime, draw_timing
-from experiments import rollout_work as work
+from experiments.benchmarks import rollout_work as work
 
 graph = work.make_graph()
 timing = draw_timing(graph, np.random.default_rng(0), 5, 2, rows=2)

@@ -122,7 +122,7 @@ def episode_cost(costs: Array) -> EpisodeCost:
 def read_reference(path: Path) -> dict[str, EpisodeCost]:
     """Read reference costs from a CSV with the columns name, mean and, where known, standard_error and episodes.
 
-    The table optimum.csv of `experiments.optimum` (method, input_delay, n, mean, ...) is one too.
+    The table optimum.csv of `experiments.studies.learning.optimum` (method, input_delay, n, mean, ...) is one too.
 
     Args:
         path: The file.
@@ -137,7 +137,9 @@ def read_reference(path: Path) -> dict[str, EpisodeCost]:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
         raise ReferenceCostError(f"{path}: not a CSV file of reference costs: {error}") from error
-    table = table.rename(columns={"method": "name", "n": "episodes"})  # as experiments.optimum writes them
+    table = table.rename(
+        columns={"method": "name", "n": "episodes"}
+    )  # as experiments.studies.learning.optimum writes them
     missing = [name for name in ("name", "mean") if name not in table]
     if missing:
         raise ReferenceCostError(

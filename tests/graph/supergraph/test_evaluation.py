@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from experiments.supergraph_efficiency import main
-from experiments.topologies import THETA, episode_seeds, generate, make_topology
+from experiments.benchmarks.supergraph_efficiency import main
+from experiments.benchmarks.topologies import THETA, episode_seeds, generate, make_topology
 
 
 def plain_episode(topology, sigma, seed, length):

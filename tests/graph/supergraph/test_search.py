@@ -27,7 +27,7 @@ from deepkoco.graph.supergraph import (
     topological,
     window_bound,
 )
-from experiments.topologies import generate, partition
+from experiments.benchmarks.topologies import generate, partition
 
 METHODS = {
     "ours": lambda parts: Supergraph.chain(find_slots(parts)),
@@ -156,7 +156,7 @@ def test_the_order_of_the_episodes_does_not_change_whether_they_fit():
 def test_the_same_episodes_give_the_same_supergraph_in_every_process():
     parts = partition(*generate("v2v", 6, 0.3, 1, 3, 5.0))
     code = (
-        "import json; from experiments.topologies import generate, partition\n"
+        "import json; from experiments.benchmarks.topologies import generate, partition\n"
         "from deepkoco.graph.supergraph import find_slots, grow_common\n"
         "parts = partition(*generate('v2v', 6, 0.3, 1, 3, 5.0))\n"
         "print(json.dumps([find_slots(parts).tolist(), grow_common(parts).kind.tolist()]))"

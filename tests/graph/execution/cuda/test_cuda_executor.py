@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from on_device import DEVICES, assert_same, assert_same_inputs, assert_same_state, make_runtime, needs_cuda
 
 from deepkoco.graph import BatchedRuntime, HorizonError, draw_timing
-from experiments.rollout_work import make_graph, make_parameters, make_policy
+from experiments.benchmarks.rollout_work import make_graph, make_parameters, make_policy
 from tests.graph.timing_reference import graphs, policy
 
 STEPS = 12

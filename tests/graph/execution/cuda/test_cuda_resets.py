@@ -40,7 +40,7 @@ def test_environments_on_different_steps_of_different_schedules_agree_with_the_e
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("fresh_timing", [False, True])
 def test_a_part_starts_anew_with_other_parameters_or_in_other_schedules(device, fresh_timing):
-    from experiments.rollout_work import make_graph, make_parameters
+    from experiments.benchmarks.rollout_work import make_graph, make_parameters
 
     graph, batch = make_graph(), 6
     timing = draw_timing(graph, np.random.default_rng(0), 8, batch, rows=batch)

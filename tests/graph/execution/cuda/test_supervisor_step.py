@@ -9,7 +9,7 @@ from on_device import make_runtime
 from deepkoco.graph import BatchedRuntime, Connection, Graph, GraphError, Node, Supervisor, draw_timing
 from deepkoco.graph.execution.cuda import TensorExecutor
 from deepkoco.graph.execution.cuda.modes import OnDevice
-from experiments.rollout_work import make_graph, make_parameters, make_policy
+from experiments.benchmarks.rollout_work import make_graph, make_parameters, make_policy
 
 
 class Given(Node):

@@ -8,7 +8,7 @@ from deepkoco.graph.execution.cuda.packing import Packing, clone, load
 from deepkoco.graph.execution.cuda.recent import Recent
 from deepkoco.graph.execution.cuda.tables import PassTables
 from deepkoco.graph.execution.schedule import Schedule
-from experiments.rollout_work import Relay
+from experiments.benchmarks.rollout_work import Relay
 
 
 def test_a_line_has_what_slots_run_write_and_read():

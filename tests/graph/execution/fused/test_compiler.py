@@ -8,7 +8,7 @@ import torch
 
 from deepkoco.graph import BatchedRuntime, draw_timing
 from deepkoco.graph.execution.fused import compiler
-from experiments.rollout_work import make_graph, make_parameters
+from experiments.benchmarks.rollout_work import make_graph, make_parameters
 
 SOURCE = 'extern "C" int answer() { return %d; }'
 

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepkoco.graph import BatchedRuntime, GraphError, HorizonError, RuntimeState, draw_timing
-from experiments.rollout_work import Relay, make_graph, make_parameters, make_policy
+from experiments.benchmarks.rollout_work import Relay, make_graph, make_parameters, make_policy
 from tests.graph.timing_reference import graphs, policy
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -1,0 +1,1 @@
+"""Benchmarks: what things cost, against the named peer in the same run."""

@@ -1,1 +1,0 @@
-"""What a diagnosis is worth in control: `python -m experiments.closing_the_loop`."""
