@@ -1,10 +1,11 @@
 # Each target sets itself up in .venv; see scripts/ to do the same without make.
-.PHONY: help setup demo test lint bench docs clean
+.PHONY: help setup demo test study lint bench docs clean
 
 help:
 	@echo "make setup  install into .venv; then: source .venv/bin/activate"
 	@echo "make demo   diagnose a log, extend the simulator, train in both, run on the unit; writes demo_out/index.html"
-	@echo "make test   run the tests"
+	@echo "make test   run the tests but the long ones"
+	@echo "make study  run the long tests: whole diagnoses of hidden effects"
 	@echo "make lint   ruff and basedpyright"
 	@echo "make bench  tests against stable-baselines3, and the benchmarks against the peers (about half an hour)"
 	@echo "make docs   the documentation, into docs/_build/html"
@@ -18,6 +19,9 @@ demo: setup
 
 test: setup
 	@scripts/test.sh
+
+study: setup
+	@scripts/study.sh
 
 lint: setup
 	@scripts/lint.sh

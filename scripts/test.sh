@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs the tests, two processes side by side; arguments go to pytest.
+# Runs the tests but the long diagnoses of scripts/study.sh, two processes side by side; arguments go to pytest.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/environment.sh
-exec .venv/bin/python -m pytest -n "${TEST_PROCESSES:-2}" --dist worksteal "$@"
+exec .venv/bin/python -m pytest -n "${TEST_PROCESSES:-2}" --dist worksteal -m "not study" "$@"
