@@ -17,13 +17,13 @@ from deepkoco.output.new_folder import new_folder
 from deepkoco.output.picture import Picture
 from deepkoco.systems import save_model
 
-# Dots per inch: a phone packs two or three dots into a pixel of its page.
+# Dots per inch. A phone shows two or three dots for each pixel of the page.
 DESKTOP_DPI, PHONE_DPI = 130, 170
-COLOURS_OF_A_PICTURE = 128  # enough for lines and text, and a third of the bytes
+COLOURS_OF_A_PICTURE = 128  # enough for lines and text; the file is a third as large
 
 
 def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
-    """Write everything about a diagnosis into a new folder; it appears whole or not at all.
+    """Write a diagnosis into a new folder. The folder appears only when it is complete.
 
     Args:
         diagnosis: What to write.
@@ -67,6 +67,6 @@ def _png(picture: Picture, dpi: int) -> bytes:
     picture.figure.savefig(buffer, format="png", dpi=dpi)
     image = Image.open(buffer).convert("RGB").quantize(COLOURS_OF_A_PICTURE, dither=Image.Dither.NONE)
     small = io.BytesIO()
-    # Pillow writes no version into the file: the same diagnosis gives the same bytes.
+    # Pillow writes no version into the file, so the same diagnosis gives the same bytes.
     image.save(small, format="PNG", optimize=True)
     return small.getvalue()

@@ -1,4 +1,4 @@
-"""The diagnosis as one self-contained page."""
+"""Report page of a diagnosis: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -18,19 +18,22 @@ from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.output.picture import Picture
 
 GLOSSARY = {
-    "window": "A short stretch of the log, about one swing long, that is simulated by itself.",
-    "held out": "Kept away from every fit, to measure how good the result is. Where structure remains, it also decides "
-    "whether causes or a learned load are kept, which makes what is measured a little optimistic.",
-    "refitted simulation": "The simulation as given, its own parameters adjusted to the log within "
-    "what their data sheet allows.",
-    "95 % interval": "Range that holds the true value in 95 of 100 such cases, if the model is right.",
-    "sensor noise, noise variance": "What the sensor adds at random, estimated from the log. An error of 1 noise "
-    "variance per sample is what a perfect simulation leaves.",
-    "BIC": "Bayesian information criterion: how badly a model fits plus a charge for each of its parameters. A fall of "
+    "window": "A short part of the log, about one swing long. Each window is simulated separately.",
+    "held-out window": "A window that no fit uses; it measures the error of the result. Where structure remains, "
+    "held-out windows also decide whether causes or a learned load are kept. The measured error is then slightly "
+    "optimistic.",
+    "structure": "Errors that are larger or more correlated than noise.",
+    "refitted simulation": "The simulation as given, with its own parameters fitted to the log. Each parameter stays "
+    "near the value of its data sheet.",
+    "extended simulation": "The refitted simulation with the named causes, or with a learned load.",
+    "95 % interval": "Range that contains the true value in 95 of 100 such cases, if the model is right.",
+    "sensor noise, noise variance": "Random error of the sensor, estimated from the log. A perfect simulation has a "
+    "mean squared error of 1 noise variance.",
+    "BIC": "Bayesian information criterion: misfit of a model plus a charge for each of its parameters. A fall of "
     "10 is already strong evidence.",
     "missing torque": "Torque (or force) from outside that would make the simulation follow the measurement.",
     "sd": "Standard deviation.",
-    "null value": "Value of a cause's parameter at which the simulation is what it was before.",
+    "null value": "Value of a cause's parameter at which the cause has no effect.",
 }
 
 
@@ -40,11 +43,11 @@ def render(
     desktop: Mapping[str, bytes],
     phone: Mapping[str, bytes],
 ) -> str:
-    """The page.
+    """Return the HTML of the page.
 
     Args:
-        diagnosis: What to show.
-        pictures: Titles and captions, most telling first.
+        diagnosis: The diagnosis.
+        pictures: Titles and captions, most informative first.
         desktop: Picture -> PNG for wide windows.
         phone: Picture -> PNG for narrow ones.
     """
@@ -60,7 +63,7 @@ def render(
         noise=noise_of(diagnosis),
         lead=lead(diagnosis),
         tiles=_tiles(diagnosis),
-        advice_title="What would settle the rest" if suffices else "What is needed",
+        advice_title="What to record next" if suffices else "What is needed",
         advice=diagnosis.advice,
         warnings=[text for log in diagnosis.data["logs"] for text in log["warnings"]],
         pictures=[
@@ -118,14 +121,14 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     gain = diagnosis.gain
     if gain is not None and diagnosis.verdict in ("cause", "ambiguous"):
         text = (
-            "less error than the refitted simulation, on windows kept away from every fit "
+            "less error than the refitted simulation, on held-out windows "
             f"(95 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
         )
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})
     if gain is not None:
         c = gain.channels[0]
         last = next(reversed(held_out_models(diagnosis).values()))
-        text = f"error of {c.name} on windows kept away from every fit: simulation as given, and {last}"
+        text = f"error of {c.name} on held-out windows: simulation as given, and {last}"
         after = c.refit if gain.as_given else c.extended
         tiles.append({"value": f"{c.baseline:.3g} → {after:.3g} {c.unit}", "text": text})
     return tiles

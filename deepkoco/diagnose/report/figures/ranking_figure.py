@@ -1,4 +1,4 @@
-"""Which cause explains the log: every candidate, ranked."""
+"""Ranking of all candidates by delta BIC."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OTHERS = "#b9b9b9"
 
 
 def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
-    """Ranked candidates as bars of delta BIC."""
+    """Draw the ranked candidates as bars of delta BIC."""
     names = [c.name for c in diagnosis.candidates]
     score = np.array([c.delta_bic for c in diagnosis.candidates])
     table = pd.DataFrame(
@@ -31,7 +31,7 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     axis.set_yticks(range(shown), [spoken(n) for n in names[:shown]])
     axis.invert_yaxis()
     axis.set_xscale("symlog", linthresh=10.0)
-    # Decades from ten on, and no more than fit side by side.
+    # Ticks at decades from ten on; only as many as fit beside each other.
     top = max(float(score.max(initial=0.0)), 100.0)
     ticks = [0.0, *(10.0**k for k in range(1, int(np.ceil(np.log10(top))) + 1))]
     if score[:shown].min(initial=0.0) < -5.0:
@@ -49,10 +49,10 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     axis.set_xlabel("evidence (fall of the BIC)")
     axis.grid(axis="y", visible=False)
     caption = (
-        "Every cause of the catalogue was tried on the same windows. The longer its bar to the right, the better the "
-        "cause explains the log beyond what its extra parameters cost (mind the logarithmic scale); bars left of zero "
-        "explain nothing. Coloured bars are causes that these data do not tell apart."
+        "Every cause of the catalogue was tried on the same windows. A bar is the fall of the BIC: how much better the "
+        "cause explains the log, minus the charge for its parameters. The scale is logarithmic. Causes left of zero "
+        "are not worth their parameters. These data cannot distinguish the causes with coloured bars."
     )
     if len(names) > shown:
-        caption += f" The {len(names) - shown} weakest are left out here."
+        caption += f" The {len(names) - shown} weakest candidates are not shown."
     return Picture("candidates", "Which cause explains it", caption, figure, table)
