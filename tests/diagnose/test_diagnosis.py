@@ -126,7 +126,7 @@ def test_same_seed_same_bytes_whoever_watches(log, diagnosis):
     first, second = (json.dumps(replace(d, seconds=0.0).to_json()) for d in (diagnosis, again))
     assert first == second
     assert told[:2] == ["refit of the simulation as given", "fitting every cause"]
-    assert told[-1] == "lost commands beside coulomb"
+    assert told[-1] == "lost commands together with coulomb"
 
 
 def test_report_is_never_written_over(diagnosis, tmp_path):
