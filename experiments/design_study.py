@@ -26,16 +26,16 @@ import numpy as np
 from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.experiment_design import Design, DesignError, InseparableError, design_experiment
 from deepkoco.logs.recording import Recording
-from experiments.hidden.doses import dosed, scaled
-from experiments.hidden.excitations import Drive
-from experiments.hidden.unit import Hidden, hidden_log
 from experiments.rows import append_row, origin, read_rows, source_digest
+from tests.oracle.doses import dosed, scaled
+from tests.oracle.excitations import Drive
+from tests.oracle.unit import Hidden, hidden_log
 
 USUAL = 12.0  # length of the usual log [s]
 DESIGNED = 12.0  # length of the designed one, unless another is asked for [s]
 AGAIN = 1  # take of the logs after the usual one
-SOURCES = ("diagnose", "graph", "identify", "systems", "unit/excitation.py")  # of which a row depends
-BESIDE = ("design_study.py", "hidden")
+SOURCES = ("diagnose", "graph", "fit", "logs", "systems", "excitation")  # of which a row depends
+BESIDE = ("design_study.py", "hidden", "../tests/oracle")
 LARGEST_CLASS = 5  # causes that one design is asked to tell apart
 # System, causes that are taken for each other, usual excitation, strength ES. Each is hidden in turn.
 PAIRS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (

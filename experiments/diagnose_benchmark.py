@@ -16,7 +16,7 @@ from pathlib import Path
 from deepkoco.diagnose import diagnose, write_report
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.systems import make_system
-from experiments.hidden.unit import Hidden, hidden_log
+from tests.oracle.unit import Hidden, hidden_log
 
 SECONDS, SEED = 30.0, 11
 FIXED: dict[str, Hidden] = {

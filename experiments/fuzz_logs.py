@@ -37,7 +37,7 @@ from experiments.rows import append_row, origin, read_rows, source_digest
 
 SECONDS = 8.0
 LONGEST = 1500  # characters of an error
-DIAGNOSING = ("diagnose", "identify", "systems")  # packages of which a verdict depends
+DIAGNOSING = ("diagnose", "fit", "systems")  # packages of which a verdict depends
 NAMING = ("cause", "ambiguous")
 # A command in the wrong unit that is named as such is diagnosed, not misdiagnosed.
 RESCALED = "command in other unit"

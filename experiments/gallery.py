@@ -20,10 +20,10 @@ from deepkoco.diagnose import Diagnosis, diagnose, write_report
 from deepkoco.diagnose.report.text import terminal_table
 from deepkoco.logs.recording import LogError
 from deepkoco.output.new_folder import new_folder
-from experiments.hidden.unit import Hidden, hidden_log
 from experiments.provenance import as_markdown
 from experiments.real_log_studies import study_of
 from experiments.real_logs import answer
+from tests.oracle.unit import Hidden, hidden_log
 
 OUT = Path("results/diagnose/gallery")
 WIDTH = 110  # of the terminal [characters]

@@ -2,7 +2,7 @@
 
     python -m experiments.hidden_effects --system rod_pendulum --cases 60 --seed 2000 --condition clean --json
 
-The unit is another implementation of the machine (experiments/hidden: own equations, a tenth of the step, own
+The unit is another implementation of the machine (tests/oracle: own equations, a tenth of the step, own
 friction, own noise); its parameters are drawn within the priors of the system. Three cases in ten are controls, half
 hide one cause, one in ten a pair, one in ten something that no cause of the catalogue is. The strength of an effect
 is ES: the root mean square of what the refitted baseline cannot explain, in units of the sensor noise, log-uniform
@@ -21,9 +21,9 @@ from typing import Any
 
 from deepkoco.fit.threads import one_thread
 from experiments.hidden.cases import CONDITIONS, make_case, run_case
-from experiments.hidden.machines import MACHINES
 from experiments.hidden.measures import measures
 from experiments.provenance import provenance
+from tests.oracle.machines import MACHINES
 
 COLUMNS: tuple[str, ...] = (
     "index",

@@ -18,11 +18,16 @@ from experiments.provenance import provenance
 def source_digest(packages: tuple[str, ...] = ("",), beside: tuple[str, ...] = ()) -> str:
     """Digest of the Python sources below these folders of the package, and of files or folders beside this one."""
     digest = hashlib.sha256()
-    for root, names in ((Path(deepkoco.__file__).parent, packages), (Path(__file__).parent, beside)):
+    for root, names in (
+        (Path(deepkoco.__file__).resolve().parent, packages),
+        (Path(__file__).resolve().parent, beside),
+    ):
         for name in names:
-            place = root / name
+            place = (root / name).resolve()
+            if not place.exists():
+                raise FileNotFoundError(f"{place}: no such source; a digest would not see its changes")
             for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
-                digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
+                digest.update(f"{path.relative_to(root.parent)}\n".encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 
 

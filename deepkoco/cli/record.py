@@ -76,9 +76,10 @@ def run(args: argparse.Namespace) -> int:
     if args.policy is not None and args.amplitude is not None:
         raise InputError("--amplitude: a policy chooses its own commands; leave it out")
 
-    from deepkoco.excitation.excitation import ExcitationError, load_policy_excitation
     from deepkoco.excitation.played import CommandFileError, load_commands
+    from deepkoco.excitation.policy import load_policy_excitation
     from deepkoco.excitation.record import RecordError, record
+    from deepkoco.excitation.signal import ExcitationError
     from deepkoco.logs.recording import LogError, write_log
     from deepkoco.systems import one_joint
     from deepkoco.unit.unit_file import UnitSpecError, load_unit

@@ -125,7 +125,8 @@ def show_recording(args: argparse.Namespace) -> int:
     except (EpisodeFileError, DrawingError) as error:
         raise InputError(str(error)) from error
     if args.json:
-        content = {"path": str(args.path), "complete": recorded.complete, "meta": recorded.meta}
+        content = {"path": str(args.path), "complete": recorded.complete, "failures": recorded.failures}
+        content |= {"meta": recorded.meta}
         sys.stdout.write(json.dumps(content | asdict(summary), indent=2) + "\n")
         return 0
     from rich.console import Console
@@ -137,6 +138,8 @@ def show_recording(args: argparse.Namespace) -> int:
         for note in episode.notes:
             where = f"episode {number}, {note.t:.3f} s" + (f", {note.node}" if note.node else "")
             console.print(f"{note.level} ({where}): {note.text}", highlight=False, markup=False)
+        if episode.failure and all(note.text != episode.failure for note in episode.notes):
+            console.print(f"failed (episode {number}): {episode.failure}", highlight=False, markup=False)
     if recorded.meta:
         facts = ", ".join(f"{key}: {value}" for key, value in recorded.meta.items())
         console.print(facts, highlight=False, markup=False)
@@ -166,7 +169,7 @@ def tables(recorded: RecordedRun, summary: RunSummary) -> tuple[Table, Table]:
     from rich.text import Text
 
     number = f"{summary.episodes} episode{'s' * (summary.episodes != 1)}"
-    cut = "" if recorded.complete else " · cut off"
+    cut = "" if recorded.complete else " · failed" if recorded.failures else " · cut off"
     nodes, connections = (
         Table(title=Text(title), title_justify="left", box=None, padding=(0, 1, 0, 0))
         for title in (f"{recorded.path} · {number} · {summary.seconds:.2f} s{cut}", "")

@@ -17,7 +17,7 @@ from deepkoco.diagnose.baseline import (
     refit_sharply,
     with_floor_as_noise,
 )
-from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes import Cause, catalogue, causes_named
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere, train_on_pushed
@@ -90,7 +90,8 @@ def diagnose(
         seed: Seed of the bootstrap.
         window: Length of a window [s]; None takes about one period of the system.
         detection: Fall of the BIC from which a cause is named.
-        only: Causes to try, by their names at this system; None tries the whole catalogue.
+        only: Causes to try, by their names at this system; a name without a place (``coulomb``) stands for every
+            joint, command or channel. None tries the whole catalogue.
         baseline: What :func:`learn_baseline` made of the healthy logs, where several diagnoses share it, in the
             place of ``healthy``; None learns it.
         progress: Told what begins, in a few words; ``print`` will do.
@@ -99,9 +100,12 @@ def diagnose(
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
         BaselineError: ``healthy`` and ``baseline`` are both given, or the baseline was learned on another system.
+        UnknownCauseError: ``only`` names a cause that the system does not have.
     """
     began = time.perf_counter()
     base = any_system(system)
+    plain = base.base if isinstance(base, ExtendedSystem) else base
+    causes = None if only is None else causes_named(catalogue(plain), only, plain.name)
     if baseline is not None:
         if healthy:
             raise BaselineError(
@@ -121,7 +125,7 @@ def diagnose(
                 if healthy
                 else baseline_from(base, data.train)
             )
-        return _Study(base, start, data, detection, only, progress).run(recordings, length, seed, began)
+        return _Study(base, start, data, detection, causes, progress).run(recordings, length, seed, began)
 
 
 class _Study:
@@ -133,12 +137,11 @@ class _Study:
         start: Baseline,
         data: Data,
         detection: float,
-        only: Sequence[str] | None,
+        causes: Sequence[Cause] | None,
         progress: Progress,
     ) -> None:
         self.progress = progress
-        known = catalogue(start.system.base)
-        self.causes = None if only is None else [known[name] for name in only]
+        self.causes = causes
         self.system, self.detection = system, detection
         self.data, self.given = data, data
         self._take(start)

@@ -96,6 +96,12 @@ class _Simulator:
         self.model = self._mujoco.MjModel.from_xml_string(xml)
         self.data = self._mujoco.MjData(self.model)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_mujoco": None}  # a module does not travel
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _mujoco=import_mujoco())
+
     def advance(self, state: list[float], effort: float, steps: int) -> tuple[float, float]:
         """Motion of (angle [rad], speed [rad/s]) under a constant effort.
 

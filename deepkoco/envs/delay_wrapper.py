@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
+from deepkoco.envs.actions import check_finite_action, check_shape
 from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
@@ -105,6 +106,9 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         """Send an action and go on to the next tick; ``info["applied_action"]`` is what acted."""
         if self._generator is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        check_shape(action, self.action_space.shape)
+        if isinstance(self.action_space, spaces.Box):
+            check_finite_action(np.asarray(action))
         line = self._line
         if (line.held, line.kept) != (self._sent.maxlen, self._seen.maxlen):
             # Delays drawn for a longer episode may reach further back.

@@ -10,6 +10,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from deepkoco.envs.actions import check_finite_action
+
 
 class DmControlError(ValueError):
     """The suite is not installed, or has no such task."""
@@ -32,6 +34,7 @@ class CostOfReward(gymnasium.Wrapper):
         self.metadata = {**env.metadata, "render_modes": ["rgb_array"], "render_fps": round(1.0 / period)}
 
     def step(self, action: Any):
+        check_finite_action(np.asarray(action))
         total, steps = 0.0, 0
         for _ in range(self.repeat):
             observation, reward, terminated, truncated, info = self.env.step(action)
@@ -80,8 +83,12 @@ def make_dm_control(
     flat: Any = gymnasium.wrappers.FlattenObservation(env)
     shape = flat.observation_space.shape
     space = spaces.Box(-np.inf, np.inf, shape, np.float32)
-    flat = gymnasium.wrappers.TransformObservation(flat, lambda o: np.asarray(o, np.float32), space)
+    flat = gymnasium.wrappers.TransformObservation(flat, _as_float32, space)
     return CostOfReward(flat, action_repeat, period)
+
+
+def _as_float32(observation: Any) -> np.ndarray:
+    return np.asarray(observation, np.float32)
 
 
 def _import_suite() -> tuple[Any, Any]:

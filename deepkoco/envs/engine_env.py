@@ -10,6 +10,7 @@ import torch
 from gymnasium import spaces
 
 from deepkoco.engines import Engine, MujocoEngine, OdeEngine, find_engine, find_object, make_graph
+from deepkoco.envs.actions import check_finite_action
 from deepkoco.envs.nodes import TaskAgent
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import SWING_UPS
@@ -79,7 +80,9 @@ class EngineEnv(gymnasium.Env):
         if self.engine.real_time:
             self._runtime = WallClockRuntime(self.graph, record=False)
         else:
-            self._runtime = SimulatedRuntime(self.graph, record=False)
+            # Each reset draws a timing of its own; without any the runtime would want constant delays.
+            first = draw_timing(self.graph, torch.Generator(), 1, 1)
+            self._runtime = SimulatedRuntime(self.graph, first, record=False)
         self._state: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
@@ -110,6 +113,7 @@ class EngineEnv(gymnasium.Env):
     def step(self, action: Any):
         if self._state is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        check_finite_action(np.asarray(action))
         limit = self.task.command_limit
         self._command = float(np.clip(np.asarray(action).item() * self.action_scale, -limit, limit))
         command = torch.tensor([[self._command]], dtype=torch.float64)

@@ -42,6 +42,7 @@ class GraphEnv(gymnasium.Env):
 
     def _use(self, batch: GraphVectorEnv, longest_episode: int | None) -> None:
         self.batch = batch
+        batch.take_single_actions()
         # A machine cannot go through an episode again: for it, delays are drawn ahead.
         self._grows = longest_episode is None and all(node.pure for node in batch.graph.nodes)
         if longest_episode is None and not self._grows:
@@ -70,10 +71,10 @@ class GraphEnv(gymnasium.Env):
     def step(self, action: Any):
         if self._left <= 0:
             self._go_on()
+        readings = self.batch.advance(action)
         self._left -= 1
         if self._grows:
             self._actions.append(np.array(action))
-        readings = self.batch.advance(action)
         terminated = bool(readings["terminated"]) if self._ends else False
         observation = readings["observation"].astype(self._type)
         info = {name: _plain(readings[name]) for name in self._extra}

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
+from deepkoco.envs.actions import check_finite_action
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import SWING_UPS
 from deepkoco.systems import JointSystem, make_system
@@ -97,6 +98,7 @@ class UnitEnv(gymnasium.Env):
     def step(self, action: np.ndarray):
         if self._loop is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        check_finite_action(np.asarray(action))
         limit = self.task.command_limit
         self._command = float(np.clip(np.asarray(action).item() * self.action_scale, -limit, limit))
         command = torch.tensor([self._command], dtype=torch.float64)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deepkoco.excitation.excitation import Excitation
+from deepkoco.excitation.signal import Excitation
 from deepkoco.systems import JointSystem
 
 TIME = "t"  # column of the stamps [s]

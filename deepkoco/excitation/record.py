@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.excitation.excitation import Excitation, make_excitation
+from deepkoco.excitation.excitation import make_excitation
+from deepkoco.excitation.signal import Excitation
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import one_joint
 from deepkoco.unit.messages import SensorMessage, UnitError
@@ -61,7 +62,8 @@ def record(
     Raises:
         ExcitationError: The excitation is unknown or too large.
         UnitError: The unit died, or stopped itself because commands came too late.
-        RecordError: The clock is unknown, or the length or the control rate does not fit the unit.
+        RecordError: The clock is unknown, the length or the control rate does not fit the unit, or the excitation
+            gives a command that is not finite.
     """
     if clock not in CLOCKS:
         raise RecordError(f'unknown clock "{clock}"; known: {", ".join(CLOCKS)}')
@@ -119,6 +121,11 @@ def _drive(
         due = start + tick / rate - early
         if message.t_received >= due:
             command = excitation(message.t_received, message.values)
+            if not math.isfinite(command):
+                raise RecordError(
+                    f"the excitation gives the command {command} at {message.t_received:.3f} s, which is no finite "
+                    f"number; it had measured {message.values}"
+                )
             sent.append((unit.send(command), command))
             tick = int((message.t_received - start + early) * rate + 1e-9) + 1
         if progress is not None:

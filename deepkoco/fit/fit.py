@@ -69,6 +69,21 @@ class FitProblem:
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), nuisances (L, z)."""
+        nulls = self.null_values()
+        rubs = (theta[:, self._dry] != nulls[self._dry]).any(-1)
+        if not rubs.any() or rubs.all():
+            return self._predict(theta, initial, nuisance)
+        # Reversals under dry friction take many more steps: only the lanes that have any pay for them.
+        result: Tensor | None = None
+        for part in (rubs, ~rubs):
+            pick = torch.from_numpy(np.flatnonzero(part))
+            own = self._predict(theta[part], initial[pick], nuisance[pick])
+            result = own.new_empty(len(theta), *own.shape[1:]) if result is None else result
+            result[pick] = own
+        assert result is not None
+        return result
+
+    def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         own = len(self.system.parameters)
         nulls = self.null_values()
         values = theta[:, :own].copy()
@@ -161,6 +176,9 @@ class FitProblem:
             for j, p in enumerate(bare.parameters):
                 if "." in p.name:
                     self._columns.setdefault(p.name.split(".")[0], []).append(j)
+            finer = bare.base.reversal_steps
+            dry = {e.name for e in bare.effects if e.effect.dry and finer[e.index] > 1}
+            self._dry = [j for name in self._columns if name in dry for j in self._columns[name]]
         return self._nulls
 
     def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:

@@ -15,7 +15,7 @@ from deepkoco.fit.request import FitError
 from deepkoco.fit.solve.cma import Search, cma_es
 from deepkoco.fit.solve.methods import Progress
 from deepkoco.graph import BatchedRuntime, Graph, replay_timing
-from deepkoco.graph.episodes.episode import Episode
+from deepkoco.graph.episodes.episode import Episode, windows_for
 from deepkoco.graph.execution.state import NodeParameters
 from deepkoco.graph.model.node import State
 
@@ -153,9 +153,8 @@ class GraphMisfit:
         executor: str = "fused",
         threads: int = 1,
     ) -> None:
-        self.runtime = BatchedRuntime(
-            graph, replay_timing(graph, episode.measured), executor=executor, threads=threads
-        )
+        timing = replay_timing(graph, episode.measured, windows=windows_for(graph, episode))
+        self.runtime = BatchedRuntime(graph, timing, executor=executor, threads=threads)
         self.actions = torch.from_numpy(np.asarray(episode.outputs[graph.supervisor]))[:, None]
         self.parameters, self.names, self.initial = parameters, tuple(sought), initial
         self.steps = 0

@@ -17,7 +17,7 @@ class SensorMessage(NamedTuple):
     values: tuple[float, ...]  # in the order of the system's measurements
     seq: int  # number of the sample since the last reset; a gap means that samples were lost
     t_received: float  # when the user's side took it [s], on the clock of the unit's `now`
-    stops: int  # how often the unit has stopped itself since the last reset
+    stops: int  # how often the unit has stopped itself since the last reset: no heartbeat, or a command not finite
 
 
 class Order(IntEnum):

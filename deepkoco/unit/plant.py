@@ -19,10 +19,11 @@ class Plant:
     """One unit between the arrival of commands and the departure of measurements.
 
     Time [s] starts at 0 and is whatever the caller says it is: wall-clock time in the unit's process,
-    virtual time in a simulated log. The path of a command: lost or cut to the limits, actuation delay, gain
+    virtual time in a simulated log. The path of a command: lost, refused or cut to the limits, actuation delay, gain
     and its curvature, torque bias, dead zone, saturation, lag. The path of a measurement: scale, bias, noise,
     quantisation, sensing delay. Messages on one path never overtake each other. Once a command has come
-    the next has to come within the heartbeat; otherwise the command is set to zero at once.
+    the next has to come within the heartbeat; otherwise the command is set to zero at once. So it is where a
+    command comes that is NaN or infinite.
 
     Args:
         spec: The unit.
@@ -51,7 +52,7 @@ class Plant:
         self._leaving: deque[tuple[float, int, tuple[float, ...]]] = deque()  # (due, seq, values)
         self._last_due = {"actuation_delay": -math.inf, "sensing_delay": -math.inf}
         self._deadline = math.inf  # when the heartbeat is missed
-        self.stops = 0  # times that the heartbeat was missed
+        self.stops = 0  # times that the heartbeat was missed or a command was not finite
         self._noise = Random(f"noise {spec.seed} {stream}")
         self._jitter = Random(f"jitter {spec.seed} {stream}")
         self._losses = Random(f"losses {spec.seed} {stream}")
@@ -70,13 +71,24 @@ class Plant:
         return self._leaving[0][0] if self._leaving else math.inf
 
     def send(self, command: float) -> None:
-        """Take a command that arrives now, unless it is lost on its way: then it never was."""
+        """Take a command that arrives now, unless it is lost on its way: then it never was.
+
+        NaN and infinity are refused: they stop the unit.
+        """
         share = self._spec.effects.get("lost_commands", NO_EFFECT).get("share", 0.0)
         if share > 0.0 and self._losses.random() < share:
+            return
+        if not math.isfinite(command):
+            self.refuse()
             return
         low, high = self._spec.command_limits
         self._arriving.append((self._delayed("actuation_delay"), min(max(command, low), high)))
         self._deadline = self.time + self._spec.heartbeat
+
+    def refuse(self) -> None:
+        """Stop because an order was not a finite number, and count it."""
+        self.stop()
+        self.stops += 1
 
     def stop(self) -> None:
         """Set the command to zero at once and forget those under way."""

@@ -7,6 +7,7 @@ descriptors of two connected sockets, and the spec as JSON on standard input.
 from __future__ import annotations
 
 import gc
+import math
 import select
 import socket
 import sys
@@ -66,6 +67,9 @@ def serve(spec: UnitSpec, commands: socket.socket, sensor: SensorChannel) -> Non
             for order, number, first, second in reader.feed(data):
                 if order == Order.COMMAND:
                     plant.send(first)
+                    continue
+                if not (math.isfinite(first) and math.isfinite(second)):
+                    plant.refuse()
                     continue
                 state = None if order == Order.HOME else (first, second)
                 plant, origin = Plant(spec, state, stream=number), time.monotonic_ns()

@@ -91,9 +91,16 @@ class SimulatedUnit:
         self._stream = Random(f"stream {seed}").getrandbits(62)
 
     def reset(self, state: tuple[float, float] | None = None) -> SensorMessage:
-        """Put the unit into a state, at zero command and time 0; returns the first measurement."""
+        """Put the unit into a state, at zero command and time 0; returns the first measurement.
+
+        Raises:
+            ValueError: The state is not finite.
+        """
+        start = None if state is None else (float(state[0]), float(state[1]))
+        if start is not None and not (math.isfinite(start[0]) and math.isfinite(start[1])):
+            raise ValueError(f"state ({start[0]}, {start[1]}) is not finite")
         self._stream += 1
-        self._start(None if state is None else (float(state[0]), float(state[1])))
+        self._start(start)
         return self.receive()
 
     def close(self) -> None:

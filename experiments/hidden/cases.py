@@ -18,8 +18,8 @@ from deepkoco.fit import window_length
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
-from experiments.hidden.doses import FLOOR, dosed, effect_names, outside, outside_names, scaled
-from experiments.hidden.unit import Hidden, hidden_log
+from tests.oracle.doses import FLOOR, dosed, effect_names, outside, outside_names, scaled
+from tests.oracle.unit import Hidden, hidden_log
 
 CONDITIONS = ("clean", "floor", "runs", "bang-bang")
 CONTROL, SINGLE, PAIR = 0.3, 0.5, 0.1  # shares of the cases; the rest is outside the catalogue

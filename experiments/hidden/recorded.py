@@ -11,8 +11,8 @@ from deepkoco.excitation.record import record
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import one_joint
 from deepkoco.unit import make_unit
-from experiments.hidden.doses import unexplained
-from experiments.hidden.unit import Hidden
+from tests.oracle.doses import unexplained
+from tests.oracle.unit import Hidden
 
 
 def unit_log(

@@ -218,7 +218,7 @@ def test_interrupted_recording_writes_nothing(unit, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "deepkoco.cli.command_line",
+        "deepkoco.cli",
         "record",
         "--unit",
         str(unit),

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -36,6 +37,19 @@ def test_show_tells_rates_delays_and_losses(recording, capsys):
     out = capsys.readouterr().out
     for word in ("world->agent", "realised", "robot: rod", "1 episode"):
         assert word in out
+
+
+def test_show_says_that_a_failure_ended_an_episode(tmp_path, capsys):
+    failed = str(
+        write_episodes(tmp_path / "run.mcap", GRAPH, [EPISODE, replace(EPISODE, failure="cable is off")])
+    )
+    assert main(["show", failed, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert (content["complete"], content["failures"]) == (False, {"1": "cable is off"})
+    assert main(["show", failed]) == 0
+    out = capsys.readouterr().out
+    assert "failed (episode 1): cable is off" in out
+    assert "cut off" not in out
 
 
 def test_show_draws_pictures_and_a_page(recording, tmp_path):

@@ -7,7 +7,7 @@ from deepkoco.diagnose import CAUSES, diagnose
 from deepkoco.diagnose.causes import catalogue, kind_of
 from deepkoco.systems import make_system
 from deepkoco.systems.effects import effects_of
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 SECONDS = 20.0
 # cause -> (system, excitation, what is hidden)

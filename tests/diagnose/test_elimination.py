@@ -12,7 +12,7 @@ from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 
 def test_only_the_cause_that_is_not_there_goes():

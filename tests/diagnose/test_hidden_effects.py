@@ -6,7 +6,7 @@ from deepkoco.diagnose import diagnose
 from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
 from experiments.hidden.recorded import strength, unit_log
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 SECONDS = 20.0
 

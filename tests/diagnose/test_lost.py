@@ -18,8 +18,8 @@ from deepkoco.diagnose.lost_commands.sequence import Responses, held_over, innov
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
-from experiments.hidden.excitations import Drive
-from experiments.hidden.unit import hidden_log
+from tests.oracle.excitations import Drive
+from tests.oracle.unit import hidden_log
 
 SECONDS, SEED = 12.0, 171
 

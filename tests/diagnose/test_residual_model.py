@@ -15,7 +15,7 @@ from deepkoco.fit.data.windows import cut_windows, estimate_channels, window_len
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import ExtendedSystem, load_model, make_system, rk4_step, save_model
 from deepkoco.systems.effects.learned import SCALES, terms_at
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 HIDDEN = {"position_friction": {"size": 0.1}}  # no cause of the catalogue
 FEW = ["gain", "lag"]

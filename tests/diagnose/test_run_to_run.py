@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, allowed
+from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
 from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.per_log_refits import run_to_run
@@ -29,7 +29,7 @@ from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import make_system
-from experiments.hidden.unit import HiddenUnit, hidden_log
+from tests.oracle.unit import HiddenUnit, hidden_log
 
 SYSTEM = make_system("rod_pendulum")
 LENGTH, SECONDS, SEED = window_length(SYSTEM), 10.0, 77
@@ -121,9 +121,9 @@ def test_what_one_healthy_log_shows_is_allowed_and_nothing_else():
     assert len(start.runs.said) == 2
     assert "torque_bias" not in start.effects  # too small to be learned
     problem, same = claimed(start, 0.003)
-    assert allowed(start, problem, [same]) == [True]
+    assert consistent_with_healthy(start, problem, [same]) == [True]
     problem, more = claimed(start, 0.05)
-    assert allowed(start, problem, [more]) == [False]
+    assert consistent_with_healthy(start, problem, [more]) == [False]
 
 
 def test_what_varies_is_no_cause_and_what_does_not_is():
@@ -224,7 +224,7 @@ def test_logs_that_vary_much_hide_nothing_else():
     assert start.effects == ()
     assert start.floor < 1.2
     problem, bias = claimed(start, 0.01)
-    assert allowed(start, problem, [bias]) == [False]
+    assert consistent_with_healthy(start, problem, [bias]) == [False]
 
 
 def test_what_all_logs_show_is_learned_beside_what_they_differ_by():

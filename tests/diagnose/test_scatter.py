@@ -9,7 +9,7 @@ import torch
 from deepkoco.diagnose.residuals.scatter import Scatter, jitter, noise_level, quantisation
 from deepkoco.fit import Fit, Noise, cut_windows
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 
 def view(tau: float = 0.0, noise: tuple[float, float] = (0.002, 0.05), step: float = 0.0) -> Scatter:

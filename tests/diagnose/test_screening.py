@@ -9,7 +9,7 @@ from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.fit import FitProblem, Trial, cut_windows, moving
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 
 def test_a_promise_is_what_the_fit_wins_whatever_else_is_screened_with_it():

@@ -12,7 +12,7 @@ from deepkoco.fit import cut_windows
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.threads import one_thread
 from deepkoco.systems import ExtendedSystem, make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 SYSTEM = make_system("rod_pendulum")
 LENGTH = window_length(SYSTEM)

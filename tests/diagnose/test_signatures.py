@@ -10,7 +10,7 @@ from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.fit import cut_windows, moving
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 SYSTEM = make_system("rod_pendulum")
 

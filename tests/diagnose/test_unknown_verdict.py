@@ -10,7 +10,7 @@ from deepkoco.diagnose.report.text import lead
 from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.diagnose.verdict.unknown import carries_over
 from deepkoco.fit.fit import Fit
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 
 def fit_with(chi2_by_window):

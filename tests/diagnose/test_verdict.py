@@ -12,7 +12,7 @@ from deepkoco.diagnose.evidence.forward import Selected
 from deepkoco.diagnose.verdict.verdict import verdict_of
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 BASE = make_system("rod_pendulum")
 KNOWN = catalogue(BASE)

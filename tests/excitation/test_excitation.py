@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.excitation import EXCITATIONS, ExcitationError, make_excitation, policy_excitation
-from deepkoco.excitation.excitation import load_policy_excitation, natural_frequency
+from deepkoco.excitation.policy import load_policy_excitation
 from deepkoco.excitation.record import record
+from deepkoco.excitation.signal import natural_frequency
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.koopman.files.model_folder import write_model_folder
 from deepkoco.systems import make_system

@@ -134,3 +134,8 @@ def test_summary_of_a_simulated_log():
     assert summary["theta"].gaps == 0
     assert summary["theta"].jitter_s == pytest.approx(0.0, abs=1e-12)
     assert (summary["torque"].low, summary["torque"].high) == (-2.0, 2.0)
+
+
+def test_an_excitation_that_gives_nan_is_named_with_its_time():
+    with pytest.raises(RecordError, match=r"the excitation gives the command nan at 0\.500 s"):
+        record(noise_free(), lambda t, _: 0.1 if t < 0.49 else math.nan, 2.0, clock="simulated")

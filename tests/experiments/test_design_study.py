@@ -8,9 +8,9 @@ import pytest
 
 from experiments import design_study
 from experiments.design_study import all_cases, main, run_cases
-from experiments.hidden.excitations import Drive
-from experiments.hidden.unit import HiddenUnit, hidden_log
 from experiments.rows import read_rows
+from tests.oracle.excitations import Drive
+from tests.oracle.unit import HiddenUnit, hidden_log
 
 SAID = {"class": ["gain"], "alone": True, "right": True, "in_class": True}
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from experiments.hidden.cases import make_case, record_case
-from experiments.hidden.doses import scaled, strength, unexplained
 from experiments.hidden.measures import measures
-from experiments.hidden.unit import HiddenUnit, hidden_log
 from experiments.hidden_effects import COLUMNS, ResumeError, read_rows
+from tests.oracle.doses import scaled, strength, unexplained
+from tests.oracle.unit import HiddenUnit, hidden_log
 
 
 def row(**given):

@@ -12,7 +12,7 @@ from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import make_system
-from experiments.hidden.unit import hidden_log
+from tests.oracle.unit import hidden_log
 
 SYSTEM = make_system("rod_pendulum")
 CHANGES = (0.0, 0.05, 0.03)

@@ -75,3 +75,13 @@ def test_step_needs_a_reset():
 def test_rate_must_be_positive():
     with SimulatedUnit(SPEC) as unit, pytest.raises(ValueError, match="rate 0"):
         ControlLoop(unit, 0.0)
+
+
+def test_a_simulated_unit_takes_finite_commands_and_states_only():
+    with SimulatedUnit(make_unit("rod_pendulum")) as unit:
+        before = unit.reset((0.5, 0.0))
+        with pytest.raises(ValueError, match="command nan is not finite"):
+            unit.send(float("nan"))
+        with pytest.raises(ValueError, match=r"state \(nan, 0\.0\) is not finite"):
+            unit.reset((float("nan"), 0.0))
+        assert unit.receive().seq == before.seq + 1

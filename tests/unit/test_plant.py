@@ -202,6 +202,18 @@ def test_heartbeat_sets_the_command_to_zero():
     assert plant.stops == 1
 
 
+@pytest.mark.parametrize("command", [math.nan, math.inf, -math.inf])
+def test_a_command_that_is_not_finite_stops_the_unit_and_is_counted(command):
+    plant = swing(unit(), 0.4, 0.1)
+    plant.send(command)
+    plant.advance(0.2)
+    assert (plant.command, plant.stops) == (0.0, 1)
+    assert math.isfinite(plant.joint.theta + plant.joint.omega)
+    plant.send(0.3)
+    plant.advance(0.21)
+    assert (plant.command, plant.stops) == (0.3, 1)
+
+
 def test_commands_are_cut_to_the_limits():
     plant = swing(unit(), 99.0, 0.1)
     assert plant.command == 2.0

@@ -11,6 +11,7 @@ from itertools import pairwise
 import pytest
 
 from deepkoco.unit import Unit, UnitError, make_unit
+from deepkoco.unit.messages import COMMAND_FRAME, Order
 
 SPEC = make_unit("rod_pendulum", sensor={"noise_sd": {"theta": 0.0, "omega": 0.0}}, heartbeat=0.3)
 
@@ -130,6 +131,18 @@ def test_modules_of_the_working_folder_do_not_disturb_the_unit(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     with Unit(SPEC) as unit:
         assert unit.reset().seq <= 20
+
+
+def test_orders_on_the_channel_that_are_not_finite_stop_the_unit():
+    with Unit(SPEC) as unit:
+        unit.reset((0.3, 0.0))
+        unit.send(1.0)
+        frames = [(Order.COMMAND, math.nan, 0.0), (Order.RESET, math.nan, 0.0), (Order.RESET, 0.0, math.inf)]
+        for order, first, second in frames:  # as a client of another make may send them
+            unit._commands.sendall(COMMAND_FRAME.pack(order, 1, first, second))
+        message = receive_until(unit, 0.2)
+        assert message.stops == 3
+        assert all(math.isfinite(value) for value in message.values)
 
 
 def test_commands_and_states_must_be_finite():

@@ -34,6 +34,7 @@ from deepkoco.diagnose.evidence.selection import (
     penalty,
     prior_with,
     rank,
+    strained,
     without_events_first,
 )
 from deepkoco.diagnose.evidence.start_values import Hints
@@ -301,7 +302,8 @@ class Selection:
         ranking = without_events_first(problem, start, ranking, accepted, hints, self.detection)
         ranking = front_settled(problem, start, accepted, ranking)
         best = ranking.best
-        if hints.chi2 <= LARGE_MISFIT and at_bound(problem, best.cause, best.fit):
+        untried = hints.chi2 <= LARGE_MISFIT and not hints.strained
+        if untried and at_bound(problem, best.cause, best.fit):
             # The estimate stops at its bound. The reason may be a wrong unit, which is not tried for so small a chi2.
             hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
             again = rank(problem, start, ranking.reference, accepted, hints, self.causes)
@@ -310,7 +312,8 @@ class Selection:
         return ranking
 
     def _hints(self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
-        return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples)
+        far = strained(problem, self.start, fit)
+        return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples, far)
 
 
 def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:

@@ -21,10 +21,9 @@ EDGE = 1e-6  # share of its range within which an estimate lies at its bound
 MIN_COMMAND = 1e-4  # largest command over the limit of the system, below which the unit of the log is doubted
 MAX_COMMAND = 1e4  # and above which it is doubted
 SHAPES = (
-    "speed",
     "frequency",
     "cycles",
-)  # parameters that choose where a cause acts; at their bounds the cause is still the same
+)  # they choose where a cause acts; at their bounds the cause is still the same
 
 
 def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
@@ -83,8 +82,8 @@ def doubts_of_friction(
         if fastest > 0.0 and pushes(friction_curve(system, fit, joint, fastest, inflation)):
             names = " and ".join(c.name for c in rubbing if (c.joint or 0) == joint)
             result.append(
-                f"With {names}, the friction of joint {joint + 1} would push it on instead of holding it back; "
-                "no friction does: something else acts like this."
+                f"With {names}, the friction of {system.joint_names[joint]} would push it on instead of holding it "
+                "back; no friction does: something else acts like this."
             )
     return tuple(result)
 

@@ -122,6 +122,12 @@ def freed(
     return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
 
 
+def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
+    """Whether a fit has left its prior by far, as a strong cause or a wrong unit makes it."""
+    away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
+    return away > FAR * start.correlation
+
+
 def rank(
     problem: FitProblem,
     start: Baseline,
@@ -167,8 +173,7 @@ def rank(
     ]
     trials += _slipped(problem, start, accepted, reference, slips)
     fits = _fit_best(problem, trials, reference)
-    away = reference.penalty - problem.nuisances.penalty(reference.nuisance)
-    if away > FAR * start.correlation and promising:
+    if strained(problem, start, reference) and promising:
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
         before = {n: start.values[n] for n in start.prior.names}

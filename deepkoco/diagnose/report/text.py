@@ -42,9 +42,10 @@ def lead(diagnosis: Diagnosis) -> str:
             why = " ".join(doubts)
         else:
             why = f"The best candidate ({best[0]}) explains too little of it to be named." if best else ""
+        missing = "force" if "force_n" in diagnosis.unexplained.get("worst", {}) else "torque"
         return (
             f"The mean squared error of the refitted simulation is {diagnosis.chi2_before:.2f} noise variances. {why} "
-            "The pictures show where it is missing torque."
+            f"The pictures show where {missing} is missing."
         )
     text = " ".join(CAUSES[kind_of(c.name)].summary for c in diagnosis.causes)
     for cause in diagnosis.causes:

@@ -73,6 +73,7 @@ class MissingTorque:
         omega: (W, K) modelled speed there [rad/s].
         score: (W, K) fall of chi2 when a push is allowed in that slot alone.
         single: (W, K) the torque of that lone push [N m].
+        name: Name of the joint.
     """
 
     joint: int
@@ -85,6 +86,12 @@ class MissingTorque:
     omega: np.ndarray
     score: np.ndarray
     single: np.ndarray
+    name: str = ""
+
+    @property
+    def load(self) -> str:
+        """What acts on the joint: a torque, or a force where it slides."""
+        return "torque" if self.unit == "N m" else "force"
 
     @property
     def slot(self) -> float:
@@ -162,6 +169,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
             path[at, :, joints + j].T,
             (match**2 / energy.clamp_min(1e-300)).numpy()[:, mine],
             (match / energy.clamp_min(1e-300)).numpy()[:, mine],
+            system.joint_names[j],
         )
         result.append(found)
     return tuple(result)

@@ -39,6 +39,7 @@ class Episode:
         windows: by connection key, (K, window) seqs that each step of the receiver saw, oldest first;
             negative: the initial output. A connection is missing if its windows were not recorded.
         notes: remarks in the order in which they were made.
+        failure: what ended the episode before its time; empty: nothing did.
     """
 
     t_start: dict[str, np.ndarray]
@@ -48,6 +49,7 @@ class Episode:
     t_received: dict[str, np.ndarray]
     windows: dict[str, np.ndarray]
     notes: tuple[Note, ...] = ()
+    failure: str = ""
 
     @property
     def measured(self) -> MeasuredTiming:
@@ -88,15 +90,29 @@ def replay_episode(
     generator: torch.Generator,
     initial: Mapping[str, State] | None = None,
 ) -> tuple[Episode, RuntimeState]:
-    """Run an episode again: its times instead of drawn delays, its actions instead of a policy.
+    """Run an episode again: its times and windows instead of drawn delays, its actions instead of a policy.
 
     With the same parameters and initial state the outputs are the recorded ones, bit for bit; with
     others they show what another model would have done.
     """
-    runtime = BatchedRuntime(graph, replay_timing(graph, episode.measured))
+    timing = replay_timing(graph, episode.measured, windows=windows_for(graph, episode))
+    runtime = BatchedRuntime(graph, timing)
     actions = iter(torch.from_numpy(episode.outputs[graph.supervisor]))
     episodes, state = record_episodes(runtime, lambda _: next(actions)[None], parameters, generator, initial)
     return episodes[0], state
+
+
+def windows_for(graph: Graph, episode: Episode) -> dict[str, np.ndarray]:
+    """Choose the recorded windows that fit a graph, by connection key.
+
+    A connection whose windows were not recorded or had another length is left out: what its receiver sees in a
+    replay follows from the arrivals.
+    """
+    return {
+        c.key: episode.windows[c.key]
+        for c in graph.connections
+        if c.key in episode.windows and episode.windows[c.key].shape[1:] == (c.window,)
+    }
 
 
 def common_part(graph: Graph, episode: Episode) -> Episode:

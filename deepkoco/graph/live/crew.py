@@ -12,7 +12,7 @@ from multiprocessing import Pipe as pipe_pair
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection as Pipe
 from multiprocessing.connection import wait
-from threading import Lock, Thread, current_thread
+from threading import Event, Lock, Thread, current_thread
 from typing import Any
 
 import numpy as np
@@ -29,13 +29,12 @@ from deepkoco.graph.live.host import (
 )
 from deepkoco.graph.live.inbox import Inbox, Order
 from deepkoco.graph.live.message import decode
-from deepkoco.graph.live.seat import BEAT, BUSY_SINCE, CLOSED_AT, TICK, Seat
+from deepkoco.graph.live.seat import BEAT, BUSY_SINCE, CLOSED_AT, TICK, Seat, step_limit
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Node
 
 Factory = Callable[[], Node]
 HERE = 0  # host number of the caller's own process
-START_LIMIT = 60.0  # longest time that `open` and `init` of a node take [s]
 FAREWELL = 5.0  # what a process gets to end after it was told to [s]
 
 
@@ -78,9 +77,11 @@ class Crew:
         self.hosts = {node.name: options.hosts.get(node.name, HERE) for node in graph.nodes}
         self.supervisor_inbox = Inbox()
         self.failure: NodeFailure | None = None
+        self.unclosed: NodeFailure | None = None  # the first node that did not close, after `stop`
         self.priority_granted: bool | None = None
         self.records: dict[str, dict[str, Any]] = {}  # by node name, after `stop`
-        self._stopping, self._stopped = Lock(), False
+        self._stopping, self._stopped, self._over = Lock(), False, Event()
+        self._noticed = 0  # when the failure was [ns, monotonic]
         self._replies: queue.SimpleQueue[tuple[int, str, Any]] = queue.SimpleQueue()
         self._failures: queue.SimpleQueue[NodeFailure] = queue.SimpleQueue()
         self._heard, self._bell = pipe_pair(False)
@@ -134,36 +135,63 @@ class Crew:
         return ways
 
     def fail(self, failure: NodeFailure) -> None:
-        """Note the first failure and stop everything."""
+        """Note the first failure, order the supervisor to stop, then stop all others."""
         if self.failure is not None or self._stopped:
             return
-        noticed = time.monotonic_ns()
+        self._noticed = time.monotonic_ns()
         self.failure = failure
-        self.stop()
-        for name in self.hosts:
-            if closed := int(self._board[self.graph.index[name], CLOSED_AT]):
-                failure.closed_after[name] = (closed - noticed) / 1e9
+        # The caller must not act while the others are closed: a process that hangs takes seconds to end.
         self.supervisor_inbox.order(Order("stop"))
         self._replies.put((-1, "failed", None))
+        self.stop()
 
     def stop(self) -> None:
-        """Close every node, end every process, keep what was recorded; safe to call twice."""
+        """Close every node, end every process, keep what was recorded.
+
+        Safe to call twice: the second call waits for the first one.
+        """
         with self._stopping:
-            if self._stopped:
-                return
-            self._stopped = True
-            for line in self._controls.values():
-                line.tell(-1, "stop", None)
-            close_seats(self.seats)
+            first, self._stopped = not self._stopped, True
+        if first:
+            try:
+                self._stop()
+            finally:
+                self._over.set()
+        elif current_thread() is not self._watch:
+            self._over.wait()
+
+    def _stop(self) -> None:
+        for line in self._controls.values():
+            line.tell(-1, "stop", None)
+        close_seats(self.seats)
         atexit.unregister(self.stop)
         if current_thread() is not self._watch:
             self._watch.join()
         for position, seat in self.seats.items():
             self._keep(position, seat.record())
         self._bury()
+        for thread in self._post:
+            thread.join(FAREWELL)
         lines = (*self._controls.values(), *self._lines.values())
         for pipe in (self._heard, self._bell, *(line.pipe for line in lines)):
             pipe.close()
+        self._check_closed()
+
+    def _check_closed(self) -> None:
+        """Note when each node was closed after a failure, and which was not."""
+        for name in self.hosts:
+            row = self._board[self.graph.index[name]]
+            if name == self.graph.supervisor:
+                continue
+            if closed := int(row[CLOSED_AT]):
+                if self.failure is not None:
+                    self.failure.closed_after[name] = (closed - self._noticed) / 1e9
+            elif self.unclosed is None:
+                process = self._processes.get(self.hosts[name])
+                ended = (
+                    "" if process is None else f" before its process ended (exit status {process.exitcode})"
+                )
+                self.unclosed = NodeFailure(name, int(row[TICK]), f"was not closed{ended}")
 
     def _bury(self) -> None:
         """Take the last words of the processes, until they have ended or their time is over."""
@@ -182,6 +210,8 @@ class Crew:
                     if kind == "record":
                         self._keep(position, payload)
                         deadline = time.monotonic() + FAREWELL  # a long record takes its time
+                    elif kind == "unclosed":
+                        self.unclosed = self.unclosed or payload
                 except (EOFError, OSError):
                     open_.discard(pipe)
         for process in self._processes.values():
@@ -216,6 +246,7 @@ class Crew:
                 tuple(graph.connections[e] for e in into),
                 {e: place for place, e in enumerate(into)},
                 outlets,
+                self.options.time_limit,
             )
             plans.setdefault(host, []).append(plan)
         options = self.options
@@ -274,8 +305,15 @@ class Crew:
             )
         for seat in self.seats.values():
             seat.start()
+        # A thread of their own reads the messages: a process that stands still in the middle of one holds up the
+        # reader, and the watch must not stand still with it.
+        self._post = [
+            Thread(target=self._run_post, args=(line.pipe,), name=f"messages of process {host}", daemon=True)
+            for host, line in self._lines.items()
+        ]
         self._watch = Thread(target=self._run_watch, name="watch over nodes", daemon=True)
-        self._watch.start()
+        for thread in (*self._post, self._watch):
+            thread.start()
 
     def _report_pipe(self, context: Any) -> Pipe | None:
         """Keep the end that is read, return the one that a process writes to."""
@@ -306,6 +344,8 @@ class Crew:
             self._failures.put(payload)
             with suppress(OSError):
                 self._bell.send_bytes(b"!")
+        elif kind == "unclosed":
+            self.unclosed = self.unclosed or payload
         else:
             self._replies.put((position, kind, payload))
 
@@ -313,16 +353,15 @@ class Crew:
         controls = {line.pipe: host for host, line in self._controls.items()}
         sentinels = {process.sentinel: host for host, process in self._processes.items()}
         sources: list[Any] = [self._heard, *controls, *sentinels]
-        sources += [line.pipe for line in self._lines.values()]
         while not self._stopped:
             try:
                 for source in wait(sources, BEAT_PERIOD):
                     if source in sentinels:
                         host = sentinels[source]
-                        self._read(self._controls[host].pipe, True)
+                        self._read(self._controls[host].pipe)
                         self._mourn(host)
                         sources.remove(source)
-                    elif not self._read(source, source in controls):
+                    elif not self._read(source):
                         sources.remove(source)
                 while not self._failures.empty():
                     self.fail(self._failures.get())
@@ -331,14 +370,24 @@ class Crew:
                 # Without the watch nobody would notice anything; where all is stopped, pipes are closed.
                 self.fail(failure_of(self.graph.supervisor, -1, error, traceback.format_exc()))
 
-    def _read(self, source: Any, control: bool) -> bool:
+    def _run_post(self, pipe: Pipe) -> None:
+        """Deliver the messages of one process to the nodes of the caller's, until all is stopped or it has ended."""
+        try:
+            while not self._stopped:
+                if pipe.poll(BEAT_PERIOD):
+                    self._deliver(pipe.recv_bytes())
+        except (EOFError, OSError):
+            return  # of the end of a process the watch knows
+        except Exception as error:
+            failure = failure_of(self.graph.supervisor, -1, error, traceback.format_exc())
+            self._reply(self.graph.index[self.graph.supervisor], "failed", failure)
+
+    def _read(self, source: Any) -> bool:
         """Read what a pipe holds; return whether it is still open."""
         try:
             while source.poll():
                 if source is self._heard:
                     source.recv_bytes()
-                elif not control:
-                    self._deliver(source.recv_bytes())
                 else:
                     position, kind, payload = source.recv()
                     if kind == "priority":
@@ -374,7 +423,7 @@ class Crew:
         for name, host in self.hosts.items():
             row = self._board[self.graph.index[name]]
             tick, since, beat = int(row[TICK]), int(row[BUSY_SINCE]), int(row[BEAT])
-            limit = self.options.time_limit if tick >= 0 else max(self.options.time_limit, START_LIMIT)
+            limit = step_limit(self.options.time_limit, tick)
             if since and now - since > limit * 1e9:
                 self.fail(NodeFailure(name, tick, f"has not returned for {limit:g} s"))
             elif beat and now - beat > self.options.beat_limit * 1e9:

@@ -38,6 +38,7 @@ class SeatPlan:
         inputs: its connections.
         places: number of the graph's connection -> number of the input.
         outlets: connections on which it sends: number, host and node that receive.
+        time_limit: longest step [s].
     """
 
     position: int
@@ -46,6 +47,7 @@ class SeatPlan:
     inputs: tuple[Connection, ...]
     places: dict[int, int]
     outlets: tuple[tuple[int, int, int], ...]
+    time_limit: float
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,7 @@ def make_seats(
             outlets[plan.position],
             board,
             reply,
+            plan.time_limit,
         )
     deliver = {position: seat.inbox.deliver for position, seat in seats.items()} | dict(others or {})
     for plan in plans:

@@ -19,12 +19,13 @@ from deepkoco.graph.episodes.storage.container import EpisodeFileError
 from deepkoco.graph.execution.runtime import NodeParameters
 from deepkoco.graph.live.crew import Crew, CrewOptions
 from deepkoco.graph.live.driver import Driver, Outlet
-from deepkoco.graph.live.failure import failure_of
+from deepkoco.graph.live.failure import Ending, NodeFailure, failure_of
 from deepkoco.graph.live.plan import Plan
 from deepkoco.graph.live.recorder import Record, Recorder
 from deepkoco.graph.live.runner import InitialStateError, Runner
 from deepkoco.graph.live.seat import make_driver, reset_runner
 from deepkoco.graph.live.state import Policy, RunningState, check_step, running_state
+from deepkoco.graph.model.contract import NotFiniteError
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Input, State
 from deepkoco.graph.timing.computation_graph import ComputationGraph
@@ -63,16 +64,28 @@ class LiveRuntime(ABC):
         self._running: RunningState | None = None
         self._begun = 0  # last supervisor step of an episode that was cut off
         self._salvaged: dict[str, Any] | None = None  # its records
+        self._ending: Ending | None = None  # what cut it off
         self._driver: Driver | None = None
         self._episode = 0
         self._others = [node.name for node in graph.nodes if node.name != graph.supervisor]
 
+    def __getstate__(self) -> dict[str, Any]:
+        if self._crew is not None:
+            raise TypeError(
+                "this runtime has nodes in running threads and processes: it cannot be copied or pickled; close "
+                "it first, or make another one from the graph"
+            )
+        return dict(self.__dict__)
+
     def __enter__(self) -> Any:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if error is not None:
+            self._stop_after(error)
+            return
         try:
-            if kind is None and self._recorder is not None and self._running is not None:
+            if self._recorder is not None and self._running is not None:
                 self.finish()  # up to the supervisor's last start, as a caller who wants the episode has it
         finally:
             self.close()
@@ -117,12 +130,13 @@ class LiveRuntime(ABC):
         with _Stopping(self):
             if self._crew is None:
                 self._crew = Crew(self.graph, self._options)
+                # A caller who forgets to close wants the file all the same, and must hear of a failure.
+                atexit.register(self.close)
                 if self._recorder is not None:
-                    atexit.register(self.close)  # a caller who forgets to close wants the file all the same
                     self._recorder.listen(self._crew.reports, partial(self._drivers, self._crew))
             elif self._running is not None:
                 self._crew.ask({name: ("end", 0) for name in self._others})
-            self._running = self._salvaged = None
+            self._running = self._salvaged = self._ending = self._driver = None
             self._episode += 1
             return self._go(self._crew, parameters, generator, initial)
 
@@ -138,7 +152,7 @@ class LiveRuntime(ABC):
 
         Raises:
             HorizonError: the timing ends here.
-            NodeFailure: a node failed; everything is stopped and closed.
+            NodeFailure: a node failed, or the action is not finite; everything is stopped and closed.
             ValueError: the state is not the latest one, or the action has another shape than the initial one.
         """
         check_step(self._running, state)
@@ -146,6 +160,9 @@ class LiveRuntime(ABC):
         assert self._crew is not None
         action = self._driver.runner.act(action, self._driver.tick)
         with _Stopping(self):
+            if self._crew.failure is not None:
+                raise self._crew.failure  # before the action goes anywhere
+            self._check_finite(self._driver, action)
             self._driver.finish(action)
             return self._observe(self._crew, action)
 
@@ -188,22 +205,53 @@ class LiveRuntime(ABC):
         """Stop all nodes, close them, end their processes, finish the recording; safe to call twice.
 
         Raises:
+            NodeFailure: a node has failed, and neither `step` nor `finish` has raised it; or a node did not close.
             EpisodeFileError: the recording could not be written; the nodes are closed all the same.
+        """
+        failure = self._end(None)
+        if failure is not None:
+            raise failure
+
+    def _stop_after(self, error: BaseException) -> None:
+        """Stop everything because of an error, and note on it what else went wrong."""
+        try:
+            failure = self._end(error)
+        except EpisodeFileError as unwritten:  # what stopped the graph is what must be heard of
+            error.add_note(str(unwritten))
+        else:
+            if failure is not None and failure is not error:
+                error.add_note(str(failure))
+
+    def _end(self, error: BaseException | None) -> NodeFailure | None:
+        """Stop everything; return the failure that stopped the graph, unless it was returned before.
+
+        Args:
+            error: why everything is to stop; None: the caller wants it to.
         """
         running, self._running = self._running, None
         crew, self._crew = self._crew, None
+        failure = None
         if crew is not None:
             crew.stop()
+            failure = crew.failure or crew.unclosed
             if running is not None and self._driver is not None:
                 self._begun = int(running.step[0])
                 self._salvaged = crew.records | {self.graph.supervisor: self._driver.log()}
+            if (reason := crew.failure or error) is not None and self._driver is not None:
+                self._ending = Ending.of(reason, self.graph.supervisor, self._driver.time)
+        atexit.unregister(self.close)
         if self._recorder is not None:
-            atexit.unregister(self.close)
             try:
                 episode = None if running is None else self._salvaged_episode()
             except ValueError:  # what the nodes have reported is all there is
                 episode = None
-            self._recorder.close(episode)
+            try:
+                self._recorder.close(episode, self._ending)
+            except EpisodeFileError as unwritten:
+                if failure is None:
+                    raise
+                failure.add_note(str(unwritten))
+        return failure
 
     def _salvaged_episode(self) -> Episode:
         if self._salvaged is None:
@@ -211,7 +259,8 @@ class LiveRuntime(ABC):
         lost = [name for name in self.graph.index if name not in self._salvaged]
         if lost:
             raise ValueError(f'the record of "{lost[0]}" is lost with its process')
-        return self._episode_of(self._begun, self._salvaged)
+        episode = self._episode_of(self._begun, self._salvaged)
+        return episode if self._ending is None else self._ending.mark(episode)
 
     def _drivers(self, crew: Crew) -> list[tuple[int, Driver | None]]:
         """The drivers of the caller's process, by number of the node."""
@@ -304,6 +353,12 @@ class LiveRuntime(ABC):
         self._running = running_state(driver.tick, driver.time, self._steps, readings)
         return self._running, seen
 
+    def _check_finite(self, driver: Driver, action: Tensor) -> None:
+        try:
+            driver.runner.check_finite("action", action)
+        except NotFiniteError as error:
+            raise failure_of(self.graph.supervisor, driver.tick, error) from None
+
     @property
     def _unled(self) -> list[str]:
         """Nodes that need credit, for they would run ahead without end."""
@@ -321,12 +376,8 @@ class _Stopping:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
-        if error is None or isinstance(error, InitialStateError):
-            return
-        try:
-            self._runtime.close()
-        except EpisodeFileError as unwritten:  # what stopped the graph is what must be heard of
-            error.add_note(str(unwritten))
+        if error is not None and not isinstance(error, InitialStateError):
+            self._runtime._stop_after(error)
 
 
 def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:

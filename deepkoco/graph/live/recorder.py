@@ -1,6 +1,7 @@
 """The recorder: writes an episode down while its nodes run in threads and processes."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from multiprocessing.connection import Connection as Pipe
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -13,6 +14,7 @@ from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.storage.container import EpisodeFileError, check_target
 from deepkoco.graph.episodes.storage.episode_writer import EpisodeWriter
 from deepkoco.graph.live.driver import Driver
+from deepkoco.graph.live.failure import Ending
 from deepkoco.graph.live.plan import NodePlan, Plan
 from deepkoco.graph.live.reporter import REPORT_PERIOD, Report, reports_of
 from deepkoco.graph.model.graph import Graph
@@ -100,11 +102,12 @@ class Recorder:
             self._guard(lambda: self._complete(episode))
             self._episode = None
 
-    def close(self, episode: Episode | None) -> None:
+    def close(self, episode: Episode | None, ending: Ending | None) -> None:
         """End the thread and, where it is the recorder's own, the file.
 
         Args:
             episode: the one that is being written, if it could be put together.
+            ending: what ended the episode before its time; where there is no `episode` it is written down alone.
 
         Raises:
             EpisodeFileError: something could not be written.
@@ -115,6 +118,8 @@ class Recorder:
             self._thread = None
         if episode is not None:
             self.end(episode)
+        elif ending is not None and self._episode is not None:
+            self._guard(partial(self._write_ending, ending))
         self._episode = None
         writer, self._writer = self._writer, None
         failure, self._failure = self._failure, None
@@ -185,6 +190,14 @@ class Recorder:
         assert self._writer is not None
         self._writer.message(key, seq, sent, received)
         self._arrived[key].add(seq)
+
+    def _write_ending(self, ending: Ending) -> None:
+        assert self._writer is not None
+        note = ending.note
+        if ending.failure:
+            self._writer.fail(note.t, ending.failure, note.node)
+        else:
+            self._writer.note(note.t, note.text, note.level, note.node)
 
     def _complete(self, episode: Episode) -> None:
         assert self._writer is not None

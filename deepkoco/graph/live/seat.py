@@ -3,7 +3,7 @@
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from threading import Lock, Thread
+from threading import Event, Lock, Thread
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ from deepkoco.graph.live.runner import InitialStateError, Runner
 from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.node import Node
 
+START_LIMIT = 60.0  # longest time that `open` and `init` of a node take [s]
+CLOSE_LIMIT = 5.0  # longest time that is waited for `close` of a node [s]
 TICK, BUSY_SINCE, CLOSED_AT, BEAT = range(4)
 """Columns of the board, int64: current tick, since when it steps (0: waits), when it was closed, heartbeat [ns]."""
 
@@ -32,7 +34,8 @@ class Seat(Thread):
         places: number of the graph's connection -> number of the input.
         outlets: where its output goes.
         board: (N, 4) int64, shared with who watches; see the constants above.
-        reply: takes (position, kind, payload): "reset", "end", "failed" with a `NodeFailure`, "closed".
+        reply: takes (position, kind, payload): "reset", "end", "failed" and "unclosed" with a `NodeFailure`, "closed".
+        time_limit: longest step [s].
     """
 
     def __init__(
@@ -45,15 +48,16 @@ class Seat(Thread):
         outlets: list[Outlet],
         board: np.ndarray,
         reply: Callable[[int, str, Any], None],
+        time_limit: float,
     ) -> None:
         super().__init__(name=f"node {name}", daemon=True)
-        self.position, self.node_name = position, name
+        self.position, self.node_name, self._time_limit = position, name, time_limit
         self._make, self._inputs, self._places = make, inputs, places
         self._outlets, self._board, self._reply = outlets, board[position], reply
         self.inbox = Inbox()
         self._node: Node | None = None
         self.driver: Driver | None = None
-        self._closing = Lock()
+        self._closing, self._closed = Lock(), Event()
         self._board[TICK] = -1
 
     def run(self) -> None:
@@ -73,8 +77,12 @@ class Seat(Thread):
         self.close_node()
 
     def close_node(self) -> None:
-        """Close the node, once, from whichever thread comes first: its own, or the one that has given it up."""
+        """Close the node, once, from whichever thread comes first: its own, or the one that has given it up.
+
+        The second one waits until the node is closed, at most `CLOSE_LIMIT`.
+        """
         if not self._closing.acquire(blocking=False):
+            self._closed.wait(CLOSE_LIMIT)
             return
         try:
             if self._node is not None:
@@ -86,8 +94,9 @@ class Seat(Thread):
                 f"close raised {type(error).__name__}: {error}",
                 traceback.format_exc(),
             )
-            self._reply(self.position, "failed", failed)
+            self._reply(self.position, "unclosed", failed)
         self._board[CLOSED_AT] = time.monotonic_ns()
+        self._closed.set()
         self._reply(self.position, "closed", None)
 
     def record(self) -> dict[str, Any] | None:
@@ -118,10 +127,18 @@ class Seat(Thread):
         while (seen := driver.begin(until)) is not None:
             with self._busy(driver.tick):
                 output = driver.runner.step(seen)
+                self._check_duration(driver.tick)
                 driver.finish(output)
 
     def _busy(self, tick: int) -> "_Busy":
         return _Busy(self._board, tick)
+
+    def _check_duration(self, tick: int) -> None:
+        """Fail where a step came back late: one that holds the interpreter lock stops the watch as well."""
+        passed = (time.monotonic_ns() - int(self._board[BUSY_SINCE])) / 1e9
+        if passed > self._time_limit:
+            reason = f"has returned after {passed:.3g} s, and may take {self._time_limit:g} s"
+            raise NodeFailure(self.node_name, tick, reason)
 
 
 class _Busy:
@@ -136,6 +153,11 @@ class _Busy:
 
     def __exit__(self, *error: object) -> None:
         self._board[BUSY_SINCE] = 0
+
+
+def step_limit(time_limit: float, tick: int) -> float:
+    """Return how long a node may be in its own code at a tick [s]; to open and `init` (tick -1) may take longer."""
+    return time_limit if tick >= 0 else max(time_limit, START_LIMIT)
 
 
 def reset_runner(runner: Runner, payload: Mapping[str, Any]) -> dict[str, Any]:

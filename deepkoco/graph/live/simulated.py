@@ -17,6 +17,7 @@ from deepkoco.graph.live.protocol import ProtocolPlan
 from deepkoco.graph.live.runner import InitialStateError, Runner
 from deepkoco.graph.live.state import Policy, RunningState, check_step, planned_episode, running_state
 from deepkoco.graph.live.watched import StuckError, Watched
+from deepkoco.graph.model.contract import NotFiniteError
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, State
 from deepkoco.graph.timing.computation_graph import ComputationGraph
@@ -134,12 +135,16 @@ class SimulatedRuntime:
 
         Raises:
             HorizonError: the timing ends here.
-            NodeFailure: a node raised, or was interrupted; all nodes are closed.
+            NodeFailure: a node raised, or was interrupted, or the action is not finite; all nodes are closed.
             ValueError: the state is not the latest one, or the action has another shape than the initial one.
         """
         check_step(self._running, state)
         name = self.graph.supervisor
         action = self._runners[name].act(action, self._tick[name])
+        try:
+            self._runners[name].check_finite("action", action)
+        except NotFiniteError as error:
+            raise self._failed(name, self._tick[name], error) from None
         self._send(name, self._tick[name], action)
         self._tick[name] += 1
         return self._observe(self._tick[name], action)
@@ -256,15 +261,17 @@ class SimulatedRuntime:
         except InitialStateError:
             raise
         except BaseException as error:
-            details = traceback.format_exc()
-            try:
-                self.close()
-            except NodeFailure as another:
-                details += f"\nand while closing: {another}"
-            if isinstance(error, KeyboardInterrupt):
-                raise KeyboardInterrupt(
-                    f'in node "{name}" at its tick {tick}; the nodes are closed'
-                ) from error
-            if isinstance(error, StuckError):
-                raise NodeFailure(name, tick, str(error)) from None
-            raise failure_of(name, tick, error, details) from error
+            raise self._failed(name, tick, error) from (None if isinstance(error, StuckError) else error)
+
+    def _failed(self, name: str, tick: int, error: BaseException) -> BaseException:
+        """Close all nodes; return what to raise, from the exception of a node that is being handled."""
+        details = traceback.format_exc()
+        try:
+            self.close()
+        except NodeFailure as another:
+            details += f"\nand while closing: {another}"
+        if isinstance(error, KeyboardInterrupt):
+            return KeyboardInterrupt(f'in node "{name}" at its tick {tick}; the nodes are closed')
+        if isinstance(error, StuckError):
+            return NodeFailure(name, tick, str(error))
+        return failure_of(name, tick, error, details)

@@ -1,12 +1,18 @@
 """The contract of a node: its outputs and states keep the shape, type and keys that they start with."""
 
+import cmath
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from deepkoco.graph.model.node import GraphError
+
+
+class NotFiniteError(ValueError):
+    """A node put out NaN or infinity, or was given it as an action."""
 
 
 class StepError(RuntimeError):
@@ -83,6 +89,33 @@ def check_action(supervisor: str, step: int, action: Tensor, initial: Tensor) ->
             f'action of "{supervisor}" at its step {step} has shape {tuple(action.shape)}, '
             f"the initial action {tuple(initial.shape)}"
         )
+
+
+def check_finite(what: str, value: Tensor) -> None:
+    """Check that a value (1, ...) of one environment has neither NaN nor infinity.
+
+    Args:
+        what: name of the value, for the message.
+        value: of any type; whole numbers are always finite.
+
+    Raises:
+        NotFiniteError: an entry is not finite; the message says which.
+    """
+    if not (value.is_floating_point() or value.is_complex()):
+        return
+    # One sum costs a third of the exact check; only a sum that overflows needs it.
+    if cmath.isfinite(value.sum().item()):
+        return
+    wrong = torch.nonzero(~torch.isfinite(value[0])).tolist()
+    if not wrong:
+        return
+    place = "".join(f"[{i}]" for i in wrong[0])
+    entry = f"entry {place} is" if place else "is"
+    more = f", as are {len(wrong) - 1} more" if len(wrong) > 1 else ""
+    raise NotFiniteError(
+        f"{what} {entry} {value[0][tuple(wrong[0])].item()}{more}; a node that says so on purpose has "
+        "the class attribute finite = False"
+    )
 
 
 def _check_like(what: str, value: Any, where: str, expected: Tensor) -> None:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.timing.computation_graph import ComputationGraph
+from deepkoco.graph.timing.computation_graph import ComputationGraph, Layout
 from deepkoco.graph.timing.draw import empty_times
-from deepkoco.graph.timing.kernel import DONE, LOST, Draws, run_rows
+from deepkoco.graph.timing.kernel import DONE, LOST, Draws, Times, run_rows
 from deepkoco.graph.timing.overrides import TimingError
 from deepkoco.graph.timing.plan import plan_of
 
@@ -28,18 +28,27 @@ class MeasuredTiming:
     t_received: Mapping[str, np.ndarray]
 
 
-def replay_timing(graph: Graph, measured: MeasuredTiming, batch: int = 1) -> ComputationGraph:
+def replay_timing(
+    graph: Graph,
+    measured: MeasuredTiming,
+    batch: int = 1,
+    windows: Mapping[str, np.ndarray] | None = None,
+) -> ComputationGraph:
     """Put measured times in the place of drawn delays, under the same rules.
 
-    The starts are the measured ones; what each step sees follows from the arrivals.
+    The starts are the measured ones; what each step sees follows from the arrivals, or is what it saw.
 
     Args:
         graph: the graph that ran.
         measured: times of one episode, in which the supervisor started at least two steps.
         batch: environments that all replay the episode.
+        windows: by connection key, (K, window) messages that each of the receiver's K steps saw, as in `Episode`.
+            Of a connection that is not named they follow from the arrivals. A run by the protocol sees message 0
+            before it arrives, so only its recorded windows replay it.
 
     Raises:
-        TimingError: times are missing, not finite, or run backwards.
+        TimingError: times are missing, not finite, or run backwards; windows have another shape, or hold a message
+            that was not sent by then or never arrived.
     """
     plan = plan_of(graph)
     resolution = plan.resolution(())
@@ -92,7 +101,40 @@ def replay_timing(graph: Graph, measured: MeasuredTiming, batch: int = 1) -> Com
     times = empty_times(layout, 1, steps)
     if run_rows(steps, plan.rules(resolution), columns, draws, recorded, times) != DONE:
         raise TimingError("the measured times end before the last step of the supervisor")
+    _put_windows(graph, layout, times, windows or {})
     return ComputationGraph(layout, resolution, steps, np.zeros(batch, dtype=np.int64), *times)
+
+
+def _put_windows(graph: Graph, layout: Layout, times: Times, windows: Mapping[str, np.ndarray]) -> None:
+    """Put recorded windows in the place of those that follow from the arrivals."""
+    for e, connection in enumerate(graph.connections):
+        if connection.key not in windows:
+            continue
+        sender, receiver = graph.index[connection.sender], graph.index[connection.receiver]
+        counts = times.boundary[0, -1] + (np.arange(len(graph.nodes)) == layout.supervisor)
+        seen, steps, size = np.asarray(windows[connection.key]), int(counts[receiver]), connection.window
+        where = f'connection "{connection.key}": '
+        if seen.ndim != 2 or seen.shape[1] != size or len(seen) < steps:
+            raise TimingError(
+                f"{where}windows of shape {seen.shape}; expected ({steps}, {size}) for the steps of "
+                f'"{connection.receiver}"'
+            )
+        seen = seen[:steps]
+        start = times.t_start[0, layout.step_base[receiver] :][:steps, None]
+        # The sender's own step must come first; at one instant the order of the nodes has decided.
+        sent = int(times.boundary[0, -1, sender])
+        message = np.clip(seen, 0, max(sent - 1, 0))
+        begun = times.t_start[0, layout.step_base[sender] + message]
+        early = (seen >= 0) & ((seen >= sent) | (begun > start))
+        lost = (seen >= 0) & (times.t_received[0, layout.message_base[e] + message] >= LOST)
+        for wrong, what in ((early, "was sent later"), (lost, "never arrived")):
+            if wrong.any():
+                step, place = np.argwhere(wrong)[0]
+                raise TimingError(
+                    f'{where}step {step} of "{connection.receiver}" saw message {seen[step, place]}, which {what}'
+                )
+        first = layout.window_base[e]
+        times.windows[0, first : first + seen.size] = seen.ravel()
 
 
 def _ticks(

@@ -118,12 +118,30 @@ def test_a_run_that_fails_keeps_its_recording(tmp_path):
     def run():
         with EpisodeWriter(tmp_path / "run.mcap", GRAPH) as writer:
             writer.step("world", 0, 0.0, 0.1, np.zeros(1))
+            raise ZeroDivisionError("no gain")
+
+    with pytest.raises(ZeroDivisionError):
+        run()
+    recorded = read_episodes(tmp_path / "run.mcap")
+    assert (recorded.complete, recorded.failures) == (False, {0: "ZeroDivisionError: no gain"})
+    assert recorded.episodes[0].t_end["world"].tolist() == [0.1]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_an_episode_that_has_ended_is_complete_although_the_program_fails_afterwards(tmp_path):
+    times = {"world": np.array([0.0, 0.01]), "agent": np.array([0.0, 0.02])}
+    sent = {"world->agent": np.array([0.001, 0.011]), "agent->world": np.array([0.002])}
+    episode = Episode(times, times, {}, sent, sent, {})
+
+    def run():
+        with EpisodeWriter(tmp_path / "run.mcap", GRAPH) as writer:
+            writer.begin()
+            writer.end(episode)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         run()
     assert read_episodes(tmp_path / "run.mcap").complete
-    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 
 
 def test_nothing_is_overwritten(tmp_path):

@@ -48,6 +48,8 @@ class Device(Node):
         if self.fault and self.steps == self.at:
             FAULTS[self.fault]()
         self.steps += 1
+        if self.fault == "nan" and self.steps > self.at:
+            return state, torch.tensor([[1.0, torch.nan]], dtype=torch.float64)
         self.output += self.steps  # the same memory each time
         return state, self.output
 
@@ -55,6 +57,8 @@ class Device(Node):
         self._mark("open")
 
     def close(self):
+        if self.fault == "slow close":
+            time.sleep(0.3)
         self._mark("close")
         if self.fault == "bad close":
             raise OSError("the drive does not answer")
@@ -67,6 +71,21 @@ class Device(Node):
     def _mark(self, what):
         with (Path(self.folder) / f"{self.name}.{what}").open("a") as file:
             file.write(f"{where()}\n")
+
+
+class BigDevice(Device):
+    """Puts out 16 MB at each step, so that its process is sending nearly all the time."""
+
+    def init(self, parameters, generator, batch):
+        super().init(parameters, generator, batch)
+        self.output = torch.zeros(batch, 2_000_000, dtype=torch.float64)
+        return {}
+
+
+class QuietDevice(Device):
+    """Says with NaN that it has nothing to say."""
+
+    finite = False
 
 
 def where() -> str:
@@ -91,13 +110,21 @@ def interrupt():
     hang()
 
 
+def compute():
+    return sum(range(150_000_000))  # one call into C: no other thread of the process runs meanwhile
+
+
 FAULTS = {
+    "compute": compute,
     "ctrl-c": interrupt,
     "raise": raise_error,
     "hang": hang,
+    "nap": lambda: time.sleep(0.3),
     "sleep": lambda: time.sleep(3600),
     "die": die,
     "bad close": lambda: None,
+    "nan": lambda: None,
+    "slow close": lambda: None,
 }
 
 

@@ -24,6 +24,7 @@ from deepkoco.graph import (
     draw_timing,
     record_episodes,
     replay_episode,
+    replay_timing,
 )
 from deepkoco.graph.live import ConcurrentRuntime, SimulatedRuntime
 from tests.graph.timing_reference import Accumulate, graphs
@@ -67,6 +68,16 @@ def test_by_the_protocol_runs_equal_the_simulated_ones_without_any_horizon():
     graph = loop()
     expected = run(SimulatedRuntime(graph), 60)
     assert_same(expected, run(ConcurrentRuntime(graph, processes={"sensor": 1}), 60))
+
+
+def test_an_episode_by_the_protocol_replays_bitwise_in_every_runtime():
+    graph = loop()
+    episode = run(ConcurrentRuntime(graph, processes={"sensor": 1}), 20)
+    again, _ = replay_episode(graph, episode, {}, torch.Generator().manual_seed(0))
+    assert_same(episode, again)
+    timing = replay_timing(graph, episode.measured, windows=episode.windows)
+    assert_same(episode, run(SimulatedRuntime(graph, timing), 20))
+    assert_same(episode, run(ConcurrentRuntime(graph, timing, processes={"sensor": 1}), 20))
 
 
 def test_a_new_timing_can_come_with_each_reset_in_the_middle_of_an_episode():

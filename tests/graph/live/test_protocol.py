@@ -8,10 +8,19 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from live_nodes import Timed, assert_same, run
 
-from deepkoco.graph import Connection, Deterministic, Gaussian, Graph, Supervisor, draw_timing
-from deepkoco.graph.live import ProtocolError, ProtocolPlan
-from deepkoco.graph.live.protocol import expected_count, published_cyclic_count
+from deepkoco.graph import (
+    Connection,
+    Deterministic,
+    Gaussian,
+    Graph,
+    Supervisor,
+    draw_timing,
+    replay_episode,
+)
+from deepkoco.graph.live import ProtocolError, ProtocolPlan, SimulatedRuntime
+from deepkoco.graph.live.protocol import cyclic_count, expected_count, published_cyclic_count
 from tests.graph.timing_reference import Accumulate
 
 RATES = (1, 2, 3, 4, 5, 6, 7, 9, 10, 12, 15, 20, 30, 50, 100)
@@ -109,6 +118,30 @@ def test_windows_are_those_of_the_exact_timing_but_for_the_first_message(f_i, f_
             assert list(seen.seq) == drawn[k].tolist()
         elif first:
             assert seen.seq[-1] == 0
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    speeds=st.tuples(rates, rates, rates),
+    lags=st.tuples(delays, delays, delays),
+    window=st.integers(1, 3),
+    count=st.sampled_from([cyclic_count, published_cyclic_count]),
+)
+def test_an_episode_by_the_protocol_replays_bitwise(speeds, lags, window, count):
+    agent = Supervisor("agent", speeds[2], initial_action=torch.zeros(2, dtype=torch.float64), phase=0.3)
+    graph = Graph(
+        [Timed("world", speeds[0]), Timed("sensor", speeds[1]), agent],
+        [
+            Connection("world", "sensor", float(lags[0]), window=window),
+            Connection("sensor", "agent", float(lags[1])),
+            Connection("agent", "world", float(lags[2]), window=window, skip=True),
+        ],
+    )
+    runtime = SimulatedRuntime(graph)
+    runtime._protocol = ProtocolPlan(graph, count)
+    episode = run(runtime, 6)
+    again, _ = replay_episode(graph, episode, {}, torch.Generator().manual_seed(0))
+    assert_same(episode, again)
 
 
 @settings(deadline=None, max_examples=60)

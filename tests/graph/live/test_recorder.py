@@ -1,5 +1,6 @@
 """A recording that is written while a run goes on is the episode that `finish` returns, and outlives a crash."""
 
+import re
 import signal
 import time
 
@@ -21,6 +22,7 @@ from deepkoco.graph import (
     read_episodes,
     replay_episode,
     replay_timing,
+    write_episodes,
 )
 from deepkoco.graph.live import ConcurrentRuntime, WallClockRuntime
 
@@ -70,9 +72,8 @@ def test_the_recording_is_the_episode_of_finish_and_replays_bitwise(tmp_path, ki
     for expected, episode in ((first, run.episodes[0]), (last, run.episodes[2])):
         assert_same(expected, episode)
         assert expected.notes == episode.notes
-    if kind != "by the protocol":  # which has rules of its own, not those of a replay
-        for episode in run.episodes:
-            assert_replays(graph, episode)
+    for episode in run.episodes:
+        assert_replays(graph, episode)
     assert (run.origins[0] > 10**18) == (kind == "wall clock")
 
 
@@ -103,13 +104,68 @@ def test_a_failure_leaves_the_recording_of_what_had_run(tmp_path, make):
     runtime.reset({}, torch.Generator())
     with pytest.raises(NodeFailure):
         runtime.run(act, 1000)
-    (episode,) = read_episodes(path).episodes
-    assert_same(runtime.finish(), episode)
+    recorded = read_episodes(path)
+    (episode,) = recorded.episodes
+    cause = 'node "motor" at its tick 12: ValueError: encoder cable is off'
+    assert not recorded.complete
+    assert recorded.failures == {0: cause}
+    last = episode.notes[-1]
+    assert (last.level, last.node, last.text) == ("fatal", "motor", cause)
+    assert last.t >= episode.t_start["agent"][-1]
+    ended = runtime.finish()
+    assert_same(ended, episode)
+    assert (ended.notes, ended.failure) == (episode.notes, episode.failure)
+    again = write_episodes(tmp_path / "again.mcap", graph, [ended])
+    assert read_episodes(again).failures == {0: cause}
     timing = replay_timing(graph, episode.measured)
     for edge, connection in enumerate(graph.connections):
         np.testing.assert_array_equal(timing.windows_of(edge), episode.windows[connection.key])
     with pytest.raises(EpisodeFileError, match="exists; choose another name"):
         runtime.reset({}, torch.Generator())
+
+
+@pytest.mark.parametrize("place", ["policy", "loop"])
+def test_the_recording_says_that_an_error_of_the_caller_ended_the_episode(tmp_path, place):
+    graph, path = loop(), tmp_path / "run.mcap"
+
+    def policy(inputs):
+        if int(inputs["sensor"].seq[0, -1]) >= 4:
+            raise ZeroDivisionError("no gain")
+        return act(inputs)
+
+    def drive():
+        with ConcurrentRuntime(graph, record=path) as runtime:
+            for steps in (2, 100):  # the first episode ends well
+                state, inputs = runtime.reset({}, torch.Generator().manual_seed(0))
+                for _ in range(steps):
+                    if place == "policy":
+                        state = runtime.run(policy if steps == 100 else act, 1)
+                    else:
+                        state, inputs = runtime.step(state, policy(inputs) if steps == 100 else act(inputs))
+                runtime.finish()
+
+    with pytest.raises(ZeroDivisionError):
+        drive()
+    recorded = read_episodes(path)
+    assert not recorded.complete
+    assert recorded.failures == {1: "the caller stopped it: ZeroDivisionError: no gain"}
+    assert [bool(episode.notes) for episode in recorded.episodes] == [False, True]
+
+
+def test_ctrl_c_leaves_a_note_and_a_complete_recording(tmp_path):
+    def policy(inputs):
+        raise KeyboardInterrupt
+
+    runtime = ConcurrentRuntime(loop(), record=tmp_path / "run.mcap")
+    runtime.reset({}, torch.Generator())
+    runtime.run(act, 3)
+    with pytest.raises(KeyboardInterrupt):
+        runtime.run(policy, 3)
+    recorded = read_episodes(tmp_path / "run.mcap")
+    assert recorded.complete
+    assert [(note.level, note.text) for note in recorded.episodes[0].notes] == [
+        ("warning", "the caller stopped it: KeyboardInterrupt")
+    ]
 
 
 def test_what_a_process_reported_outlives_it(tmp_path):
@@ -120,7 +176,11 @@ def test_what_a_process_reported_outlives_it(tmp_path):
         runtime.run(act, 1000)
     with pytest.raises(ValueError, match="lost with its process"):
         runtime.finish()
-    motor = read_episodes(path).episodes[0].outputs["motor"]
+    recorded = read_episodes(path)
+    motor = recorded.episodes[0].outputs["motor"]
+    assert not recorded.complete
+    assert re.match(r'node "motor" at its tick \d+: its process has died', recorded.failures[0])
+    assert recorded.episodes[0].notes[-1].level == "fatal"
     assert 1 <= len(motor) <= 25  # of 0.5 s, all but the last reports
     assert motor[:, 0].tolist() == [k * (k + 1) / 2 for k in range(1, len(motor) + 1)]
 

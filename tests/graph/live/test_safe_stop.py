@@ -1,6 +1,8 @@
 """A node that raises, hangs or dies stops the graph: one error that names it, and all others are closed."""
 
 import os
+import queue
+import re
 import signal
 import subprocess
 import sys
@@ -11,10 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from live_nodes import act, devices
+from live_nodes import BigDevice, QuietDevice, act, devices
 
-from deepkoco.graph import read_episodes, replay_timing
+from deepkoco.graph import Graph, read_episodes, replay_timing
 from deepkoco.graph.live import ConcurrentRuntime, NodeFailure, WallClockRuntime
+from deepkoco.graph.live.clocked import clocked_schedule
+from deepkoco.graph.live.inbox import Order
+from deepkoco.graph.live.seat import Seat
 
 RUNTIMES = {
     "threads": lambda graph: ConcurrentRuntime(graph, time_limit=0.5),
@@ -27,6 +32,7 @@ RUNTIMES = {
 REASONS = {
     "raise": "ValueError: encoder cable is off",
     "hang": "has not returned for 0.5 s",
+    "nan": r"NotFiniteError: output entry \[1\] is nan; a node that says so on purpose has the class attribute .*",
     "sleep": "has not returned for 0.5 s",
     "die": "its process has died \\(exit status -9\\)",
 }
@@ -58,6 +64,107 @@ def test_a_failing_node_stops_the_graph_within_100_ms(tmp_path, kind, fault):
     if fault == "raise":
         assert "raise_error" in failure.details
         assert failure.__notes__ == [failure.details]
+
+
+def test_a_step_that_holds_the_interpreter_lock_stops_the_policy_before_the_process_has_ended(tmp_path):
+    graph = devices(tmp_path, "compute")
+    runtime = WallClockRuntime(graph, time_limit=0.3)
+    frozen: list[float] = []  # when the policy saw the last output before the step that does not return
+
+    def policy(inputs):
+        if int(inputs["motor"].seq[0, -1]) == 2:
+            frozen.append(time.monotonic())
+        return act(inputs)
+
+    runtime.reset({}, torch.Generator())
+    with pytest.raises(NodeFailure, match=r'node "motor" at its tick 3: has not returned for 0\.3 s'):
+        runtime.run(policy, 1000)
+    assert frozen[-1] - frozen[0] < 0.8  # the step itself takes more than a second
+    runtime.close()  # once is enough: `run` has raised it
+
+
+def test_close_raises_a_failure_that_no_step_has_raised(tmp_path):
+    graph = devices(tmp_path, "compute")
+    runtime = WallClockRuntime(graph, time_limit=0.3)
+    state, inputs = runtime.reset({}, torch.Generator())
+    while int(inputs["motor"].seq[0, -1]) < 2:
+        state, inputs = runtime.step(state, act(inputs))
+    time.sleep(0.8)
+    with pytest.raises(NodeFailure, match='node "motor" at its tick 3'):
+        runtime.close()
+    runtime.close()
+
+
+def test_a_seat_fails_by_itself_when_a_step_comes_back_late(tmp_path):
+    graph = devices(tmp_path, "nap")
+    motor, replies = graph.node("motor"), queue.SimpleQueue()
+    inputs = graph.inputs_of("motor")
+    seat = Seat(
+        0,
+        lambda: motor,
+        "motor",
+        inputs,
+        {2: 0},
+        [],
+        np.zeros((1, 4), np.int64),
+        lambda *r: replies.put(r),
+        0.1,
+    )
+    seat.start()
+    values = {
+        "episode": 0,
+        "generator": torch.Generator().get_state().numpy(),
+        "parameters": {},
+        "initial": {},
+    }
+    seat.inbox.order(Order("reset", values))
+    action = torch.zeros(1, 2, dtype=torch.float64)
+    part = {"part": clocked_schedule(graph, "motor", False, 0), "initial_outputs": [action.numpy()]}
+    seat.inbox.order(Order("go", part | {"origin": time.monotonic_ns(), "factor": 1.0, "record": True}))
+    said = [replies.get(timeout=10) for _ in range(4)]
+    assert [kind for _, kind, _ in said] == ["opened", "reset", "failed", "closed"]
+    assert (said[2][2].node, said[2][2].tick) == ("motor", 3)
+    assert re.fullmatch(r"has returned after 0\.\d+ s, and may take 0\.1 s", said[2][2].reason)
+    assert len(seat.driver.log()["outputs"]) == 3  # the late output goes nowhere
+
+
+@pytest.mark.parametrize("kind", RUNTIMES)
+def test_an_action_that_is_not_finite_stops_the_graph_and_is_not_sent(tmp_path, kind):
+    graph = devices(tmp_path)
+    runtime = RUNTIMES[kind](graph)
+    state, _ = runtime.reset({}, torch.Generator())
+    state, _ = runtime.step(state, torch.ones(1, 2, dtype=torch.float64))
+    with pytest.raises(
+        NodeFailure, match=r'node "agent" at its tick 1: NotFiniteError: action entry \[0\] is -inf'
+    ):
+        runtime.step(state, torch.tensor([[-torch.inf, 0.0]], dtype=torch.float64))
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+    assert np.isfinite(runtime.finish().outputs["agent"]).all()
+
+
+@pytest.mark.parametrize("kind", RUNTIMES)
+def test_a_node_that_declares_so_may_put_out_nan(tmp_path, kind):
+    healthy = devices(tmp_path)
+    nodes = [QuietDevice("motor", 50, tmp_path, "nan"), healthy.node("camera"), healthy.node("agent")]
+    seen = []
+
+    def policy(inputs):
+        seen.append(bool(inputs["motor"].data.isnan().any()))
+        return torch.zeros(1, 2, dtype=torch.float64)
+
+    with RUNTIMES[kind](Graph(nodes, healthy.connections)) as runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(policy, 8)
+    assert any(seen)
+
+
+@pytest.mark.parametrize("kind", ["threads", "processes"])
+def test_a_node_that_closes_slowly_is_waited_for(tmp_path, kind):
+    graph = devices(tmp_path, "slow close")
+    with RUNTIMES[kind](graph) as runtime:
+        runtime.reset({}, torch.Generator())
+        runtime.run(act, 2)
+    assert len(graph.node("motor").marks("close")) == 1
 
 
 @pytest.mark.parametrize("kind", ["processes", "wall clock"])
@@ -96,6 +203,17 @@ def test_a_process_that_stands_still_is_noticed_by_its_heartbeat(tmp_path):
         assert set(caught.value.closed_after) == {"camera"}
 
 
+def test_a_process_that_stands_still_in_the_middle_of_a_message_is_noticed(tmp_path):
+    healthy = devices(tmp_path)
+    camera = BigDevice("camera", 100, tmp_path)
+    graph = Graph([healthy.node("motor"), camera, healthy.node("agent")], healthy.connections)
+    runtime = WallClockRuntime(graph, time_limit=30.0, beat_limit=1.0, record=False)
+    runtime.reset({}, torch.Generator())
+    os.kill(int(camera.marks("open")[0].split()[0]), signal.SIGSTOP)
+    with pytest.raises(NodeFailure, match=r'node "camera".*shows no life for 1 s'):
+        runtime.run(lambda inputs: torch.zeros(1, 2, dtype=torch.float64), 1000)
+
+
 def test_a_policy_that_raises_closes_the_nodes(tmp_path):
     graph = devices(tmp_path)
     runtime = ConcurrentRuntime(graph, processes={"motor": 1})
@@ -116,11 +234,13 @@ def test_a_policy_that_raises_closes_the_nodes(tmp_path):
     assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [2, 2]
 
 
-def test_a_close_that_raises_does_not_keep_the_others_from_closing(tmp_path):
+def test_a_close_that_raises_is_reported_and_does_not_keep_the_others_from_closing(tmp_path):
     graph = devices(tmp_path, "bad close")
-    with ConcurrentRuntime(graph, processes={"motor": 1}) as runtime:
-        runtime.reset({}, torch.Generator())
-        runtime.run(act, 2)
+    runtime = ConcurrentRuntime(graph, processes={"motor": 1})
+    runtime.reset({}, torch.Generator())
+    runtime.run(act, 2)
+    with pytest.raises(NodeFailure, match=r'node "motor".*close raised OSError: the drive does not answer'):
+        runtime.close()
     assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
 
 
@@ -147,7 +267,7 @@ SCRIPT = """
     import sys
     sys.path[:0] = {paths!r}
     import torch
-    from live_nodes import act, devices
+    from live_nodes import QuietDevice, act, devices
     from deepkoco.graph.live import ConcurrentRuntime
     if __name__ == "__main__":
         processes = {{"motor": 1, "camera": 1}}
@@ -160,7 +280,7 @@ FORGETFUL = """
     import sys
     sys.path[:0] = {paths!r}
     import torch
-    from live_nodes import act, devices
+    from live_nodes import QuietDevice, act, devices
     from deepkoco.graph.live import ConcurrentRuntime
     if __name__ == "__main__":
         runtime = ConcurrentRuntime(devices({folder!r}), processes={{"motor": 1}}, record={folder!r} + "/run.mcap")

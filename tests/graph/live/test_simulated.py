@@ -142,22 +142,35 @@ def test_nodes_are_opened_once_and_closed_once(tmp_path):
     assert episode.outputs["motor"][:4, 0].tolist() == [1, 3, 6, 10]
 
 
-@pytest.mark.parametrize("fault", ["raise", "bad close"])
+@pytest.mark.parametrize("fault", ["nan", "raise", "bad close"])
 def test_a_node_that_fails_is_named_and_all_are_closed(tmp_path, fault):
     graph = devices(tmp_path, fault)
     runtime = SimulatedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 9, 1))
     runtime.reset({}, torch.Generator())
-    if fault == "raise":
-        with pytest.raises(NodeFailure, match='node "motor" at its tick 3: ValueError: encoder') as caught:
+    if fault != "bad close":
+        reason = {"raise": "ValueError: encoder", "nan": r"NotFiniteError: output entry \[1\] is nan"}[fault]
+        with pytest.raises(NodeFailure, match=f'node "motor" at its tick 3: {reason}') as caught:
             runtime.run(act, 9)
         assert (caught.value.node, caught.value.tick) == ("motor", 3)
-        assert "raise_error" in caught.value.details
+        assert {"raise": "raise_error", "nan": "check_finite"}[fault] in caught.value.details
     else:
         with pytest.raises(NodeFailure, match=r'node "motor".*OSError: the drive'):
             runtime.close()
     assert all(len(graph.node(name).marks("close")) == 1 for name in ("motor", "camera"))
     with pytest.raises(ValueError, match="reset first"):
         runtime.run(act, 1)
+
+
+@pytest.mark.parametrize("time_limit", [None, 10.0])
+def test_an_action_that_is_not_finite_closes_all_nodes(tmp_path, time_limit):
+    graph = devices(tmp_path)
+    runtime = SimulatedRuntime(graph, time_limit=time_limit)
+    state, _ = runtime.reset({}, torch.Generator())
+    with pytest.raises(
+        NodeFailure, match=r'node "agent" at its tick 0: NotFiniteError: action entry \[1\] is nan'
+    ):
+        runtime.step(state, torch.tensor([[0.0, torch.nan]], dtype=torch.float64))
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
 
 
 def test_a_node_that_never_returns_is_given_up(tmp_path):

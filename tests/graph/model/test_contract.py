@@ -1,10 +1,13 @@
 """Outputs, states and actions that do not match are refused with node, step and both shapes, in every runtime."""
 
+import math
 import warnings
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from deepkoco.graph import (
     BatchedRuntime,
@@ -20,6 +23,7 @@ from deepkoco.graph import (
     WallClockRuntime,
     draw_timing,
 )
+from deepkoco.graph.model.contract import NotFiniteError, check_finite
 
 
 class Faulty(Node):
@@ -250,3 +254,30 @@ def test_the_timing_of_another_graph_is_refused_in_every_runtime(kind, message):
         simulated.reset({}, torch.Generator())
     with ConcurrentRuntime(robot, timing) as concurrent, pytest.raises(GraphError, match=message):
         concurrent.reset({}, torch.Generator())
+
+
+NUMBERS = st.floats(width=32) | st.sampled_from([3e38, -3e38, float("nan"), float("inf")])
+
+
+@given(
+    values=st.lists(NUMBERS, min_size=1, max_size=6), dtype=st.sampled_from([torch.float32, torch.float64])
+)
+def test_check_finite_refuses_exactly_nan_and_infinity(values, dtype):
+    value = torch.tensor([values], dtype=dtype)
+    wrong = [i for i, number in enumerate(values) if not math.isfinite(number)]
+    if not wrong:
+        check_finite("output", value)  # also where the sum of large numbers overflows
+        return
+    with pytest.raises(NotFiniteError, match=rf"^output entry \[{wrong[0]}\] is -?(nan|inf)") as caught:
+        check_finite("output", value)
+    assert (f", as are {len(wrong) - 1} more" in str(caught.value)) == (len(wrong) > 1)
+
+
+@pytest.mark.parametrize("value", [torch.tensor([7]), torch.tensor([True]), torch.tensor([1 + 2j])])
+def test_check_finite_takes_numbers_of_any_type(value):
+    check_finite("output", value)
+
+
+def test_check_finite_names_an_output_without_axes():
+    with pytest.raises(NotFiniteError, match=r"^output is nan; "):
+        check_finite("output", torch.tensor([torch.nan]))

@@ -17,6 +17,7 @@ from deepkoco.graph import (
     draw_timing,
     replay_timing,
 )
+from deepkoco.graph.episodes.episode import episode_of_timing, windows_for
 from deepkoco.graph.timing.kernel import LOST
 from tests.graph.timing_reference import Accumulate, graphs, random_graph
 
@@ -88,6 +89,58 @@ def test_a_lost_message_of_a_blocking_connection_does_not_hold_back_later_ones()
         late, {"n0": ticks, "agent": ticks + 0.06}, {"n0->agent": np.array([0.01, 0.17, 0.21, 0.31])}
     )
     assert replay_timing(graph, measured).windows_of(0)[:, 0].tolist() == [0, 0, 2, 3]
+
+
+def test_recorded_windows_take_the_place_of_those_that_follow_from_the_arrivals():
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent", window=2)])
+    ticks = np.arange(4) / 10
+    both = {"n0": ticks, "agent": ticks}
+    measured = MeasuredTiming(both, both, {"n0->agent": ticks + 0.05})
+    assert replay_timing(graph, measured).windows_of(0).tolist() == [[-2, -1], [-1, 0], [0, 1], [1, 2]]
+    # As by the protocol, message 0 is there at once; message 2 was passed over.
+    seen = np.array([[-1, 0], [-1, 0], [0, 1], [1, 3]], dtype=np.int32)
+    replayed = replay_timing(graph, measured, 2, {"n0->agent": seen})
+    assert replayed.windows_of(0).tolist() == seen.tolist()
+    assert replayed.batch == 2
+
+
+@pytest.mark.parametrize(
+    ("windows", "message"),
+    [
+        (
+            [[-1], [0], [2], [2]],
+            'connection "n0->agent": step 2 of "agent" saw message 2, which was sent later',
+        ),
+        ([[-1], [0], [1], [9]], 'step 3 of "agent" saw message 9, which was sent later'),
+        ([[-1], [0], [1], [1]], 'step 2 of "agent" saw message 1, which never arrived'),
+        ([[-1], [0], [0]], r"windows of shape \(3, 1\); expected \(4, 1\) for the steps of \"agent\""),
+        ([[-2, -1]] * 4, r"windows of shape \(4, 2\); expected \(4, 1\)"),
+    ],
+)
+def test_recorded_windows_that_cannot_be_are_refused(windows, message):
+    graph = Graph([Accumulate("n0", 10), agent()], [Connection("n0", "agent")])
+    ticks = np.arange(4) / 10
+    received = np.array([0.01, np.inf, 0.26, 0.36])
+    times = {"n0": ticks + 0.05, "agent": ticks + 0.06}
+    times["n0"][2] += 0.02  # starts after step 2 of the agent
+    measured = MeasuredTiming(times, times, {"n0->agent": received + 0.05})
+    with pytest.raises(TimingError, match=message):
+        replay_timing(graph, measured, windows={"n0->agent": np.array(windows)})
+
+
+def test_a_replay_on_a_graph_with_longer_windows_follows_the_arrivals():
+    short, long = (
+        Graph(
+            [Accumulate("n0", 10), agent()],
+            [Connection("n0", "agent", 0.02, window=window), Connection("agent", "n0", skip=True)],
+        )
+        for window in (1, 3)
+    )
+    drawn = episode_of_timing(short, draw_timing(short, np.random.default_rng(0), 5, 1))
+    assert windows_for(short, drawn).keys() == {"n0->agent", "agent->n0"}
+    assert windows_for(long, drawn).keys() == {"agent->n0"}
+    timing = replay_timing(long, drawn.measured, windows=windows_for(long, drawn))
+    np.testing.assert_array_equal(timing.windows_of(0)[:, -1:], drawn.windows["n0->agent"])
 
 
 @settings(max_examples=60, deadline=None)

@@ -43,9 +43,9 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
         mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis")
         axis.set_title(LABELS[name])
         axis.grid(visible=False)
-    of_joint = f" of joint {joint + 1}" if system.joints > 1 else ""
+    of_joint = f" of {system.joint_names[joint]}" if system.joints > 1 else ""
     for axis in axes[-1]:
-        what = f"angle{of_joint}, one turn" if turning else "position"
+        what = f"angle{of_joint}, one turn" if turning else f"position{of_joint}"
         axis.set_xlabel(f"{what} [{system.state_units[joint]}]")
     for axis in axes[:, 0]:
         axis.set_ylabel(f"speed{of_joint} [{system.state_units[system.joints + joint]}]")

@@ -89,6 +89,10 @@ class Container:
         """Say how far the episode goes (see `extent_of`); what is recorded beyond that is not part of it."""
         self._mcap.add_metadata("end", {"index": str(self._episode), "extent": json.dumps(extent)})
 
+    def fail(self, reason: str) -> None:
+        """Say that a failure ended the episode."""
+        self._mcap.add_metadata("failure", {"index": str(self._episode), "reason": reason})
+
     def step(
         self,
         node: str,

@@ -93,6 +93,7 @@ def describe_graph(graph: Graph) -> dict[str, Any]:
                 "advance": node.advance,
                 "phase_s": None if node.phase is None else str(node.phase),
             }
+            | _describe_parts(node)
         )
     connections = []
     for connection in graph.connections:
@@ -106,6 +107,21 @@ def describe_graph(graph: Graph) -> dict[str, Any]:
         "correlations": [correlation.to_dict() for correlation in graph.correlations],
         "stalls": [stalls.to_dict() for stalls in graph.stalls],
     }
+
+
+def _describe_parts(node: Node) -> dict[str, Any]:
+    """Shapes and types of an output that is a dict; nothing where it is one tensor."""
+    if node.outputs is None:
+        return {}
+    types = {name: str(dtype).removeprefix("torch.") for name, (_, dtype) in node.outputs.items()}
+    return {"outputs": {name: [list(shape), types[name]] for name, (shape, _) in node.outputs.items()}}
+
+
+def _type(name: str) -> torch.dtype:
+    dtype = getattr(torch, name, None)
+    if not isinstance(dtype, torch.dtype):
+        raise ValueError(f'"{name}" is no type of a tensor')
+    return dtype
 
 
 def graph_from_description(description: Mapping[str, Any]) -> Graph:
@@ -126,6 +142,11 @@ def graph_from_description(description: Mapping[str, Any]) -> Graph:
         )
         for node in description["nodes"]
     ]
+    for node, described in zip(nodes, description["nodes"], strict=True):
+        if "outputs" in described:
+            node.outputs = {
+                name: (tuple(shape), _type(dtype)) for name, (shape, dtype) in described["outputs"].items()
+            }
     connections = [
         Connection(**connection | {"delay": _delay(connection["delay"])})
         for connection in description["connections"]

@@ -72,7 +72,7 @@ class EpisodeWriter:
         self._connections = {c.key: (c.receiver, c.window) for c in graph.connections}
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._begun, self._closed = False, False
+        self._begun, self._ended, self._closed = False, False, False
         self._failure: BaseException | None = None
         self._origin = origin_ns
         self._file = self.journal.open("xb")
@@ -90,7 +90,7 @@ class EpisodeWriter:
         """
         content = json_object(self.path, meta)
         with self._lock:
-            self._begun = True
+            self._begun, self._ended = True, False
             self._put(lambda: self._container.begin(origin_ns, content))
 
     def end(self, episode: Episode) -> None:
@@ -100,10 +100,26 @@ class EpisodeWriter:
         an episode without it has all that was written.
 
         Args:
-            episode: where nodes and connections end; the last step of the supervisor loses its output.
+            episode: where nodes and connections end; the last step of the supervisor loses its output. If a failure
+                ended it, that is recorded too.
         """
         extent = extent_of(self.graph, episode)
         self._record(lambda: self._container.end(extent))
+        if episode.failure:
+            self._record(lambda: self._container.fail(episode.failure))
+        self._ended = True
+
+    def fail(self, t: float, reason: str, node: str | None = None) -> None:
+        """Record that a failure ended the episode: as a note of level "fatal", and as the episode's end.
+
+        Args:
+            t: when [s].
+            reason: what happened.
+            node: which node it is about.
+        """
+        self.note(t, reason, "fatal", node)
+        self._record(lambda: self._container.fail(reason))
+        self._ended = True
 
     def step(
         self,
@@ -213,6 +229,9 @@ class EpisodeWriter:
             return
         # What was recorded before the mistake is worth keeping, and the mistake is what must be heard of.
         with contextlib.suppress(EpisodeFileError, OSError):
+            if isinstance(error, Exception) and self._begun and not self._ended:
+                reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+                self._record(lambda: self._container.fail(reason))
             self.close()
 
     def _record(self, write: Callable[[], None]) -> None:

@@ -38,7 +38,8 @@ class RecordedRun:
         origins: by episode, time of day of its t = 0 [ns since 1970], or its place in a viewer.
         meta: what was said about the recording.
         episode_meta: by episode, what was said about it.
-        complete: False if the file ends too early and only its whole messages are here.
+        complete: False if the file ends too early and only its whole messages are here, or if a failure ended an
+            episode (see `failures`).
         messages: number of whole messages.
     """
 
@@ -50,6 +51,11 @@ class RecordedRun:
     episode_meta: tuple[dict[str, Any], ...]
     complete: bool
     messages: int
+
+    @property
+    def failures(self) -> dict[int, str]:
+        """By number of the episode, what ended it before its time; without the episodes that nothing did."""
+        return {number: episode.failure for number, episode in enumerate(self.episodes) if episode.failure}
 
 
 @dataclass
@@ -63,6 +69,7 @@ class _Contents:
     steps: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
     messages: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
     notes: dict[tuple[int, str], list[Content]] = field(default_factory=lambda: defaultdict(list))
+    failures: dict[int, str] = field(default_factory=dict)
     count: int = 0
     damage: Exception | None = None
 
@@ -118,10 +125,10 @@ def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
         origins=tuple(origin for origin, _ in contents.begun),
         meta=contents.meta,
         episode_meta=tuple(meta for _, meta in contents.begun),
-        complete=contents.damage is None,
+        complete=contents.damage is None and not any(episode.failure for episode in episodes),
         messages=contents.count,
     )
-    if not run.complete and not partial:
+    if contents.damage is not None and not partial:
         raise EpisodeFileError(_cut_off(run))
     return run
 
@@ -168,6 +175,8 @@ def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: 
             contents.begun.append((int(record.metadata["origin_ns"]), json.loads(record.metadata["meta"])))
         case Metadata(name="end"):
             contents.extents[int(record.metadata["index"])] = json.loads(record.metadata["extent"])
+        case Metadata(name="failure"):
+            contents.failures[int(record.metadata["index"])] = record.metadata["reason"]
         case Attachment(name="graph.json"):
             try:
                 contents.graph = graph_from_description(json.loads(record.data))
@@ -222,7 +231,8 @@ def _episode(path: Path, graph: Graph, contents: _Contents, number: int) -> Epis
         for note in contents.notes[number, ""]
     )
     ordered = {c.key: windows[c.key] for c in graph.connections if c.key in windows}
-    return Episode(t_start, t_end, outputs, t_sent, t_received, ordered, notes)
+    failure = contents.failures.get(number, "")
+    return Episode(t_start, t_end, outputs, t_sent, t_received, ordered, notes, failure)
 
 
 def _arrivals(messages: list[Content], ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

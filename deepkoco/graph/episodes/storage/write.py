@@ -49,6 +49,8 @@ def write_episodes(
                 # As a run would have written it: by the time at which each thing was over.
                 for _, write in sorted(_events(graph, episode, container), key=lambda event: event[0]):
                     write()
+                if episode.failure:
+                    container.fail(episode.failure)
             container.finish()
         check_target(path)
         os.replace(partial, path)

@@ -12,8 +12,8 @@ import numpy as np
 
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import make_system
-from experiments.hidden.excitations import Drive, make_drive
-from experiments.hidden.machines import MACHINES, Body, soft_sign
+from tests.oracle.excitations import Drive, make_drive
+from tests.oracle.machines import MACHINES, Body, soft_sign
 
 Hidden = Mapping[str, Mapping[str, Any]]
 Load = Callable[[float, float, float, float, float], float]

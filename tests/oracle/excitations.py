@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from deepkoco.excitation.excitation import make_excitation, natural_frequency
+from deepkoco.excitation.excitation import make_excitation
+from deepkoco.excitation.signal import natural_frequency
 from deepkoco.systems import JOINT_SYSTEMS, System
 
 EXCITATIONS = ("steps", "chirp", "closed-loop", "bang-bang")

@@ -12,7 +12,7 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.fit import Noise, cut_windows, moving, window_length
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System, make_system
-from experiments.hidden.unit import Hidden, hidden_log
+from tests.oracle.unit import Hidden, hidden_log
 
 # Dose x -> parameters, from the load scale [N m or N], the largest command and the time scale [s] of a joint; doses
 # are such that x = 1 is visible.
