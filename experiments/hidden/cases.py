@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose
-from deepkoco.diagnose.baseline import Start
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.fit import window_length
 from deepkoco.fit.threads import one_thread
@@ -189,7 +189,9 @@ def _estimates(result: Diagnosis, hidden: Hidden) -> list[dict[str, float | str]
     return rows
 
 
-def _oracle(case: Case, result: Diagnosis, log: Any, system: str, baseline: Start | None) -> Diagnosis | None:
+def _oracle(
+    case: Case, result: Diagnosis, log: Any, system: str, baseline: Baseline | None
+) -> Diagnosis | None:
     """The same diagnosis by one who knows what is hidden: only the true causes are tried, and any gain counts."""
     if case.kind not in ("single", "pair") or result.gain is None or "event" in " ".join(case.names):
         return None

@@ -147,7 +147,10 @@ def test_what_varies_is_no_cause_and_what_does_not_is():
     assert said["run_to_run"]["viscous"]["unit"] == "N m s/rad"
     assert "sensor noise" in noise_of(result)
     noisy = replace(result, data={**result.data, "healthy": {**said, "chi2_per_sample": 7.0}})
-    assert noise_of(noisy) == "what the healthy logs leave, 7 times the sensor noise's variance"
+    assert (
+        noise_of(noisy)
+        == "the error that remains in the healthy logs (7 times the variance of the sensor noise)"
+    )
     assert noise_of(replace(result, data={})) == "sensor noise"
 
 
