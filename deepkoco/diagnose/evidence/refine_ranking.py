@@ -48,10 +48,10 @@ def front_settled(
 
 
 def _overpaid(ranking: Ranking, other: Candidate) -> float:
-    """What a candidate pays its prior beyond the winner, where the winner has none: part of a fall of the BIC.
+    """Return the penalty of the prior of a candidate above that of the winner, as a difference of BIC.
 
-    A constant between units is tried at its value and pays nothing for it. A gain of the same size starts with the
-    spread that is declared for small gains, and is that far behind until it is fitted with a wider one.
+    It applies where the winner has no free parameter, as a unit slip. A gain of the same size has the narrow prior of
+    small gains. It is behind by this penalty until it is fitted with a wider prior.
     """
     if ranking.best.cause.free:
         return 0.0

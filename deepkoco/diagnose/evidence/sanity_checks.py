@@ -82,8 +82,8 @@ def doubts_of_friction(
         if fastest > 0.0 and pushes(friction_curve(system, fit, joint, fastest, inflation)):
             names = " and ".join(c.name for c in rubbing if (c.joint or 0) == joint)
             result.append(
-                f"With {names}, the friction of {system.joint_names[joint]} would push it on instead of holding it "
-                "back; no friction does: something else acts like this."
+                f"With {names}, the fitted friction of {system.joint_names[joint]} would drive the joint. No friction "
+                "does this, so another cause acts."
             )
     return tuple(result)
 

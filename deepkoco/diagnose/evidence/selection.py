@@ -123,7 +123,7 @@ def freed(
 
 
 def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
-    """Whether a fit has left its prior by far, as a strong cause or a wrong unit makes it."""
+    """Return whether a fit is far from its prior, as with a strong cause or a wrong unit."""
     away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
     return away > FAR * start.correlation
 
