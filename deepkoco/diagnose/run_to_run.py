@@ -14,6 +14,7 @@ import scipy.stats
 
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 from deepkoco.systems import System
 
 
@@ -158,7 +159,6 @@ def _covariance(fit: Fit, prior: Prior) -> np.ndarray:
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse of a symmetric matrix, scaled because its rows have different units."""
-    scale = np.sqrt(np.diag(matrix))
-    inverse = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    """Scaled inverse, symmetric to the last bit."""
+    inverse = scaled_inverse(matrix)
     return 0.5 * (inverse + inverse.T)

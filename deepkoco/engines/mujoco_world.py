@@ -13,6 +13,7 @@ from deepkoco.engines.engine import EngineError
 from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.mjcf import HingedBody, model_xml
 from deepkoco.engines.start import start_state
+from deepkoco.extras import install_command
 from deepkoco.graph import Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters
@@ -133,5 +134,5 @@ def import_mujoco() -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise EngineError("the mujoco engine needs MuJoCo: pip install 'deepkoco[mujoco]'") from error
+        raise EngineError(f"the mujoco engine needs MuJoCo: {install_command('mujoco')}") from error
     return mujoco

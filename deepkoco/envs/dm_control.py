@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from deepkoco.envs.actions import check_finite_action
+from deepkoco.extras import install_command
 
 
 class DmControlError(ValueError):
@@ -101,6 +102,6 @@ def _import_suite() -> tuple[Any, Any]:
     except ImportError as error:
         raise DmControlError(
             "tasks of the DeepMind Control Suite need the extra dm_control; run: "
-            f'pip install "deepkoco[dm_control]" ({error})'
+            f"{install_command('dm_control')} ({error})"
         ) from error
     return suite, DmControlCompatibilityV0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -14,6 +13,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
 from deepkoco.systems.effects.effect import JointLanes, in_lanes
 from deepkoco.systems.joint import JointSystem, TorqueLaw
@@ -28,6 +28,7 @@ from deepkoco.systems.system import (
     System,
     Timing,
 )
+from deepkoco.yaml_file import YamlFileError, read_yaml
 
 MODEL_VERSION = 1
 
@@ -355,6 +356,7 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
 
     Raises:
         FileExistsError: The file is there already.
+        WriteError: The disk is full, or the place cannot be written.
     """
     path = Path(path)
     if path.exists():
@@ -371,9 +373,7 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
         "parameters": {p.name: {"value": p.value, "unit": p.unit} for p in system.parameters},
         "provenance": dict(provenance or {}),
     }
-    partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(yaml.safe_dump(document, sort_keys=False))
-    os.replace(partial, path)
+    write_whole_text(path, yaml.safe_dump(document, sort_keys=False))
 
 
 def load_model(path: str | Path) -> ExtendedSystem:
@@ -384,9 +384,9 @@ def load_model(path: str | Path) -> ExtendedSystem:
     """
     path = Path(path)
     try:
-        document = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ModelFileError(f"{path}: cannot be read as YAML: {error}") from error
+        document = read_yaml(path)
+    except YamlFileError as error:
+        raise ModelFileError(str(error)) from error
     if not isinstance(document, dict) or document.get("version") != MODEL_VERSION:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
     try:

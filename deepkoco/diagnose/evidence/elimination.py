@@ -89,7 +89,8 @@ def carried(
         # A cause can win by letting baseline parameters return to their prior instead of improving the simulation.
         # Held-out windows cannot test such a cause, so its harm is set to zero.
         harm = [
-            np.zeros(len(held)) if _mostly_prior_penalty(less, fit) else now - errors(less) for less in fits
+            np.zeros(len(held)) if less.diverged or _mostly_prior_penalty(less, fit) else now - errors(less)
+            for less in fits
         ]
         worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
         # A cause that does not act in these windows changes their error only by chance.
@@ -129,7 +130,7 @@ def without_kinds(
     if not loose or all(kind_of(c.name) in FLEXIBLE_CAUSES for c in kept):
         return kept, fit
     for cause in loose:
-        fit = problem.fit([without(problem, start, kept, cause, fit)], ITERATIONS, CLOSE)[0]
+        fit = problem.fit_one(without(problem, start, kept, cause, fit), ITERATIONS, CLOSE)
         kept.remove(cause)
     return kept, fit
 

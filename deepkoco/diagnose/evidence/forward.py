@@ -209,7 +209,7 @@ class Selection:
         for k, cause in enumerate(accepted):
             others = [*accepted[:k], *accepted[k + 1 :]]
             self.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
-            less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]
+            less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE)
             hints = self._hints(problem, less, missing_torque(problem, less))
             # A push can improve any window that a missing cause fits badly. It therefore competes with no other
             # cause; only its time and size are fitted again.

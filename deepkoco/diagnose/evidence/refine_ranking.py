@@ -106,7 +106,8 @@ def settled(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], win
         return fit
     trial = Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.nuisance)
     if winner.cause.valley is None:
-        return problem.fit([trial], PATIENCE)[0]
+        found = problem.fit([trial], PATIENCE)[0]
+        return fit if found.diverged else found
     for _ in range(VALLEYS):
         # A fit takes short steps in a narrow valley of the cost, so new starts are placed along the valley.
         along = [

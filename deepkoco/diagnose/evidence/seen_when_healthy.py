@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -82,7 +83,11 @@ def _healthy_estimates(
             )
     fits = problem.fit(trials, PATIENCE, CLOSE)
     return [
-        (max(bound.cost - free.cost, 0.0) / deflation, {n: free.values[n] for n in hypothesis.cause.free})
+        # If the simulation of the cause diverges on a healthy log, this log says nothing about the cause.
+        (
+            0.0 if free.diverged else max(bound.cost - free.cost, 0.0) / deflation,
+            {n: free.values[n] for n in hypothesis.cause.free},
+        )
         for hypothesis, bound, free in zip(hypotheses, fits[::2], fits[1::2], strict=True)
     ]
 
@@ -138,5 +143,7 @@ def _chi2_between(
         more = (
             max(back.cost - hypothesis.fit.cost, 0.0) / dispersion(hypothesis.fit, problem.windows).deflation
         )
-        result.append(unlike * more / max(unlike + more, 1e-9))
+        # Either value is infinite if the simulation diverges.
+        finite = math.isfinite(unlike) and math.isfinite(more)
+        result.append(unlike * more / max(unlike + more, 1e-9) if finite else min(unlike, more))
     return result

@@ -65,6 +65,7 @@ class Ranking:
     dispersion: Dispersion
     deflation: float
     samples: float  # effective number of samples
+    unfitted: tuple[str, ...] = ()  # causes for which the simulation diverges from every start
 
     @property
     def best(self) -> Candidate:
@@ -196,6 +197,8 @@ def rank(
             if name not in fits or fit.cost < fits[name].cost:
                 fits[name] = fit
     promised = _best(promises)
+    unfitted = tuple(name for name, fit in fits.items() if fit.diverged)
+    fits = {name: fit for name, fit in fits.items() if not fit.diverged}
     ranking = _ranked(problem, start, reference, tried, fits, promised)
     # The remaining misfit of a winner that has not converged would look like a further cause. A candidate that
     # promised more than the winner's fall of the cost may only converge slowly.
@@ -210,7 +213,7 @@ def rank(
         ]
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
-    return ranking
+    return replace(ranking, unfitted=unfitted)
 
 
 def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> dict[str, Fit]:
@@ -325,6 +328,8 @@ def without_events_first(
         winner.fit.nuisance,
     )
     reference = rest.fit([before])[0]
+    if reference.diverged:
+        return ranking
     lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event"]
     there = rank(rest, start, reference, accepted, hints, lasting)
     if not there.candidates or there.best.delta_bic <= detection:

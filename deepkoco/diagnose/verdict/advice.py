@@ -28,6 +28,16 @@ MAX_COMPARED = 5  # causes of a class that are compared
 FEW_LEVELS = 3
 
 
+def not_fitted(names: Sequence[str]) -> tuple[str, ...]:
+    """Return a sentence that lists what could not be fitted because the simulation diverges."""
+    if not names:
+        return ()
+    return (
+        f"Could not be fitted: {_listed(names)}. The simulation diverges there. Check that the logs belong to this "
+        "system and this unit, or give shorter windows.",
+    )
+
+
 def always_there(names: Sequence[str]) -> tuple[str, ...]:
     """Return advice about causes that the healthy logs are consistent with, and that therefore joined the baseline."""
     if not names:

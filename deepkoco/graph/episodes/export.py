@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pandas as pd
 from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.storage.container import EpisodeFileError
 from deepkoco.graph.model.graph import Graph
+from deepkoco.output.whole_file import whole_file
 
 _INSTANT = np.dtype([("time", np.float64), ("again", np.int64)])
 
@@ -74,6 +74,7 @@ def export_episodes(
 
     Raises:
         EpisodeFileError: the file exists, the format is not known, or there is no such episode.
+        WriteError: the disk is full, or the place cannot be written.
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
@@ -90,12 +91,8 @@ def export_episodes(
         table = episode_table(graph, episodes[episode or 0])
     else:
         table = _one_after_the_other([episode_table(graph, each) for each in episodes])
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with whole_file(path) as partial:
         _WRITERS[path.suffix](table, partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 

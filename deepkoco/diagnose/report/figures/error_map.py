@@ -40,7 +40,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     mesh = None
     for axis, (name, (across, up, mean)) in zip(axes.ravel(), cells.items(), strict=True):
-        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis")
+        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis", rasterized=True)
         axis.set_title(LABELS[name])
         axis.grid(visible=False)
     of_joint = f" of {system.joint_names[joint]}" if system.joints > 1 else ""
@@ -57,7 +57,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     )
     caption = (
         "Each cell is a region of position and speed. Its colour is the root mean square error of the simulation "
-        "there: yellow is large, dark is small. The log has no samples in white cells."
+        "there: yellow is large, dark blue is small. The log has no samples in cells without colour."
     )
     return Picture("error_map", "Where the simulation is wrong", caption, figure, table)
 

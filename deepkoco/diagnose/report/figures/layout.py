@@ -14,6 +14,9 @@ LABELS = {
 }
 
 
+PANEL_INCHES = 2.9  # least width of a panel, so that the labels of neighbours do not meet
+
+
 class Layout(NamedTuple):
     """Size of the pictures.
 
@@ -28,9 +31,10 @@ class Layout(NamedTuple):
     entries: int
 
     def grid(self, panels: int) -> tuple[int, int]:
-        """Return rows and columns for this number of panels."""
-        columns = min(panels, self.columns)
-        return -(-panels // columns), columns
+        """Return rows and columns for this number of panels, in rows of equal length where possible."""
+        most = min(self.columns, max(int(self.width / PANEL_INCHES), 1))
+        rows = -(-panels // most)
+        return rows, -(-panels // rows)
 
 
 DESKTOP = Layout(9.0, 4, 5)
