@@ -67,7 +67,7 @@ def test_json_keeps_its_contract(report):
     assert {"metric", "horizon_s", "channels", "reduction_vs_refit", "low", "high", "windows"} <= set(
         content["gain"]
     )
-    assert "No fit has seen" in content["gain"]["note"]
+    assert "No fit uses these windows" in content["gain"]["note"]
     assert "optimistic" in content["gain"]["note"]
     assert {"baseline", "refit", "extended", "unit"} <= set(content["gain"]["channels"]["theta"])
     tried = {name for name, cause in catalogue(make_system("rod_pendulum")).items() if cause.free}
