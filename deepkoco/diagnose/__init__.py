@@ -1,4 +1,4 @@
-"""Show what a simulation gets wrong about a unit, name the cause, and measure what it is worth."""
+"""Diagnosis of a simulation from logs of the unit: name the cause of the difference and measure the gain."""
 
 from deepkoco.diagnose.baseline import BaselineError
 from deepkoco.diagnose.causes import CAUSES, Cause, UnknownCauseError

@@ -1,4 +1,4 @@
-"""The baseline: the system as it is, and the system refitted within its own parameters."""
+"""Baseline: the system as given, and its refit within the priors of its own parameters."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from deepkoco.systems.effects.learned import is_weight
 
 @dataclass(frozen=True)
 class Healthy:
-    """Healthy logs of the unit, and what explains them.
+    """Healthy logs of the unit and their fit.
 
     Attributes:
         recordings: The logs.
-        windows: Their windows, with the noise that they show.
-        before: The baseline before it learned from them.
-        causes: Causes of the catalogue that they asked for.
-        fit: Fit with these.
+        windows: Their windows, with the estimated noise.
+        before: The baseline before it was learned from them.
+        causes: Small effects, as causes of the catalogue, that were added for them.
+        fit: Fit with these effects.
     """
 
     recordings: tuple[Recording, ...]
@@ -42,18 +42,18 @@ class Healthy:
 
 @dataclass(frozen=True)
 class Baseline:
-    """What the diagnosis takes for granted before it looks for causes.
+    """Model, prior and floor from which a diagnosis starts.
 
     Attributes:
         system: The base system with every effect of the registry, at its present values.
         values: Present value of every parameter, pushes included.
-        prior: Over the parameters that every fit frees.
-        floor: chi2 per sample that this unit shows when nothing is wrong.
-        correlation: Samples per independent sample of what the model misses then; asked of several healthy logs only.
-        effects: Effects that a healthy log of the unit asked for, part of the baseline from then on.
-        losing: Numbers of the commands of which a healthy log lost some, too.
-        healthy: The healthy logs that it was learned from, if any.
-        runs: What these logs show when each has parameters of its own; None for less than two.
+        prior: Prior over the parameters that every fit frees.
+        floor: chi2 per sample of this unit when nothing is wrong.
+        correlation: Samples per independent sample of the healthy residuals; 1 unless estimated from several logs.
+        effects: Effects that were added from healthy logs.
+        losing: Indices of the commands of which healthy logs also lose some.
+        healthy: The healthy logs from which it was learned, if any.
+        runs: Run-to-run variance of these logs; None for fewer than two.
     """
 
     system: ExtendedSystem
@@ -68,12 +68,12 @@ class Baseline:
 
     @property
     def least_deflation(self) -> float:
-        """Factor by which likelihood ratios are too large on any log of this unit."""
+        """Smallest deflation on any log of this unit: floor times correlation."""
         return self.floor * self.correlation
 
     @property
     def healthy_lag_one(self) -> float:
-        """Correlation of neighbouring residuals that this unit shows when nothing is wrong."""
+        """Correlation of neighbouring residuals of this unit when nothing is wrong."""
         if self.healthy is None:
             return 0.0
         if self.runs is not None:
@@ -82,18 +82,18 @@ class Baseline:
 
 
 class BaselineError(ValueError):
-    """A baseline that was learned before does not fit what it is given with."""
+    """A learned baseline does not belong to the system or the logs that are given with it."""
 
 
 def check_learned(baseline: Baseline, system: System) -> None:
-    """Check that a baseline was learned on this very system.
+    """Check that a baseline was learned on this system.
 
     Args:
-        baseline: What was learned.
+        baseline: The learned baseline.
         system: The system of the diagnosis.
 
     Raises:
-        BaselineError: It was learned on another one, or on the same with other values.
+        BaselineError: It was learned on another system, or on this system with other parameter values.
     """
     learned, wanted = baseline.system, catalogue_system(system)
     if type(learned.base) is not type(wanted.base):
@@ -111,23 +111,23 @@ def check_learned(baseline: Baseline, system: System) -> None:
             else f": {first.name} was {had.get(first.name)}, now {first.value} {first.unit}"
         )
         raise BaselineError(
-            f'the baseline was learned on another "{learned.name}" than that of the diagnosis{what}; learn it on the '
-            "same model"
+            f'the baseline was learned on a "{learned.name}" with other parameters than the diagnosis{what}; learn it '
+            "on the same model"
         )
 
 
 def catalogue_system(system: System) -> ExtendedSystem:
-    """The system with every effect: those that it does not have yet are at their null values."""
+    """Return the system with every effect of the registry; added effects have their null values."""
     base = system.base if isinstance(system, ExtendedSystem) else system
     return ExtendedSystem(base, tuple(effects_of(base)), {p.name: p.value for p in system.parameters})
 
 
 def baseline_from(system: System, windows: Windows) -> Baseline:
-    """Start of a diagnosis that knows nothing but the system's declared parameters and priors."""
+    """Return the baseline of a diagnosis without healthy logs: declared parameters and priors of the system."""
     extended = catalogue_system(system)
     values = {p.name: p.value for p in extended.parameters}
     values |= {name: p.value for name, p in Push.declared(extended, windows).items()}
-    # Learned weights stand for no mechanism whose change has a name: they give way as the system's own values do.
+    # A change of a learned weight is not a cause with a name, so every fit frees it like the system's own parameters.
     own = [p for p in extended.parameters if "." not in p.name or (is_weight(p.name) and p.value != 0.0)]
     return Baseline(extended, values, Prior.of(own))
 
@@ -135,8 +135,8 @@ def baseline_from(system: System, windows: Windows) -> Baseline:
 def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None) -> Fit:
     """Fit the baseline's parameters under their prior, first on windows of half the length.
 
-    A long window across an unstable equilibrium has many minima; the half windows have fewer, and give
-    both the parameters and the initial states from which the long ones start.
+    The cost of a long window across an unstable equilibrium has many minima; that of half windows has fewer. The fit
+    on half windows gives the start values of parameters and initial states for the full windows.
 
     Args:
         start: Prior and present values.
@@ -155,7 +155,7 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
 
 
 def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
-    """Refit, estimate the noise from what the refit leaves, and refit once more under that noise."""
+    """Refit, estimate the noise from the residuals, and refit once more under that noise."""
     rough = refit(start, windows)
     windows = replace(windows, noise=sharpen_noise(windows, rough))
     problem = FitProblem(start.system, windows)
@@ -164,10 +164,10 @@ def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
 
 
 def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:
-    """Take the model-error floor for noise, and refit.
+    """Count the floor as noise, and refit.
 
-    The prior of a baseline that was learned knows the floor; a likelihood that does not would overrule it, and so would
-    one that takes neighbouring model errors for independent.
+    The prior of a learned baseline was computed with the floor. A likelihood without the floor, or one that counts
+    correlated model errors as independent, would weigh too much against this prior.
 
     Args:
         start: A baseline learned from healthy logs.
@@ -184,10 +184,10 @@ def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Wi
 
 
 def prior_of_mean(start: Baseline) -> tuple[Baseline, dict[str, float]]:
-    """A baseline whose prior is that of the mean of all logs, and the standard deviations by which each differs.
+    """Return a baseline with the prior of the mean of all logs, and the run-to-run standard deviations.
 
     Args:
-        start: Learned from several healthy logs; its prior is that of one further log.
+        start: Baseline learned from several healthy logs; its prior is that of one further log.
     """
     assert start.healthy is not None
     assert start.runs is not None
@@ -199,7 +199,10 @@ def prior_of_mean(start: Baseline) -> tuple[Baseline, dict[str, float]]:
 
 
 def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows:
-    """Windows whose noise has this many times its variance, and whose spread weighs as :func:`tempered` has it."""
+    """Return windows with the noise variance times the floor, and the run-to-run variance over the correlation.
+
+    :func:`tempered` scales the prior in the same way.
+    """
     return replace(
         windows,
         noise=tuple(n._replace(sd=math.sqrt(floor) * n.sd) for n in windows.noise),
@@ -208,8 +211,9 @@ def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows
 
 
 def tempered(prior: Prior, correlation: float) -> Prior:
-    """A prior for a cost in which each sample counts in full, though only one in so many is independent.
+    """Return the prior with its covariance divided by the correlation [samples per independent sample].
 
-    Likelihood ratios and covariances of such fits are deflated by as much, which gives the prior its own weight back.
+    The cost counts each sample in full, though only one in ``correlation`` samples is independent. The deflation of
+    likelihood ratios and covariances later divides the whole cost by the same factor.
     """
     return Prior(prior.names, prior.centre, prior.covariance / correlation)

@@ -1,4 +1,4 @@
-"""What a diagnosis is made from: windows that are fitted, windows that are kept back, and a word on their logs."""
+"""Data of a diagnosis: training windows, held-out windows, and a description of their logs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,19 @@ from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
 MIN_TRAINING_WINDOWS = 4
-HELD_OUT = 4  # without hold-out logs, one window in four is kept back
+HELD_OUT = 4  # without hold-out logs, one window in four is held out
 
 
 @dataclass(frozen=True)
 class Data:
-    """Windows of one diagnosis: what is fitted, what is kept back, and whether both are of the same logs."""
+    """Windows of one diagnosis.
+
+    Attributes:
+        train: Training windows.
+        held: Held-out windows; None without any.
+        resting: Number of windows that were left out because the joint rests.
+        own: Whether the held-out windows are from the same logs as the training windows.
+    """
 
     train: Windows
     held: Windows | None
@@ -25,9 +32,9 @@ class Data:
     own: bool
 
     def varying(self, varies: Mapping[str, float]) -> Data:
-        """The same, of a unit whose parameters vary from log to log by these standard deviations.
+        """Return the data of a unit whose parameters vary from log to log by these standard deviations.
 
-        Windows that are kept back of the logs that are fitted have what the fit says of these.
+        Held-out windows of fitted logs use the fitted parameters of their log instead.
         """
         held = None if self.held is None else replace(self.held, varies={} if self.own else varies)
         return replace(self, train=replace(self.train, varies=varies), held=held)
@@ -36,9 +43,9 @@ class Data:
 def cut_data(
     recordings: Sequence[Recording], holdout: Sequence[Recording], system: System, length: float
 ) -> Data:
-    """Cut logs into windows; those in which nothing moves teach nothing and are left out."""
+    """Cut logs into windows; windows in which the joint rests are left out."""
     noise = estimate_channels(recordings, system)
-    # With logs of their own to test on, windows may overlap: nothing that is fitted is tested.
+    # With hold-out logs, training windows may overlap: none of them is used for testing.
     windows = cut_windows(recordings, system, length, noise, cover=bool(holdout))
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
     order = np.cumsum(moves) - 1  # among the windows that are used
@@ -53,7 +60,7 @@ def cut_data(
 
 
 def describe_data(recordings: Sequence[Recording], data: Data) -> dict:
-    """Files, lengths, noise and windows, for the report."""
+    """Return files, lengths, noise and windows for the report."""
     logs = []
     for recording in recordings:
         logs.append(

@@ -1,4 +1,4 @@
-"""The whole diagnosis: data in, named causes with their worth out."""
+"""The whole diagnosis: from logs to named causes and their gain."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ from deepkoco.logs.recording import Recording
 from deepkoco.output.versions import versions
 from deepkoco.systems import ExtendedSystem, System, any_system
 
-MOST_ALLOWED = 3  # times that a baseline learns further causes which its healthy logs allow
+MOST_EXTENSIONS = 3  # times that causes consistent with the healthy logs join the baseline
 
 
 def diagnose(
@@ -75,27 +75,27 @@ def diagnose(
     baseline: Baseline | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
-    """Say what a simulation gets wrong about a unit, from logs of it.
+    """Compare logs of a unit with its simulation, and name the cause of the difference.
 
     Every window of the logs is simulated under the logged commands from a free initial state. The
-    baseline's own parameters are refitted within their priors; each cause of the catalogue is then
-    fitted on top, ranked by the BIC, and named if it pays; causes that the data cannot tell apart are
-    named together. Further causes follow by forward selection. What remains decides between "nothing"
-    and "unknown"; windows (or logs) kept back tell what the extension is worth.
+    baseline's own parameters are refitted within their priors. Each cause of the catalogue is then
+    fitted on top of it and ranked by the BIC. The best one is accepted if the BIC falls enough; its class
+    lists the causes that the data cannot distinguish from it. Forward selection adds further causes. The
+    remaining structure decides between "nothing" and "unknown". Held-out windows (or logs) measure the gain.
 
     Args:
         recordings: Logs to explain.
         system: Name of the system, or a system (plain, or loaded from model.yaml).
         healthy: Logs of the same unit in which nothing is wrong.
-        holdout: Logs that are never fitted; without them one window in four is kept back.
+        holdout: Logs that are never fitted; without them, one window in four is held out.
         seed: Seed of the bootstrap.
         window: Length of a window [s]; None takes about one period of the system.
         detection: Fall of the BIC from which a cause is named.
         only: Causes to try, by their names at this system; a name without a place (``coulomb``) stands for every
             joint, command or channel. None tries the whole catalogue.
-        baseline: What :func:`learn_baseline` made of the healthy logs, where several diagnoses share it, in the
-            place of ``healthy``; None learns it.
-        progress: Told what begins, in a few words; ``print`` will do.
+        baseline: Result of :func:`learn_baseline` for healthy logs, instead of ``healthy``; several diagnoses can
+            share it. None learns it from ``healthy``.
+        progress: Called with the name of each step; ``print``, for example.
 
     Raises:
         LogError: A log lacks a channel.
@@ -111,8 +111,8 @@ def diagnose(
     if baseline is not None:
         if healthy:
             raise BaselineError(
-                f"both a baseline and {len(healthy)} healthy logs are given; give the logs, to learn a baseline from "
-                "them, or the baseline that was learned"
+                f"both a baseline and {len(healthy)} healthy logs are given; give either the logs or the baseline "
+                "that was learned from them"
             )
         check_learned(baseline, base)
     length = window_length(base) if window is None else window
@@ -131,14 +131,14 @@ def diagnose(
                 study = _Study(base, start, data, detection, causes, progress)
                 return study.run(recordings, length, seed, began)
             except NotFiniteError as error:
-                # What the healthy logs say need not suit these: they may be of another unit.
-                unfitted = (f"the logs from what the healthy ones say, which are left out ({error})",)
+                # The healthy logs may be of another unit, so their prior need not suit these logs.
+                unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
         study = _Study(base, baseline_from(base, data.train), data, detection, causes, progress, unfitted)
         return study.run(recordings, length, seed, began)
 
 
 class _Study:
-    """One diagnosis under way."""
+    """State of one diagnosis."""
 
     def __init__(
         self,
@@ -167,12 +167,12 @@ class _Study:
         self.learned = start
         data = self.given
         if start.runs is not None and not (data.own and len(data.train.commands) == 1):
-            # Logs of a unit that varies have parameters of their own, those to explain as the healthy ones had.
+            # With run-to-run variance, each log to explain has its own parameters, as each healthy log had.
             start, varies = prior_of_mean(start)
             data = data.varying(varies)
         train, self.reference = refit_sharply(start, data.train)
         if start.least_deflation > 1.0:
-            # What a healthy unit shows beside noise counts as noise, or the refit would follow it out of its prior.
+            # The floor of the healthy unit counts as noise; otherwise the refit would leave its prior to fit it.
             start, train, self.reference = with_floor_as_noise(start, train)
         varies = train.varies if data.held is not None and data.held.varies else {}
         held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
@@ -182,8 +182,8 @@ class _Study:
         self.problem = self.acting = FitProblem(start.system, train)
 
     def _selected(self) -> tuple[Ranking, Selected]:
-        """The first ranking and what is selected, on a baseline that has what its healthy logs allow."""
-        more = MOST_ALLOWED
+        """Return the first ranking and the selection, on a baseline with all causes consistent with healthy logs."""
+        more = MOST_EXTENSIONS
         while True:
             missing = missing_torque(self.problem, self.reference)
             selection = Selection(
@@ -203,7 +203,7 @@ class _Study:
         first, found = self._selected()
         self.unfitted = (*self.unfitted, *first.unfitted)
         problem, start, data = self.problem, self.start, self.data
-        # Reports and models are about these logs, not about all that there could be.
+        # Reports and models give the mean parameters of these logs, not of all logs of the unit.
         plain, self.reference = found.final is self.reference, problem.recentred(self.reference)
         reference = self.reference
         found = replace(found, final=reference if plain else found.acting.recentred(found.final))
@@ -235,10 +235,10 @@ class _Study:
             self.doubts += doubts_of_names(self.accepted, self.lost) if smooth else ()
         named = self._named(missing, final) if verdict in ("cause", "ambiguous") else ()
         if scattered and (verdict != "unknown" or (white and not self.accepted and self.lost is None)):
-            # Residuals that are white but larger than the noise scatter; nothing is missing from their mean.
+            # White residuals that are larger than the noise need a noise cause; no other cause is missing.
             verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
         if verdict not in ("cause", "ambiguous") and final is not reference:
-            # What is dropped must not colour what is said of the rest.
+            # The causes are not named, so the rest of the report must not use their fit.
             final, gain, after = reference, None, dispersion(reference, data.train)
             missing = missing_torque(problem, reference, after.deflation)
         kept = learned if learned is not None and learned.accepted else None
@@ -295,7 +295,7 @@ class _Study:
     def _written(
         self, final: Fit, learned: ResidualModel | None, gain: Gain | None, deflation: float
     ) -> dict[str, Estimate]:
-        """The system's own parameters as `_model` writes them; those kept as given have no width."""
+        """Return the system's own parameters as `_model` writes them; parameters kept as given have no interval."""
         fit = final if learned is None else self.problem.recentred(learned.fit)
         own = estimates(self.problem, fit, self.reference.free, deflation)
         if gain is None or not gain.as_given:
@@ -306,7 +306,7 @@ class _Study:
     def _unidentified(self) -> tuple[Direction, ...]:
         reference, prior = self.reference, self.start.prior
         if self.data.train.varies:
-            # What these logs have in common has the prior of a log; the data say what is known beyond it.
+            # The mean of these logs has the prior of one log; the information of the data is the rest.
             prior = self.learned.prior
             order = [reference.free.index(n) for n in prior.names]
             known = scaled_inverse(reference.covariance[np.ix_(order, order)]) - prior.precision(prior.names)
@@ -334,7 +334,7 @@ class _Study:
         )
 
     def _as_given(self, reference: Fit) -> Fit | None:
-        """The simulation before the refit; None where it diverges."""
+        """Return the simulation before the refit; None where it diverges."""
         try:
             return self.problem.evaluate(self.start.values, "baseline", reference.state)
         except NotFiniteError:
@@ -367,7 +367,7 @@ class _Study:
         places = SLOTS * len(self.data.train)
         result = []
         for ranking, members in self.steps:
-            # With the values that it has beside the causes found later.
+            # The reported values are fitted together with the causes accepted later.
             best = replace(ranking.best, fit=final)
             own = missing[best.cause.joint or 0]
             motion = motion_of(self.data.train, own, self.system)
@@ -393,7 +393,7 @@ class _Study:
             "extended": problem.elsewhere(held, final),
         }
         gain = held_out_gain(self.start.system, windows, models, seed)
-        said = "the windows kept back, so that no gain is told"
+        said = "the held-out windows, so there is no gain"
         if gain is None and said not in self.unfitted:
             self.unfitted = (*self.unfitted, said)
         return gain

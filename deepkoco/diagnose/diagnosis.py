@@ -1,4 +1,4 @@
-"""The result of a diagnosis and its contract, report.json."""
+"""Result of a diagnosis and its contract, report.json."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Evidence:
-    """One number that speaks for (or against) a cause, and the value it is compared with."""
+    """One statistic for (or against) a cause, and its threshold."""
 
     kind: str
     statistic: float
@@ -39,7 +39,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Finding:
-    """One cause (or candidate) as reported."""
+    """One cause (or candidate) as the report shows it."""
 
     name: str
     family: str
@@ -50,7 +50,7 @@ class Finding:
     evidence: tuple[Evidence, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """The finding under the contract's keys."""
+        """Return the finding under the keys of report.json."""
         return {
             "name": self.name,
             "family": self.family,
@@ -64,7 +64,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Localisation:
-    """A stretch of time in which the refitted baseline misses more torque than elsewhere."""
+    """A stretch of time in which more torque is missing than elsewhere."""
 
     t0: float
     t1: float
@@ -76,7 +76,7 @@ class Localisation:
 
 @dataclass(frozen=True)
 class Details:
-    """What the figures are drawn from; not part of report.json.
+    """Data of the figures; not part of report.json.
 
     Attributes:
         system: The system with every effect.
@@ -84,11 +84,11 @@ class Details:
         command_units: Unit of each command.
         priors: Baseline parameter -> (mean, standard deviation) of its prior.
         windows: Training windows.
-        nominal: The system as given on them; None where there are held-out windows to show.
+        nominal: The system as given on these windows; None where there are held-out windows to show.
         refit: The refitted baseline.
-        final: With the named causes; the refit itself where none is named.
-        missing: Load on each joint that the refitted baseline misses.
-        inflation: Variance of what the final model leaves, in noise variances.
+        final: Fit with the named causes; the refit itself where none is named.
+        missing: Missing load of the refitted baseline on each joint.
+        inflation: Deflation of the final model's residuals, in noise variances.
     """
 
     system: ExtendedSystem
@@ -105,7 +105,7 @@ class Details:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the simulation gets wrong, why, and what it is worth to know.
+    """Verdict, named causes and gain of one diagnosis.
 
     Attributes:
         verdict: "cause", "ambiguous" (named, but causes of several families fit as well), "nothing",
@@ -114,22 +114,22 @@ class Diagnosis:
         candidates: Every candidate that was tried, ranked.
         gain: Held-out errors; None without held-out windows.
         chi2_before: chi2 per sample of the refitted baseline on the training windows.
-        chi2_after: The same with the causes, or with the learned load that stands in their place.
-        strength: Root mean square of what these explain, in noise standard deviations.
+        chi2_after: chi2 per sample with the named causes, or with the learned load instead of them.
+        strength: Root mean square of what the causes (or the learned load) explain, in noise standard deviations.
         windows: Number of training windows.
         window_s: Their length [s].
-        localisation: Where in time torque is missing.
-        advice: Experiments that would settle what is open.
-        data: What was read and what was left out.
+        localisation: Stretches of time in which torque is missing.
+        advice: Experiments that would answer open questions.
+        data: Logs that were read, and windows that were left out.
         refit: Baseline parameters after the refit, with intervals.
         model: The extended system, with the fitted values as its nominal ones.
         seed: Seed.
-        versions: Versions of the package and of what it computes with.
+        versions: Versions of the package and its dependencies.
         seconds: Wall-clock time of the diagnosis.
         detection: Fall of the BIC from which a cause is named.
-        unexplained: Signatures of what remains, and what the log cannot identify.
+        unexplained: Description of the remaining residuals, and combinations of parameters that are not identified.
         details: Arrays behind the figures; None when the data do not suffice.
-        final: Baseline parameters of `model`, with intervals; one that was kept as given has no width.
+        final: Baseline parameters of `model`, with intervals; a parameter kept as given has an interval of width 0.
     """
 
     verdict: Verdict
@@ -161,7 +161,7 @@ class Diagnosis:
 
     @property
     def gain_note(self) -> str:
-        """What the gain is measured on."""
+        """Sentences on the windows that measure the gain."""
         learned = (self.unexplained.get("residual_model") or {}).get("accepted", False)
         return note_on_gain(
             () if self.verdict == "unknown" else self.names,
@@ -170,7 +170,7 @@ class Diagnosis:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The content of report.json: plain lists, numbers and text."""
+        """Return the content of report.json: plain lists, numbers and text."""
         return _plain(
             {
                 "schema": SCHEMA,
@@ -217,7 +217,7 @@ class Diagnosis:
 
 
 def _plain(value: Any) -> Any:
-    """Replace numpy numbers and non-finite values, which JSON does not know; round the others."""
+    """Replace numpy numbers by plain ones and non-finite values by None; round to seven digits."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -227,6 +227,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
-        # Seven digits: the last bits of a sum depend on where the allocator puts its operands.
+        # Seven digits, because the last bits of a sum depend on the memory alignment of its operands.
         return float(f"{value:.7g}") if np.isfinite(value) else None
     return value

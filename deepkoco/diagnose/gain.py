@@ -1,4 +1,4 @@
-"""What the extension is worth on data that no fit has seen."""
+"""Gain: held-out error of the simulation as given, refitted and extended."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class ChannelGain:
 
 @dataclass(frozen=True)
 class Gain:
-    """Held-out simulation error of three models.
+    """Held-out error of three simulations.
 
-    The initial state of each window (and what each log has of its own that no fit knows) is fitted on the
-    windows themselves, for every model alike; parameters are those of the training windows.
+    The parameters come from the training windows. The initial state of each window (and own parameters of a hold-out
+    log) are fitted on the held-out windows themselves, in the same way for each simulation.
 
     Attributes:
         channels: Errors by channel.
@@ -44,10 +44,10 @@ class Gain:
         windows: Number of held-out windows.
         horizon: Length of a window [s].
         curve_time: (BINS,) time since the window's start [s].
-        curves: model -> channel -> (BINS,) error by time.
+        curves: model -> channel -> (BINS,) error over time.
         replayed: The held-out windows.
         fits: model -> fit on the held-out windows.
-        as_given: Whether the extended model keeps every parameter as it was given, or learned from healthy logs.
+        as_given: Whether the extended simulation keeps every parameter as given, or as learned from healthy logs.
     """
 
     channels: tuple[ChannelGain, ...]
@@ -69,11 +69,11 @@ def held_out_gain(
     models: Mapping[str, Mapping[str, float]],
     seed: int,
 ) -> Gain | None:
-    """Simulate held-out windows with each model; None where the simulation of one of them diverges there.
+    """Simulate held-out windows with each model; return None if one of these simulations diverges.
 
     Args:
         system: The system with every effect.
-        windows: Held-out windows, or for each model what it knows of them: how each log differs, or varies.
+        windows: Held-out windows, or for each model the windows with what it knows about differences between logs.
         models: "baseline", "refit" and "extended" -> parameter values.
         seed: Seed of the bootstrap.
     """
@@ -82,7 +82,7 @@ def held_out_gain(
     for one, own in told.items():
         if one in fits:
             continue
-        # Models that know the same share a batch.
+        # Models with the same knowledge about the windows share a batch.
         alike = [n for n in models if told[n].known == own.known and told[n].varies == own.varies]
         distinct = [n for n in alike if not any(models[m] == models[n] for m in alike if m < n)]
         problem = FitProblem(system, own)
@@ -96,7 +96,7 @@ def held_out_gain(
 
 
 def kept_as_given(gain: Gain, system: ExtendedSystem, seed: int) -> Gain | None:
-    """The gain of leaving every parameter as given; None where the extended model fits these windows no worse."""
+    """Return the gain with every parameter as given; None if the extended simulation fits these windows no worse."""
     if gain.fits["extended"].chi2 <= gain.fits["baseline"].chi2:
         return None
     fits = {**gain.fits, "extended": gain.fits["baseline"]}
@@ -144,42 +144,42 @@ def _measured(system: ExtendedSystem, windows: Windows, fits: Mapping[str, Fit],
 
 
 def note_on_gain(named: Sequence[str], learned: bool, as_given: bool = False) -> str:
-    """What the gain is measured on, and what else these windows (or logs) were used for.
+    """Return on which windows the gain is measured, and which decisions also used them.
 
     Args:
         named: Names of the causes in the extended simulation.
-        learned: Whether a learned load stands there in their place.
-        as_given: Whether the extended simulation keeps every parameter as it was given.
+        learned: Whether the extended simulation has a learned load instead.
+        as_given: Whether the extended simulation keeps every parameter as given.
     """
-    note = "No fit has seen these windows."
+    note = "No fit uses these windows."
     if as_given:
         return (
-            f"{note} But they decided that the simulation keeps its parameters as given (or as learned from healthy "
-            "logs): the refit is worse on them."
+            f"{note} The refit is worse on them than the simulation as given (or as learned from healthy logs), so "
+            "model.yaml keeps the parameters as given."
         )
     if any(name.startswith("lost_commands") for name in named):
-        note += " Which commands were lost in them is not known, so that they are simulated with all that were sent."
+        note += " The lost commands in them are not known, so all sent commands act in the simulation."
         if len(named) == 1:
-            return f"{note} Nothing is gained here by knowing that some are lost."
+            return f"{note} Knowing that commands are lost therefore gains nothing here."
     if named and all(name.startswith("event") for name in named):
-        return f"{note} A push acts in none of them, so that it is left out and nothing is gained here."
+        return f"{note} The push acts in none of them. It is left out, so there is no gain."
     if named:
         note += (
-            " Where structure remains beside the causes, or there are several, they also decided which of these are "
-            "named, so that the gain is then a little optimistic."
+            " If structure remains or several causes are named, these windows also helped to decide which causes are "
+            "named. The gain is then slightly optimistic."
         )
     if learned:
-        note += " But they also decided whether the learned load is kept, so that the gain is a little optimistic."
+        note += " They also decided that the learned load is kept, so the gain is slightly optimistic."
     if any(name.startswith("event") for name in named):
-        note += " A push acts in none of them and is left out."
+        note += " The push acts in none of them and is left out."
     return note
 
 
 def _suited(problem: FitProblem, models: Sequence[Mapping[str, float]]) -> torch.Tensor:
-    """Initial states (K, W, S) of each model on each window, all models at once.
+    """Fit the initial states (K, W, S) of each model on each window, all models in one batch.
 
     Each window takes the best of three starts: its own guess, the fit of its first half (a short window has
-    fewer minima), and the state that suits the last model, which knows the unit best.
+    fewer minima), and the state fitted for the last model, which is usually the best one.
     """
     windows, count = problem.windows, len(models)
     halves = FitProblem(problem.system, halved(windows))
@@ -193,7 +193,7 @@ def _suited(problem: FitProblem, models: Sequence[Mapping[str, float]]) -> torch
 
 
 def _pick(states: torch.Tensor, costs: torch.Tensor) -> torch.Tensor:
-    """States (K, W, S) of the lowest cost over the first axis."""
+    """Return the states (K, W, S) with the lowest cost over the first axis."""
     costs = torch.where(torch.isfinite(costs), costs, torch.inf)
     index = costs.argmin(0)[None, ..., None].expand(1, *states.shape[1:])
     return states.gather(0, index)[0]

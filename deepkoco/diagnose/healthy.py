@@ -1,4 +1,4 @@
-"""What healthy logs of the same unit teach: its parameters, its model-error floor, its spread."""
+"""Baseline from healthy logs of the unit: parameters, small effects, floor and run-to-run variance."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
-# A healthy unit may need several small extensions before only noise is left.
+# Largest number of small effects that are added to the baseline of a healthy unit.
 LARGEST_EXTENSION = 6
 
 
@@ -45,25 +45,25 @@ def learn_baseline(
 ) -> Baseline:
     """Refit, and where needed extend, the baseline on logs in which nothing is wrong.
 
-    Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would be taken for
-    causes later on. Forward selection on the healthy logs adds them to the baseline; the uncertainty of
-    that fit becomes the prior of the diagnosis, and its chi2 per sample the floor. With two or more logs
-    the spread of their separate refits widens the prior: real parameters vary from run to run. Each log then
-    has parameters of its own in every fit, and the spread is estimated anew beside each cause. Causes that
-    the logs do not tell from a small effect are in the baseline with it.
+    Small effects that every log of the unit shows (a lag of 2 ms, some load friction) would otherwise be named as
+    causes later. Forward selection on the healthy logs adds them to the baseline. The uncertainty of that fit
+    becomes the prior of the diagnosis, and its chi2 per sample becomes the floor. With two or more logs, the
+    run-to-run variance of their separate refits widens the prior. Each log then has its own parameters in every fit,
+    and this variance is estimated again after each added effect. Causes that the logs cannot distinguish from an
+    added effect are added too.
 
     Args:
         recordings: Healthy logs.
         system: The system.
         length: Length of the windows [s].
-        progress: Told what begins.
+        progress: Called with the name of each step.
     """
     progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
     start = baseline_from(system, windows)
     windows, fit = refit_sharply(start, windows)
-    # What the logs differ by would be taken for effects that all of them show, and the other way round.
+    # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
     told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))
     windows, fit, problem = told.windows, told.fit, FitProblem(start.system, told.windows)
     accepted: list[Cause] = []
@@ -78,10 +78,10 @@ def learn_baseline(
         ranking = front_settled(problem, start, accepted, ranking)
         best = ranking.best
         alike[best.cause.name] = equivalent(problem, start, ranking, tuple(accepted))
-        # A mixture that was found first is superfluous once its parts are there; it must not come back.
+        # A cause that imitated a mixture of others becomes superfluous once these are added. It is not tried again.
         causes = [c for c in causes if c.name != best.cause.name]
         accepted, fit = eliminated(problem, start, [*accepted, best.cause], best.fit, DETECTION)
-        # An effect that was not known yet made logs differ that do not.
+        # A missing effect increases the apparent run-to-run variance, so the variance is estimated again.
         told, runs = with_spread(Healthy(tuple(recordings), windows, start, tuple(accepted), fit))
         windows, fit, problem = told.windows, told.fit, FitProblem(start.system, told.windows)
     progress(f"healthy logs: lost commands{in_company_of(c.name for c in accepted)}")
@@ -89,7 +89,8 @@ def learn_baseline(
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
     losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
     healthy = Healthy(tuple(recordings), windows, start, tuple(accepted), fit)
-    # Where the logs do not tell which of several causes it is, a later one may: each is there, as far as they allow.
+    # If the healthy logs cannot decide between several causes, a later log may. So all of them are added, with the
+    # uncertainty that the healthy logs leave.
     catalogued = catalogue(start.system.base)
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
     others = [catalogued[n] for n in members if kind_of(n) not in ("event", *BENDING)]
@@ -99,7 +100,7 @@ def learn_baseline(
 
 
 def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
-    """A learned baseline with further causes in it, at what its healthy logs say of them, however uncertain.
+    """Add further causes to a learned baseline, with the values and uncertainty that its healthy logs give.
 
     Args:
         start: The baseline, learned from healthy logs.
@@ -111,7 +112,7 @@ def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
     healthy = start.healthy
     if healthy is None:
         raise BaselineError(
-            "the baseline was not learned from healthy logs, which could say what else they allow"
+            "the baseline was not learned from healthy logs, so it cannot be extended; learn it with learn_baseline"
         )
     problem = FitProblem(start.system, healthy.windows)
     known = {c.name for c in healthy.causes}
@@ -121,7 +122,7 @@ def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
 
 
 def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
-    """What a diagnosis may take for granted after these logs."""
+    """Return the baseline of a diagnosis after these logs: values, prior, floor, correlation and effects."""
     start, fit = healthy.before, healthy.fit
     prior = prior_with(FitProblem(start.system, healthy.windows), start, healthy.causes, fit.values)
     if runs is None:
@@ -145,13 +146,13 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
 
 
 def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
-    """Healthy logs whose parameters vary by what they show beside these causes, with the fit that this gives.
+    """Estimate the run-to-run variance of healthy logs, and refit them with their own parameters within it.
 
     Args:
-        healthy: The logs, their causes and a fit.
+        healthy: The logs, their effects and a fit.
 
     Returns:
-        The logs, and what they show when each has parameters of its own; None for less than two.
+        The refitted logs, and the run-to-run variance; None instead of it for fewer than two long enough logs.
     """
     before, fit = healthy.before, healthy.fit
     problem = FitProblem(before.system, healthy.windows)
@@ -167,7 +168,7 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
     if varies == healthy.windows.varies:
         return healthy, runs
     windows = replace(healthy.windows, varies=varies)
-    # From the mean of these logs: another spread may let it go where the old one did not.
+    # The fit starts from the mean of these logs, because a new variance may move this mean.
     trial = freed(problem, before, healthy.causes, fit, problem.values_in(fit))
     again = FitProblem(before.system, windows)
     nuisance = again.nuisances.none()
@@ -176,7 +177,7 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
 
 
 def describe_healthy(start: Baseline) -> dict[str, Any] | None:
-    """What a baseline learned from healthy logs, for a report; None where there are none."""
+    """Return the results from healthy logs for the report; None where there are none."""
     if start.healthy is None:
         return None
     runs = start.runs

@@ -1,4 +1,4 @@
-"""Every healthy log refitted by itself: how far the unit varies from run to run."""
+"""Separate refits of the healthy logs, and the run-to-run variance of the unit from them."""
 
 from __future__ import annotations
 
@@ -15,25 +15,28 @@ from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
 from deepkoco.fit.solve.prior import Prior
 
-MIN_WINDOWS_PER_LOG = 3  # windows from which on a log has parameters of its own
-ROUNDS = 10  # of fits and the floor that weighs them, at most
-SETTLED = 0.9  # share of the floor before, from which on they have settled
+MIN_WINDOWS_PER_LOG = 3  # windows from which a log has its own parameters
+ROUNDS = 10  # largest number of rounds of refits and new floors
+SETTLED = 0.9  # ratio of two successive floors from which the rounds end
 
 
 def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
-    """Refit every healthy log by itself; None for less than two that are long enough.
+    """Refit every healthy log separately and estimate the run-to-run variance.
 
-    Everything is free that the pooled fit freed, and the model-error floor counts as noise. What the logs differ by
-    beyond what that moves their estimates by is the unit's own spread. The floor is what is left of each log under
-    all that is known of another log then, as it is in a diagnosis.
+    Each refit frees the parameters of the pooled fit, and the floor counts as noise. The run-to-run variance is the
+    variance of the estimates between logs, minus their sampling variance. The floor is chi2 per sample of each log
+    under the prior that the other logs and this variance give, as in a diagnosis.
 
     Source: random effects by the method of moments (DerSimonian and Laird 1986).
 
     Args:
         healthy: The logs and their pooled fit.
-        prior: What the pooled fit began with.
+        prior: Prior of the pooled fit.
+
+    Returns:
+        The estimate; None for fewer than two logs that are long enough.
     """
-    # A log by itself differs from nothing.
+    # A separate refit has no run-to-run variance of its own.
     windows, fit = replace(healthy.windows, varies={}), healthy.fit
     fit = replace(fit, values=FitProblem(healthy.before.system, healthy.windows).values_in(fit))
     healthy = replace(healthy, fit=fit)
@@ -41,7 +44,7 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     long = np.array([len(own) >= MIN_WINDOWS_PER_LOG for own in logs.values()])
     if long.sum() < 2:
         return None
-    # A log that says nothing of a parameter is to stay where all of them together are.
+    # Parameters about which a log says nothing stay at the values of the pooled fit.
     centred = Prior(prior.names, np.array([fit.values[n] for n in prior.names]), prior.covariance)
     pooled = dispersion(fit, windows)
     alone = _refits(
@@ -67,7 +70,7 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
 
 
 class _Refits(NamedTuple):
-    """Every log refitted by itself, and what that leaves."""
+    """Separate refits of all logs, and the dispersion of their residuals."""
 
     prior: Prior
     fits: list[Fit]

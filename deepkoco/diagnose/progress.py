@@ -1,18 +1,18 @@
-"""What a diagnosis is doing at the moment, for those who wait for it."""
+"""Progress messages of a diagnosis."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
 Progress = Callable[[str], object]
-"""Called with what begins now, in a few words."""
+"""Called with the name of the step that begins."""
 
 
 def silent(doing: str) -> None:
-    """Nobody is told."""
+    """Ignore the message."""
 
 
 def in_company_of(names: Iterable[str]) -> str:
-    """Words to go on with: that these are there as well; none where there are none."""
+    """Return " together with A, B" for the accepted causes A and B; an empty text without any."""
     listed = ", ".join(names)
-    return f" beside {listed}" if listed else ""
+    return f" together with {listed}" if listed else ""

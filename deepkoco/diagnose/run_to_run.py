@@ -1,4 +1,4 @@
-"""What logs of one unit say of another log of it, where parameters differ from run to run.
+"""Prior for one log from other logs of the same unit, whose parameters differ from run to run.
 
 Source: random effects (DerSimonian and Laird 1986), in the information form of normal distributions.
 """
@@ -19,10 +19,10 @@ from deepkoco.systems import System
 
 
 class LogInformation(NamedTuple):
-    """What the data of one log say of the parameters: a normal distribution in information form.
+    """Likelihood of one log in its parameters: a normal distribution in information form.
 
     Attributes:
-        information: (K, K) inverse covariance; 0 in directions of which the log says nothing.
+        information: (K, K) inverse covariance; 0 in directions about which the log says nothing.
         times_mean: (K,) its product with the estimate.
     """
 
@@ -32,16 +32,16 @@ class LogInformation(NamedTuple):
 
 @dataclass(frozen=True)
 class RunToRun:
-    """What healthy logs of one unit show when each has parameters of its own.
+    """Run-to-run variance of a unit, estimated from separate refits of its healthy logs.
 
     Attributes:
-        log_information: By the number of a log, what it says of its parameters.
-        covariance: (K, K) diagonal, by which parameters differ between logs. What moves several of them together is
-            spread over them, and comes out low by that.
-        degrees: Of freedom of this estimate.
-        declared: (K,) variance of what was declared of a unit's parameters, before any log.
-        floor: chi2 per sample that is left in each.
-        correlation: Samples per independent sample of what is left.
+        log_information: Number of a log -> likelihood of that log in its parameters.
+        covariance: (K, K) diagonal run-to-run covariance. A common cause that moves several parameters together is
+            spread over them and therefore underestimated.
+        degrees: Degrees of freedom of this estimate.
+        declared: (K,) declared variance of the parameters, before any log.
+        floor: chi2 per sample that remains in the logs.
+        correlation: Samples per independent sample of the residuals.
         lag_one: Correlation of neighbouring residuals.
     """
 
@@ -54,16 +54,16 @@ class RunToRun:
     lag_one: float
 
     def of_another(self, prior: Prior, without: int | None = None) -> Prior:
-        """What these logs say of the parameters of another one.
+        """Return the prior that these logs give for the parameters of another log.
 
-        Each tells of the mean as far as it knows its own parameters and these do not differ from it. How much logs
-        differ is known from a few of them only: their spread is doubted (:attr:`doubted`).
+        Each log informs about the mean. Its weight falls with its own uncertainty and with the run-to-run variance.
+        Few logs estimate that variance poorly, so the inflated one is used (:attr:`doubted`).
 
-        What is declared of a unit's parameters is meant for every log of it. Where these vary by more, their mean is
-        not known that well either.
+        The declared prior holds for every single log of the unit. The prior of the mean is wider by the run-to-run
+        variance.
 
         Args:
-            prior: Of a log's parameters, before any log.
+            prior: Prior of a log's parameters, before any log.
             without: Number of a log that is left out.
         """
         one, differ = np.eye(len(prior.names)), self.doubted
@@ -80,9 +80,10 @@ class RunToRun:
 
     @property
     def doubted(self) -> np.ndarray:
-        """(K, K) diagonal covariance by which logs may differ, seeing that it is known from a few only.
+        """(K, K) diagonal run-to-run covariance, inflated because few logs estimate it poorly.
 
-        Doubt goes as far as what was declared: beyond that logs differ by what they show.
+        The standard deviation is multiplied by the ratio of Student's t to the normal quantile. The inflated variance
+        is capped at the declared variance; a sample variance above it is used without inflation.
         """
         sure = scipy.stats.t.ppf(0.975, self.degrees) / scipy.stats.norm.ppf(0.975)
         shown = np.diag(self.covariance)
@@ -90,29 +91,29 @@ class RunToRun:
 
 
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
-    """(K,) variance by which noise moves the estimates of a fit under a prior that stays where it is.
+    """Return the variance (K,) that noise causes in the estimates of a fit under a fixed prior.
 
-    With the posterior covariance C and the prior's P the data say H = C^-1 - P^-1, and noise moves the estimates by
-    C H C: by nothing where the prior holds them, by all of C where the data do.
+    With the covariance C of the posterior and P of the prior, the information of the data is H = C^-1 - P^-1. Noise
+    causes the covariance C H C. It is 0 where the prior determines an estimate, and C where the data do.
 
     Args:
         fit: The fit.
         prior: Its prior.
-        deflation: Variance of the residuals and their correlation, in those of white noise of the assumed size.
+        deflation: Deflation of the residuals: chi2 per sample times samples per independent sample.
     """
     c = _covariance(fit, prior)
     return deflation * np.maximum(np.diag(c - c @ prior.precision(prior.names) @ c), 0.0)
 
 
 def posterior(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
-    """(K, K) covariance of a fit whose data count for less; never wider than the prior.
+    """Return the covariance (K, K) of a fit with the information of its data deflated; never wider than the prior.
 
-    With C, P and H as in :func:`sampling_variance` it is (H / deflation + P^-1)^-1.
+    With C, P and H as in :func:`sampling_variance`, it is (H / deflation + P^-1)^-1.
 
     Args:
         fit: The fit.
         prior: Its prior.
-        deflation: Variance of the residuals and their correlation, in those of white noise of the assumed size.
+        deflation: Deflation of the residuals: chi2 per sample times samples per independent sample.
     """
     c = _covariance(fit, prior)
     less = np.eye(len(c)) + (deflation - 1.0) * prior.precision(prior.names) @ c
@@ -121,7 +122,7 @@ def posterior(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
 
 
 def log_information(fit: Fit, prior: Prior, deflation: float) -> LogInformation:
-    """What the data of a fit say, its prior taken out."""
+    """Return the likelihood of a fit's data in its parameters: the posterior with the prior removed."""
     precision, both = prior.precision(prior.names), _inverse(_covariance(fit, prior))
     values = np.array([fit.values[n] for n in prior.names])
     return LogInformation(
@@ -130,9 +131,9 @@ def log_information(fit: Fit, prior: Prior, deflation: float) -> LogInformation:
 
 
 def within_bounds(prior: Prior, system: System) -> Prior:
-    """A prior with its mean at the most probable place where the system's parameters may be.
+    """Return a prior with its mean moved to the most probable point inside the parameters' bounds.
 
-    What is known of a sum of parameters stays so: one that is moved to its bound takes the others along.
+    Correlated parameters move together, so a known sum of parameters is kept when one of them moves to its bound.
 
     Args:
         prior: (K,) mean and (K, K) covariance, in the parameters' units; the covariance stays as it is.
@@ -143,7 +144,7 @@ def within_bounds(prior: Prior, system: System) -> Prior:
     if ((prior.centre >= low) & (prior.centre <= high)).all():
         return prior
     scale = np.sqrt(np.diag(prior.covariance))
-    # Directions that are hardly known may come out a little negative.
+    # Rounding can make the smallest eigenvalues slightly negative.
     weight, ways = np.linalg.eigh(prior.precision(prior.names) * np.outer(scale, scale))
     root = np.sqrt(np.maximum(weight, 0.0))[:, None] * ways.T
     at = scipy.optimize.lsq_linear(

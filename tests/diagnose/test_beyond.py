@@ -140,7 +140,7 @@ def test_a_friction_that_drives_the_joint_is_doubted(windows, values, driven):
     moving = SimpleNamespace(omega=np.linspace(-5.0, 5.0, 200))
     found = doubts_of_friction(start.system, causes, fit, [moving], 1.0)
     assert len(found) == driven
-    assert all("joint 1 would push it on" in text for text in found)
+    assert all("joint 1 would drive the joint" in text for text in found)
     # Hardly known, it may as well be none.
     vague = replace(fit, covariance=fit.covariance * 1e4)
     assert doubts_of_friction(start.system, causes, vague, [moving], 1.0) == ()

@@ -91,7 +91,7 @@ def test_files_hold_what_was_designed_and_the_recorder_plays_it(design, tmp_path
 def test_exact_twins_are_told_so(pair):
     stage, doses = staged("rod_pendulum", pair)
     scans = scan(stage, doses, [d.on(stage.start.values) for d in doses], np.random.default_rng(0), 4)
-    with pytest.raises(InseparableError, match="cannot be told apart by any command") as error:
+    with pytest.raises(InseparableError, match="cannot be distinguished by any command") as error:
         check_separable(stage, doses, scans)
     assert set(error.value.pair) == set(pair)
     assert error.value.advice
@@ -178,7 +178,7 @@ def test_when_all_break_a_limit_it_is_said_which_and_by_how_much(refits_by_size)
         (["coulomb"], "two or more"),
         (["coulomb", "magic"], 'no cause "magic"'),
         (["coulomb", "jitter"], "scatter"),
-        (["coulomb", "event"], "nothing that commands bring out"),
+        (["coulomb", "event"], "no command sequence can test event"),
     ],
 )
 def test_senseless_questions_are_refused(names, message):
@@ -206,7 +206,7 @@ def test_chance_follows_the_scatter_of_the_ratio():
     ("arguments", "message"),
     [
         (["--limits", "omega"], "NAME=LOW:HIGH"),
-        (["--limits", "torque=-9:9"], "exceed what the actuator takes"),
+        (["--limits", "torque=-9:9"], "exceed the range of the actuator"),
         (["--limits", "speed=-1:1"], 'has no "speed"'),
         (["--limits", "omega=1:6"], "such as omega=-6:6"),
         (["--limits", "omega=0:6"], "such as omega=-6:6"),

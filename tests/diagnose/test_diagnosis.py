@@ -67,7 +67,7 @@ def test_json_keeps_its_contract(report):
     assert {"metric", "horizon_s", "channels", "reduction_vs_refit", "low", "high", "windows"} <= set(
         content["gain"]
     )
-    assert "No fit has seen" in content["gain"]["note"]
+    assert "No fit uses these windows" in content["gain"]["note"]
     assert "optimistic" in content["gain"]["note"]
     assert {"baseline", "refit", "extended", "unit"} <= set(content["gain"]["channels"]["theta"])
     tried = {name for name, cause in catalogue(make_system("rod_pendulum")).items() if cause.free}
@@ -126,7 +126,7 @@ def test_same_seed_same_bytes_whoever_watches(log, diagnosis):
     first, second = (json.dumps(replace(d, seconds=0.0).to_json()) for d in (diagnosis, again))
     assert first == second
     assert told[:2] == ["refit of the simulation as given", "fitting every cause"]
-    assert told[-1] == "lost commands beside coulomb"
+    assert told[-1] == "lost commands together with coulomb"
 
 
 def test_report_is_never_written_over(diagnosis, tmp_path):

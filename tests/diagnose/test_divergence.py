@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import Start, baseline_from
+from deepkoco.diagnose.baseline import Baseline, baseline_from
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.gain import held_out_gain
 from deepkoco.diagnose.report.folder import write_report
@@ -36,7 +36,7 @@ def windows() -> Windows:
     return cut_windows([arm_log(0)], arm, window_length(arm))
 
 
-def of_another_build() -> Start:
+def of_another_build() -> Baseline:
     """What healthy logs of the other build say: its values, hardly uncertain."""
     own = baseline_from(make_system("two_link_arm"), windows())
     centre = np.array([OTHER.get(n, c) for n, c in zip(own.prior.names, own.prior.centre, strict=True)])
@@ -58,7 +58,7 @@ def diagnosis():
 def test_a_baseline_of_another_build_is_left_out_and_told(diagnosis, tmp_path):
     assert diagnosis.verdict != "insufficient"
     (told,) = diagnosis.unexplained["not_fitted"]
-    assert "what the healthy ones say" in told
+    assert "prior of the healthy logs" in told
     assert "diverges at" in told
     assert any(text.startswith("Could not be fitted: ") for text in diagnosis.advice)
     page = write_report(diagnosis, tmp_path / "report")

@@ -10,7 +10,7 @@ from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence import forward
 from deepkoco.diagnose.evidence.forward import Selected, Selection
-from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, allowed
+from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
 from deepkoco.diagnose.evidence.selection import Candidate, Ranking, prior_with
 from deepkoco.diagnose.healthy import extended, learn_baseline
 from deepkoco.diagnose.residuals.residuals import dispersion
@@ -48,18 +48,18 @@ def test_what_healthy_logs_show_as_well_is_allowed(bent):
     start, _ = bent
     assert start.effects == ()  # too small to be learned from this log alone
     problem, same = claim(start, BIAS, "torque_bias")
-    assert allowed(start, problem, [same]) == [True]
+    assert consistent_with_healthy(start, problem, [same]) == [True]
     problem, more = claim(start, {"torque_bias": {"effort": 0.05}}, "torque_bias")
-    assert allowed(start, problem, [more]) == [False]
+    assert consistent_with_healthy(start, problem, [more]) == [False]
     problem, other = claim(start, {"coulomb": {"torque": 0.05}}, "coulomb")
-    assert allowed(start, problem, [other]) == [False]
-    assert allowed(start, problem, []) == []
+    assert consistent_with_healthy(start, problem, [other]) == [False]
+    assert consistent_with_healthy(start, problem, []) == []
 
 
 def test_without_healthy_logs_nothing_is_allowed(bent):
     start, plain = bent
     problem, same = claim(start, BIAS, "torque_bias")
-    assert allowed(plain, problem, [same]) == [False]
+    assert consistent_with_healthy(plain, problem, [same]) == [False]
     with pytest.raises(BaselineError, match="not learned from healthy logs"):
         extended(plain, [same.cause])
 
@@ -138,11 +138,11 @@ def test_each_cause_is_compared_with_all_others_beside_it_and_fitful_ones_are_no
         asked.extend([of, at, *claims])
         return [claim.cause.name == "viscous" for claim in claims]
 
-    monkeypatch.setattr(forward, "allowed", listening)
+    monkeypatch.setattr(forward, "consistent_with_healthy", listening)
     selection = Selection(start, windows, None, None, 24.0)
     acting = FitProblem(start.system, windows)
     found = Selected(fit, accepted, tuple(steps), acting)
-    assert [c.name for c in selection.allowed(found)] == ["viscous"]
+    assert [c.name for c in selection.consistent_with_healthy(found)] == ["viscous"]
     # The windows with the commands that acted; and what was never fitted makes no claim.
     assert asked[:2] == [start, acting]
     assert [(c.cause.name, [b.name for b in c.beside]) for c in asked[2:]] == [

@@ -33,8 +33,8 @@ def test_a_tether_is_no_loss_of_commands():
 def test_a_tether_is_neither_detents_nor_pushes():
     """A load that follows the angle says as much as detents; with a push besides they still leave more than noise."""
     for stiffness, seed, doubt in (
-        (0.204, 2791, "smoothly says nearly as much as cogging"),
-        (0.235, 2037, "cogging and event would leave more than noise"),
+        (0.204, 2791, "explains the log nearly as well as cogging"),
+        (0.235, 2037, "With cogging and event, more than noise remains"),
     ):
         log = hidden_log("rod_pendulum", {"tether": {"stiffness": stiffness}}, "closed-loop", seed)
         result = diagnose([log], "rod_pendulum", only=["cogging", "event"])

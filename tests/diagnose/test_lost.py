@@ -175,7 +175,9 @@ def test_what_healthy_logs_lose_as_well_is_no_cause():
     healthy = hidden_log("rod_pendulum", lossy, "chirp", SEED, SECONDS, take=1)
     result = diagnose([unit(0.08)], "rod_pendulum", healthy=[healthy], only=["lost_commands"])
     assert result.verdict == "nothing"
-    assert "the healthy logs lose some of it, too" in result.unexplained["lost_commands_not_searched"]
+    assert (
+        "the healthy logs also lose some of its commands" in result.unexplained["lost_commands_not_searched"]
+    )
 
 
 def test_a_log_that_never_moved_is_no_obstacle():

@@ -129,7 +129,7 @@ def test_a_learned_load_stands_in_for_a_cause(unknown):
     assert "extended" not in held_out_models(unknown)
     said = remains(learned)[-1]
     assert "0.2 N m s for learned.drag" in said
-    assert "40 % off the held-out error" in said
+    assert "lowers the held-out error by 40 %" in said
     refused = {**LEARNED, "accepted": False, "reason": "it does not"}
     refused_too = replace(unknown, unexplained={**unknown.unexplained, "residual_model": refused})
     assert remains(refused_too)[-1] == "No learned load was added to the simulation: it does not."

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, allowed
+from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
 from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.per_log_refits import run_to_run
@@ -20,8 +20,8 @@ from deepkoco.diagnose.report.text import noise_of
 from deepkoco.diagnose.run_to_run import (
     LogInformation,
     RunToRun,
+    log_information,
     posterior,
-    said,
     sampling_variance,
     within_bounds,
 )
@@ -53,7 +53,7 @@ def test_what_varies_is_found_and_does_not_count_as_model_error():
     unit = healthy(*({"viscous": {"change": c}} if c else {} for c in change))
     assert unit.fit.chi2 / unit.windows.samples > 10.0  # no single friction explains all four
     runs = run_to_run(unit, unit.before.prior)
-    assert len(runs.said) == 4
+    assert len(runs.log_information) == 4
     assert runs.floor < 1.2
     spread = dict(zip(unit.before.prior.names, np.sqrt(np.diag(runs.covariance)), strict=True))
     assert spread["viscous"] == pytest.approx(np.std(change, ddof=1), rel=0.1)
@@ -118,12 +118,12 @@ def test_what_one_healthy_log_shows_is_allowed_and_nothing_else():
         for own, drive in zip(unit, DRIVES, strict=False)
     ]
     start = learn_baseline(logs, SYSTEM, LENGTH)
-    assert len(start.runs.said) == 2
+    assert len(start.runs.log_information) == 2
     assert "torque_bias" not in start.effects  # too small to be learned
     problem, same = claimed(start, 0.003)
-    assert allowed(start, problem, [same]) == [True]
+    assert consistent_with_healthy(start, problem, [same]) == [True]
     problem, more = claimed(start, 0.05)
-    assert allowed(start, problem, [more]) == [False]
+    assert consistent_with_healthy(start, problem, [more]) == [False]
 
 
 def test_what_varies_is_no_cause_and_what_does_not_is():
@@ -147,7 +147,10 @@ def test_what_varies_is_no_cause_and_what_does_not_is():
     assert said["run_to_run"]["viscous"]["unit"] == "N m s/rad"
     assert "sensor noise" in noise_of(result)
     noisy = replace(result, data={**result.data, "healthy": {**said, "chi2_per_sample": 7.0}})
-    assert noise_of(noisy) == "what the healthy logs leave, 7 times the sensor noise's variance"
+    assert (
+        noise_of(noisy)
+        == "the error that remains in the healthy logs (7 times the variance of the sensor noise)"
+    )
     assert noise_of(replace(result, data={})) == "sensor noise"
 
 
@@ -170,8 +173,8 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
         covariance = np.linalg.inv(a.T @ a + precision)
         at = covariance @ (a.T @ y + precision @ prior.centre)
         fit = SimpleNamespace(free=names, covariance=covariance, values=dict(zip(names, at, strict=True)))
-        runs.said[k] = said(fit, prior, 1.0)
-        np.testing.assert_allclose(runs.said[k].information, a.T @ a, atol=1e-8)
+        runs.log_information[k] = log_information(fit, prior, 1.0)
+        np.testing.assert_allclose(runs.log_information[k].information, a.T @ a, atol=1e-8)
     # mean, then what each log differs by: each measurement is linear in them
     everything = np.linalg.inv(
         np.block(
@@ -191,7 +194,13 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
     np.testing.assert_allclose(found.centre, best[:2], atol=1e-6)
     np.testing.assert_allclose(found.covariance, whole[:2, :2] + runs.covariance, rtol=1e-3)
     fewer = RunToRun(
-        {k: own for k, own in runs.said.items() if k != 1}, runs.covariance, 10**9, np.ones(2), 1.0, 1.0, 0.0
+        {k: own for k, own in runs.log_information.items() if k != 1},
+        runs.covariance,
+        10**9,
+        np.ones(2),
+        1.0,
+        1.0,
+        0.0,
     )
     np.testing.assert_allclose(runs.of_another(prior, 1).centre, fewer.of_another(prior).centre)
 
@@ -224,7 +233,7 @@ def test_logs_that_vary_much_hide_nothing_else():
     assert start.effects == ()
     assert start.floor < 1.2
     problem, bias = claimed(start, 0.01)
-    assert allowed(start, problem, [bias]) == [False]
+    assert consistent_with_healthy(start, problem, [bias]) == [False]
 
 
 def test_what_all_logs_show_is_learned_beside_what_they_differ_by():
@@ -302,7 +311,7 @@ def test_units_of_very_different_size_are_no_obstacle():
     fit = SimpleNamespace(
         free=prior.names, covariance=np.diag([1e-18, 9.0]), values={"angle": 0.01, "speed": 0.0}
     )
-    runs = RunToRun({0: said(fit, prior, 1.0)}, np.zeros((2, 2)), 1, np.ones(2), 1.0, 1.0, 0.0)
+    runs = RunToRun({0: log_information(fit, prior, 1.0)}, np.zeros((2, 2)), 1, np.ones(2), 1.0, 1.0, 0.0)
     found = runs.of_another(prior)
     np.testing.assert_allclose(found.centre, [0.01, 0.0], atol=1e-9)
     np.testing.assert_allclose(np.diag(found.covariance), [1e-18, 9.0], rtol=1e-6)

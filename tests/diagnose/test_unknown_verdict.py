@@ -77,7 +77,7 @@ def test_a_push_mends_no_other_window_and_does_not_hide_what_remains():
     # The refit with which it is compared does not bend to the push.
     assert abs(result.gain.reduction) < 0.05
     assert result.chi2_after > 1.3 * result.unexplained["limits"]["chi2_per_sample"]
-    assert "Something more is missing" in lead(result)
+    assert "The named causes do not explain everything" in lead(result)
     assert remains(result)[0] in lead(result)
 
 

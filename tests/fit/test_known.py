@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.diagnose.baseline import refit, baseline_from
 from deepkoco.fit.data.per_log_differences import known_of
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.logs.recording import LogError, Recording, Series
@@ -47,7 +47,7 @@ def servo_log(
 def fitted(logs):
     system = make_system("servo_pendulum")
     windows = cut_windows(logs, system, 1.0)
-    fit = refit(start_from(system, windows), windows)
+    fit = refit(baseline_from(system, windows), windows)
     return {n: fit.values[n] for n in fit.free}, fit.chi2 / windows.samples
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
-from deepkoco.diagnose.baseline import start_from
+from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
@@ -29,11 +29,11 @@ def windows():
 
 
 def problem_of(windows, **varies):
-    return FitProblem(start_from(SYSTEM, windows).system, replace(windows, varies=varies))
+    return FitProblem(baseline_from(SYSTEM, windows).system, replace(windows, varies=varies))
 
 
 def fitted(problem):
-    start = start_from(SYSTEM, problem.windows)
+    start = baseline_from(SYSTEM, problem.windows)
     prior = Prior(("viscous",), np.zeros(1), np.array([[0.02**2]]))
     return problem.fit([Trial("mean", ("viscous",), prior, start.values)], 60, 1e-9)[0]
 
@@ -96,7 +96,7 @@ def test_an_actuator_that_varies_acts_on_the_commands_of_its_log():
     system = make_system("quadrotor_height")
     logs = [hidden_log("quadrotor_height", {}, "steps", seed, 5.0) for seed in (1, 2)]
     windows = cut_windows(logs, system, 1.0)
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     problem = FitProblem(start.system, replace(windows, varies={"motor_lag": 0.01}))
     theta = np.array([[start.values[n] for n in problem.names]])
     slower = theta.copy()
@@ -117,7 +117,7 @@ def test_zeros_and_parameters_of_every_log_are_at_the_optimum_whatever_else_is_f
     system = make_system("two_link_arm")
     logs = [hidden_log("two_link_arm", {}, drive, 3, 4.0) for drive in ("chirp", "steps")]
     windows = cut_windows(logs, system, 1.0)
-    start = start_from(system, windows)
+    start = baseline_from(system, windows)
     varies = {"viscous_1": 0.1, "mass_2": 0.02}
     windows = replace(windows, varies=varies, known=({}, {"viscous_1": 0.05}))
     problem = FitProblem(start.system, windows, zero_sd=0.02)

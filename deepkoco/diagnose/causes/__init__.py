@@ -1,4 +1,4 @@
-"""The catalogue: a new cause is a constant in its family's file and one line here."""
+"""Catalogue of causes. A new cause is a constant in the file of its family and one line here."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ CAUSES: dict[str, Cause] = {
 
 
 def catalogue(system: System) -> dict[str, Cause]:
-    """Every cause at every joint, command and channel of a system where it makes sense, by its name there."""
+    """Return the causes at every joint, command and channel where they have a meaning, by their names there."""
     result: dict[str, Cause] = {}
     for kind, cause in CAUSES.items():
         if kind in EFFECTS:

@@ -1,4 +1,4 @@
-"""Actuator causes: what happens to a command on its way to the joint."""
+"""Actuator causes: changes of the command between the log and the joint."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def _gain_starts(hint: Hint) -> list[dict[str, float]]:
 
 
 def _dead_zone_starts(hint: Hint) -> list[dict[str, float]]:
-    # At width 0 the gradient exists but misses commands that a wide zone swallows whole.
+    # The gradient at width 0 does not show the commands that a wide zone removes completely.
     return [{"width": share * _largest(hint)} for share in (0.0, 0.08, 0.3)]
 
 
 def _saturation_starts(hint: Hint) -> list[dict[str, float]]:
-    # The limit has no gradient until it cuts into the commands; of two levels alone every cut is a whole one, and only
-    # a shallow one is small enough to tell the direction.
+    # The gradient is zero until the limit cuts the commands. If a command has only two levels, any limit below the
+    # upper level cuts it at all times; only a limit just below it is a small enough step for the score test.
     return [{"limit": share * _largest(hint)} for share in (0.9999, 0.97, 0.8, 0.5)]
 
 
@@ -32,7 +32,7 @@ GAIN = Cause(
     "actuator",
     ("factor",),
     "The actuator scales its command.",
-    "Hold the joint at several constant commands and read the static angle: it gives the gain over the weight.",
+    "Hold the joint at several constant commands and read the static angles: they give the ratio of gain and weight.",
     "command",
     lambda motion: motion.command,
     _gain_starts,
@@ -51,7 +51,7 @@ DEAD_ZONE = Cause(
     "actuator",
     ("width",),
     "Small commands have no effect.",
-    "Use commands of many levels, small ones included; a bang-bang command cannot show a dead zone.",
+    "Use commands of many levels, including small ones; a command of two levels cannot show a dead zone.",
     "command",
     lambda motion: -np.sign(motion.command),
     _dead_zone_starts,
@@ -61,7 +61,7 @@ SATURATION = Cause(
     "actuator",
     ("limit",),
     "Large commands are cut off.",
-    "Use commands of many levels up to the limit; a bang-bang command cannot show where it saturates.",
+    "Use commands of many levels up to the limit; a command of two levels cannot show where it saturates.",
     "command",
     lambda motion: (
         -np.sign(motion.command)
@@ -72,7 +72,7 @@ SATURATION = Cause(
 
 
 def _backlash_starts(hint: Hint) -> list[dict[str, float]]:
-    # The cost has a kink wherever the play swallows one more reversal: starts close to each other.
+    # The cost has a kink at every width at which the play covers one more reversal, so many close starts are needed.
     return [{"width": share * _largest(hint)} for share in np.geomspace(0.01, 0.3, 12)]
 
 
@@ -80,8 +80,8 @@ BACKLASH = Cause(
     "backlash",
     "actuator",
     ("width",),
-    "There is play between command and effort: after a change of direction the effort follows late.",
-    "Sweep the command slowly up and down: with play the effort on the way up and on the way down differ.",
+    "There is play between command and effort: after a change of direction, the effort follows late.",
+    "Sweep the command slowly up and down: with play, the efforts on the way up and on the way down differ.",
     "command",
     lambda motion: -np.sign(motion.command_rate),
     _backlash_starts,
@@ -99,7 +99,7 @@ GAIN_CURVE = Cause(
     "gain_curve",
     "actuator",
     ("curvature",),
-    "The actuator's gain bends: large commands have less effect (or more) than in proportion.",
+    "The actuator's gain depends on the command: large commands have less (or more) than proportional effect.",
     "Hold the joint at constant commands of many levels up to the limit and read the static angles.",
     "command",
     lambda motion: motion.command**3,
@@ -109,7 +109,7 @@ ASYMMETRY = Cause(
     "actuator",
     ("share",),
     "The actuator is stronger in one direction than in the other.",
-    "Play a sequence and then the same with the opposite sign.",
+    "Play a command sequence, then the same sequence with the opposite sign.",
     "command",
     lambda motion: np.abs(motion.command),
 )
@@ -117,7 +117,7 @@ UNIT_SLIP = Cause(
     "unit_slip",
     "unit",
     (),
-    "The command differs from what acts by a constant between units: the log, or its sidecar, has the wrong unit.",
+    "The command in the log has the wrong unit: it differs from the true command by a conversion constant.",
     "Read the unit of the command in the driver's documentation and correct the sidecar.",
     "command",
     lambda motion: motion.command,

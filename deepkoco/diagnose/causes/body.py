@@ -1,4 +1,4 @@
-"""Body causes: what the robot is made of and carries."""
+"""Body causes: masses, lengths and mounting of the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a cause is: a nested extension of the baseline, with what is needed to find and show it."""
+"""Type of a cause: an extension of the baseline, with its start values, its signature and its texts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Motion(NamedTuple):
-    """What one joint did, sampled over time: all (n,)."""
+    """Motion and command of one joint, sampled over time; all (n,)."""
 
     time: np.ndarray  # [s]
     theta: np.ndarray  # [rad or m]
@@ -27,17 +27,17 @@ class Motion(NamedTuple):
 
 
 class Hint(NamedTuple):
-    """What a cause may look at to choose its starts, at one joint or command."""
+    """Data from which a cause chooses its start values, at one joint or command."""
 
     system: System
     joint: int
     command: np.ndarray  # (n,) command values of the logs
     omega: np.ndarray  # first guess of speeds, per second
-    pushes: tuple[Mapping[str, float], ...]  # where an outside load would help most
+    pushes: tuple[Mapping[str, float], ...]  # slots in which an outside load lowers chi2 most
     seconds: float  # length of the logs [s]
-    chi2: float  # what the refitted baseline leaves, per sample
-    missing: MissingTorque | None  # outside load that would make it follow the measurements, at this joint
-    strained: bool = False  # whether the refitted baseline has left its prior by far
+    chi2: float  # chi2 per sample of the refitted baseline
+    missing: MissingTorque | None  # missing load of the refitted baseline at this joint
+    strained: bool = False  # whether the refitted baseline is far from its prior
 
 
 Axis = Literal["omega", "theta", "command", "time", "command_rate"]
@@ -45,7 +45,7 @@ Starts = Callable[[Hint], list[dict[str, float]]]
 
 
 def from_null(hint: Hint) -> list[dict[str, float]]:
-    """One start: the null value."""
+    """Return one start: the null value."""
     return [{}]
 
 
@@ -54,24 +54,24 @@ class Cause:
     """One entry of the catalogue; :func:`deepkoco.diagnose.causes.catalogue` puts it at every site of a system.
 
     Attributes:
-        name: Name in reports; that of its effect, with the joint where there are several.
-        family: Group of causes that are alike.
-        free: Parameters of the effect that a fit frees, by their short names; full names once it is placed.
+        name: Name in reports: the name of its effect, with the joint where there are several.
+        family: Group of similar causes.
+        free: Parameters of the effect that a fit frees; short names here, full names once the cause is placed.
         summary: One sentence for the report.
-        advice: Experiment that tells it apart from its neighbours.
-        axis: Quantity against which the residual load shows it best.
-        signature: Shape (n,) that the residual load takes under a small dose of it.
+        advice: Experiment that distinguishes it from similar causes.
+        axis: Quantity against which the missing load shows it best.
+        signature: Motion -> shape (n,) of the missing load under a small dose of it.
         starts: Start values by short names; several where the gradient vanishes at null or the cost has several
             minima.
         counted: Number of parameters that the penalty counts; None counts all.
-        searched: Whether it was looked for at many places in time, which the penalty must pay for.
-        choices: Number of discrete values that were tried, which the penalty must pay for.
-        valley: Values, by full names, along a valley of the cost through given ones; None where there is none.
-        scatter: For a cause that changes how measurements scatter: its test; None for the others.
+        searched: Whether it was searched for at many places in time, which the penalty charges.
+        choices: Number of discrete values that were tried, which the penalty charges.
+        valley: Values -> other values along a valley of the cost, by full names; None where there is none.
+        scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
-        effect: Name of the placed effect that carries it (or "event").
-        joint: Joint that it acts on; None for the whole system.
-        index: Which command or channel, where it belongs to one.
+        effect: Name of the placed effect that simulates it (or "event").
+        joint: Joint on which it acts; None for the whole system.
+        index: Index of its command or channel, where it belongs to one.
     """
 
     name: str
@@ -109,7 +109,7 @@ class Cause:
         if site == "command":
             joint = system.command_joints[placed.index]
         declared = [p.name for p in placed.parameters(system)]
-        # Where the effect has other parameters on this system (a tilt in a plane has two), all are freed.
+        # If the effect has other parameters on this system (a tilt in a plane has two), all of them are freed.
         same = all(n in declared for n in self.free)
         cause = self if same else replace(self, free=tuple(declared))
         return cause._called(placed.name, placed.name, joint, placed.index)

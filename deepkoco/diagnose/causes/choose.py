@@ -13,7 +13,7 @@ class UnknownCauseError(ValueError):
 
 
 def causes_named(known: dict[str, Cause], names: Sequence[str], system: str) -> list[Cause]:
-    """Causes by name, each once.
+    """Return the causes with the given names, each once.
 
     Args:
         known: Every cause of the system by its name there, as :func:`deepkoco.diagnose.causes.catalogue` gives them.

@@ -1,4 +1,4 @@
-"""Disturbances: loads that come back with the angle of the joint or in time."""
+"""Disturbances: loads that are periodic in the angle of the joint or in time."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import numpy as np
 from deepkoco.diagnose.causes.cause import Cause, Hint
 
 CYCLES = tuple(range(2, 31))  # per turn
-AGAIN = 2.0  # cycles that a log must show
+MIN_CYCLES = 2.0  # cycles that a log must show
 LOWEST = 0.8  # frequency from which an outside load is searched [rad/s]
-LINES = 5  # of the spectrum that are tried
+LINES = 5  # lines of the spectrum that are tried
 
 
 def _cycles(hint: Hint) -> list[dict[str, float]]:
-    """Those that the log shows to come back: one that is seen once may be a spring, a cable or a stop."""
+    """Return the cycles per turn that the log shows twice; a pattern seen once may be a spring, a cable or a stop."""
     missing = hint.missing
     turned = np.inf
     if missing is not None:
         turned = max(float(np.ptp(missing.theta[missing.log == log])) for log in np.unique(missing.log))
-    return [{"cycles": float(n)} for n in CYCLES if AGAIN * 2.0 * np.pi / n <= turned]
+    return [{"cycles": float(n)} for n in CYCLES if MIN_CYCLES * 2.0 * np.pi / n <= turned]
 
 
 def _frequencies(hint: Hint) -> list[dict[str, float]]:
-    """The strongest lines in the spectrum of the missing load, by least squares at its own times."""
+    """Return the strongest lines in the spectrum of the missing load, computed at its own times."""
     missing = hint.missing
     if missing is None:
         return []
@@ -45,7 +45,7 @@ COGGING = Cause(
     "cogging",
     "actuator",
     ("sine", "cosine"),
-    "A torque comes back every part of a turn: the motor cogs, or a gear is off centre.",
+    "A torque repeats several times per turn: the motor cogs, or a gear is off centre.",
     "Turn the joint slowly by hand and feel for detents; count them over a turn.",
     "theta",
     lambda motion: np.zeros_like(motion.time),
@@ -56,8 +56,8 @@ PERIODIC = Cause(
     "periodic",
     "actuator",
     ("sine", "cosine", "frequency"),
-    "An outside load comes back in time.",
-    "Look for what runs at that frequency (a fan, a pump, another axis), and record with it off.",
+    "A load from outside is periodic in time.",
+    "Find the device that runs at this frequency (a fan, a pump, another axis), switch it off and record again.",
     "time",
     lambda motion: np.zeros_like(motion.time),
     _frequencies,

@@ -1,4 +1,4 @@
-"""Events: something outside acted on the joint for a while."""
+"""Push (event): a load from outside acts on the joint for a short time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _starts(hint: Hint) -> list[dict[str, float]]:
 
 
 def _stretched(values: Mapping[str, float]) -> list[dict[str, float]]:
-    """Pushes of the same impulse about the same time: short and hard, long and soft. They look almost alike."""
+    """Return pushes of the same impulse around the same time, shorter or longer; they fit almost equally well."""
     torque, start, duration = (values[f"event.{n}"] for n in ("torque", "start", "duration"))
     found = []
     for factor in STRETCHES:
@@ -33,8 +33,8 @@ EVENT = Cause(
     "event",
     "event",
     ("torque", "start", "duration"),
-    "Something outside pushed the joint for a while.",
-    "Look at the video or the lab book at that time; repeat the log and see whether it comes back.",
+    "Something outside pushed the joint for a short time.",
+    "Look at the video or the lab book at that time. Repeat the log and check whether the push occurs again.",
     "time",
     lambda motion: np.zeros_like(motion.time),
     _starts,

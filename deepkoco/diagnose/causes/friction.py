@@ -1,4 +1,4 @@
-"""Friction causes: torques against the motion of the joint."""
+"""Friction causes: loads against the motion of the joint."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from deepkoco.diagnose.causes.cause import Cause, Hint
 
 ADVICE = (
-    "Let the joint swing out freely from large and from small angles: the shape of the decay over the "
-    "amplitude tells friction laws apart."
+    "Let the joint swing freely from large and from small angles until it rests. Friction laws differ in how the "
+    "decay depends on the amplitude."
 )
 
 # Stribeck speeds of the starts, as multiples of the joint's smoothing speed: inside the bounds of the parameter.
@@ -28,7 +28,7 @@ VISCOUS = Cause(
     "viscous",
     "friction",
     ("change",),
-    "Friction in proportion to the speed differs.",
+    "Viscous friction, proportional to the speed, differs from the simulation.",
     ADVICE,
     "omega",
     lambda motion: -motion.omega,
@@ -65,8 +65,8 @@ LOAD_FRICTION = Cause(
     "load_friction",
     "friction",
     ("coefficient",),
-    "Dry friction grows with what the actuator delivers, as in a loaded gear.",
-    "Swing the joint at the same speeds with a large and with a small constant command: only load friction differs.",
+    "Dry friction grows with the actuator's effort, as in a loaded gear.",
+    "Swing the joint at the same speeds with a large and a small constant command: only load friction changes.",
     "omega",
     lambda motion: -np.abs(motion.command) * np.sign(motion.omega),
 )

@@ -1,4 +1,4 @@
-"""Sensor causes: what happens to the state on its way into the log."""
+"""Sensor causes: differences between the state and its measurement in the log."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LOW_PASS = Cause(
     "sensor",
     ("time_constant",),
     "The sensors filter what they measure.",
-    "Move the joint fast by hand beside an unfiltered sensor: a filter rounds what a delay only shifts.",
+    "Move the joint fast by hand and compare with an unfiltered sensor: a filter rounds the signal, a delay shifts it.",
     "command_rate",
     lambda motion: -motion.command_rate,
     lambda hint: [{"time_constant": value} for value in (0.0, 0.03)],
@@ -73,7 +73,7 @@ CHANNEL_SLIP = Cause(
     "channel_slip",
     "unit",
     (),
-    "A channel differs from what it measures by a constant between units: the log, or its sidecar, has the wrong one.",
+    "A channel of the log has the wrong unit: it differs from the measured quantity by a conversion constant.",
     "Read the unit of the channel in the driver's documentation and correct the sidecar.",
     "theta",
     lambda motion: motion.theta,

@@ -1,4 +1,4 @@
-"""Causes in time: delays and lags."""
+"""Timing causes: delays, lag, clock skew, jitter and lost commands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
 from deepkoco.diagnose.residuals.scatter import jitter
 
-# A long delay hides behind local minima of the fit: start also from further away [s].
+# Fits of a long delay from 0 stop in local minima, so they also start from longer delays [s].
 STARTS = (0.0, 0.03, 0.08)
 
 
@@ -27,8 +27,8 @@ ACTUATION_DELAY = Cause(
     "timing",
     ("delay",),
     "Commands act later than they are sent.",
-    "Log the time at which the motor current changes, or move the joint by hand: a sensing delay then "
-    "shows against a second sensor, an actuation delay does not.",
+    "Log the time at which the motor current changes. Or move the joint by hand and compare with a second sensor: "
+    "this shows a sensing delay, but not an actuation delay.",
     "command_rate",
     _rate,
     _starts("delay"),
@@ -57,8 +57,8 @@ CLOCK_SKEW = Cause(
     "clock_skew",
     "timing",
     ("rate",),
-    "The clocks of commands and measurements run at different speeds, so that the delay between them grows.",
-    "Stamp both with one clock, or record twice as long: a skew grows with the length of the log, a delay does not.",
+    "The clocks of commands and measurements run at different speeds, so the delay between them grows.",
+    "Stamp both with one clock. Or record twice as long: the effect of a skew grows with the length of the log.",
     "command_rate",
     lambda motion: -motion.command_rate * (motion.time - motion.time.mean()),
 )
@@ -66,7 +66,7 @@ LOST_COMMANDS = Cause(
     "lost_commands",
     "timing",
     (),
-    "Some commands never arrive; the actuator holds the one before.",
+    "Some commands never arrive, and the actuator holds the previous command.",
     "Number the commands and let the actuator log the numbers that it received.",
     "command_rate",
     lambda motion: -motion.command_rate,

@@ -1,4 +1,4 @@
-"""Constants between units that are mixed up in practice."""
+"""Conversion constants between units that are often confused, and the starts of a unit slip."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ LARGE_MISFIT = 20.0  # chi2 per sample of the refitted baseline from which a sli
 
 
 def slip_starts(hint: Hint) -> list[dict[str, float]]:
-    """Every constant, where the refitted baseline leaves far more than noise or has left its prior by far.
+    """Return every constant if the refitted baseline leaves far more than noise, or is far from its prior.
 
-    A mass and an inertia that are free can take up a wrong unit of the command: then little is left of it in the
-    residuals, and only the distance of the refit from its prior shows it.
+    A free mass and a free inertia can absorb a wrong unit of the command. The residuals are then small, and only the
+    distance of the refit from its prior shows the wrong unit.
     """
     return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LARGE_MISFIT or hint.strained else []

@@ -1,1 +1,1 @@
-"""Which causes explain the data: screened, fitted, ranked and selected."""
+"""Selection of causes: screening, fits, ranking, classes, forward selection and elimination."""

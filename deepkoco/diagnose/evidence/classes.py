@@ -1,4 +1,4 @@
-"""Which causes the data at hand cannot tell apart."""
+"""Class of a cause: the causes that these data cannot distinguish from it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from deepkoco.diagnose.evidence.selection import Candidate, Ranking, penalty, pr
 from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
-APART = 6.0  # difference of BIC from which two causes are told apart ("strong evidence")
-NEAR = 40.0  # candidates further behind than that are not worth a fit to the winner's data
+APART = 6.0  # BIC difference from which two causes are distinguished ("strong evidence")
+NEAR = 40.0  # BIC difference from which a candidate is not fitted to the winner's data
 
 # Source of the scale: Kass and Raftery, Bayes factors, JASA 90 (1995).
 
@@ -19,11 +19,11 @@ NEAR = 40.0  # candidates further behind than that are not worth a fit to the wi
 def equivalent(
     problem: FitProblem, start: Baseline, ranking: Ranking, accepted: tuple[Cause, ...] = ()
 ) -> tuple[str, ...]:
-    """Names that these data do not tell apart from the winner, the winner first.
+    """Return the names of the winner's class, the winner first.
 
-    A cause is in the class if its BIC is within ``APART`` of the winner's, or if it would be on average:
-    fitted to noise-free measurements simulated from the winner it falls behind by less, and noise alone
-    explains that it does worse here. Nothing is looked up in a table of known equivalences.
+    A candidate is in the class if its BIC is less than ``APART`` behind the winner's. It is also in the class if
+    that is expected: fitted to noise-free measurements simulated from the winner, its BIC is less than ``APART``
+    behind, and noise can explain the observed difference. There is no table of equivalent causes.
     """
     winner = ranking.best
     close = [c for c in ranking.candidates[1:] if winner.delta_bic - c.delta_bic < NEAR]
@@ -36,7 +36,7 @@ def equivalent(
     for candidate, gap in zip(close, expected, strict=True):
         behind = winner.delta_bic - candidate.delta_bic
         mean = gap / ranking.deflation + penalty(candidate.cause, ranking.samples, places) - own
-        # The observed gap scatters around the expected one by 2 sqrt(gap).
+        # The standard deviation of the observed gap is 2 sqrt(gap).
         chance = 2.0 * 2.0 * max(gap / ranking.deflation, 1.0) ** 0.5
         if behind < APART or (mean < APART and behind < APART + chance):
             class_names.append(candidate.cause.name)
@@ -50,7 +50,7 @@ def expected_gaps(
     others: list[Candidate],
     accepted: tuple[Cause, ...],
 ) -> list[float]:
-    """chi2 that each candidate leaves on noise-free measurements simulated from the winner."""
+    """Return chi2 of each candidate fitted to noise-free measurements simulated from the winner."""
     shown = problem.windows.value - winner.fit.residual / problem.weight.clamp_min(1e-300)
     clean = FitProblem(
         problem.system, problem.windows.with_value(torch.where(problem.windows.valid, shown, 0.0))
@@ -60,5 +60,5 @@ def expected_gaps(
         fit: Fit = candidate.fit
         prior = prior_with(problem, start, [*accepted, candidate.cause], fit.values)
         trials.append(Trial(candidate.cause.name, prior.names, prior, fit.values, fit.state, fit.nuisance))
-    # Both pay for their distance from the prior; only the difference between them counts.
+    # Both costs contain the penalty of the prior; only the difference counts.
     return [max(fit.cost - winner.fit.penalty, 0.0) for fit in clean.fit(trials, 10)]

@@ -1,4 +1,4 @@
-"""Backward elimination: a cause that those found after it make superfluous is taken out again."""
+"""Backward elimination: removal of causes that are superfluous or raise the held-out error."""
 
 from __future__ import annotations
 
@@ -13,26 +13,29 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
-BENDING = ("cogging", "periodic")  # lasting causes that bend to what they are not
+BENDING = ("cogging", "periodic")  # lasting causes that can fit the residuals of other causes
 PUSHES = ("event",)
-FLEXIBLE_CAUSES = (*PUSHES, *BENDING)  # and all causes that do
+FLEXIBLE_CAUSES = (*PUSHES, *BENDING)  # all causes that can fit the residuals of other causes
 
 
 def eliminated(
     problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, wanted: float, least: int = 1
 ) -> tuple[list[Cause], Fit]:
-    """The causes that are still worth their parameters beside all others, and the fit of these.
+    """Remove causes whose delta BIC, together with all others, is too small; the weakest first.
 
-    Forward selection may take a mixture of two causes for a third one; once both are found it has nothing left to
-    explain.
+    Forward selection may first accept a third cause that imitates a mixture of two. Once both are accepted, the
+    third explains nothing more.
 
     Args:
         problem: Training windows.
         start: The baseline.
         accepted: Causes in the order in which they were found.
         fit: Fit with all of them.
-        wanted: Fall of the BIC that keeps a cause.
+        wanted: Fall of the BIC that a cause needs to stay.
         least: Number of causes that stay in any case.
+
+    Returns:
+        The remaining causes and their fit.
     """
     kept = list(accepted)
     while len(kept) > least:
@@ -55,18 +58,21 @@ def eliminated(
 def carried(
     problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, held: Windows, least: int
 ) -> tuple[list[Cause], Fit]:
-    """The causes that do no harm to windows which no fit saw, and the fit of these.
+    """Remove lasting causes that clearly raise the held-out error.
 
-    What only imitates something else bends to the windows that are fitted. A push acts in none of the windows kept
-    back, and stays.
+    A false cause improves only the windows that it is fitted to. A push acts in none of the held-out windows and
+    stays.
 
     Args:
         problem: Training windows.
         start: The baseline.
         accepted: Causes.
         fit: Fit with all of them.
-        held: Windows kept back.
-        least: Number of causes that stay in any case, pushes counted.
+        held: Held-out windows.
+        least: Number of causes that stay in any case, including pushes.
+
+    Returns:
+        The remaining causes and their fit.
     """
     kept = list(accepted)
 
@@ -80,13 +86,14 @@ def carried(
             [without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
         )
         now = errors(fit)
-        # What only saves the baseline a way out of its prior does nothing for any window, and windows cannot judge it.
+        # A cause can win by letting baseline parameters return to their prior instead of improving the simulation.
+        # Held-out windows cannot test such a cause, so its harm is set to zero.
         harm = [
-            np.zeros(len(held)) if less.diverged or _keeps_the_prior(less, fit) else now - errors(less)
+            np.zeros(len(held)) if less.diverged or _mostly_prior_penalty(less, fit) else now - errors(less)
             for less in fits
         ]
         worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
-        # What does nothing for these windows, as it acts in others, is no better or worse but for chance.
+        # A cause that does not act in these windows changes their error only by chance.
         if not harm[worst].sum() > np.sqrt(len(held)) * harm[worst].std():
             break
         kept.remove(lasting[worst])
@@ -94,8 +101,8 @@ def carried(
     return kept, fit
 
 
-def _keeps_the_prior(less: Fit, fit: Fit) -> bool:
-    """Whether what a fit with a cause saves is mostly a way of the baseline out of its prior."""
+def _mostly_prior_penalty(less: Fit, fit: Fit) -> bool:
+    """Return whether more than half of what a cause saves is penalty of the prior."""
     saved = less.cost - fit.cost
     return saved > 0.0 and less.chi2 - fit.chi2 < 0.5 * saved
 
@@ -103,16 +110,20 @@ def _keeps_the_prior(less: Fit, fit: Fit) -> bool:
 def without_kinds(
     problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, kinds: Collection[str]
 ) -> tuple[list[Cause], Fit]:
-    """The other causes alone, where one of them bends to nothing: for residuals that are coloured even so.
+    """Remove the causes of some kinds, unless only pushes, tones and detents are accepted.
 
-    Detents, tones and pushes bend to any structure; what leaves some is no reason to believe in them.
+    Detents, tones and pushes can fit nearly any structure. If structure remains in spite of them, the data do not
+    support them.
 
     Args:
         problem: Training windows.
         start: The baseline.
         accepted: Causes.
         fit: Fit with all of them.
-        kinds: Which go.
+        kinds: Kinds that are removed.
+
+    Returns:
+        The remaining causes and their fit.
     """
     kept = list(accepted)
     loose = [c for c in kept if kind_of(c.name) in kinds]
@@ -125,14 +136,14 @@ def without_kinds(
 
 
 def without(problem: FitProblem, start: Baseline, kept: Sequence[Cause], cause: Cause, fit: Fit) -> Trial:
-    """Fit of all causes but one, from where the fit of all of them is.
+    """Return a trial with all causes but one; it starts from the fit of all of them.
 
     Args:
         problem: The windows.
         start: The baseline.
         kept: All causes.
-        cause: The one.
-        fit: Fit with all of them.
+        cause: The cause that is left out.
+        fit: Fit with all causes.
     """
     others = [c for c in kept if c is not cause]
     values = dict(fit.values)

@@ -1,4 +1,4 @@
-"""Windows in which something pushed the joint: they are fitted, and what lasts is measured on the others."""
+"""Windows that a push touches: they are fitted, and lasting causes are measured on the other windows."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
-SUSPECT = 30.0  # fall of chi2 by a push in one slot, far beyond the largest that chance makes of all slots
-STAND_OUT = 4.0  # times the fall that a push brings in a typical window
-MIN_OTHER_WINDOWS = 3  # windows without the push, to refit on
+MIN_FALL = 30.0  # fall of chi2 by a push in one slot, far above the largest fall by chance over all slots
+MIN_RATIO = 4.0  # that fall, over the fall in a typical window
+MIN_OTHER_WINDOWS = 3  # windows without the push that a refit needs
 
 
 def train_on_pushed(
     start: Baseline, train: Windows, held: Windows, reference: Fit
 ) -> tuple[Windows, Windows, Fit]:
-    """Move windows that a push stands out in from those kept back to those that are fitted.
+    """Move held-out windows in which a push stands out to the fitted windows.
 
-    A push is in one window, and a window that nobody fits shows nothing. It says nothing about what lasts either,
-    so it is of no use among those kept back.
+    No other window shows that push, so it can only be found if its window is fitted. Such a window also cannot
+    measure lasting causes.
 
     Args:
         start: The baseline.
-        train: Windows that are fitted.
-        held: Windows that are kept back, of the same logs.
+        train: Fitted windows.
+        held: Held-out windows of the same logs.
         reference: Refit of the baseline on ``train``.
 
     Returns:
-        Both sets of windows and the refit, as they were if nothing stands out.
+        Fitted windows, held-out windows and the refit; unchanged if no push stands out.
     """
     fitted = FitProblem(start.system, train)
     seen = _largest(fitted, reference)
     problem = FitProblem(start.system, fitted.elsewhere(held, reference))
     unfitted = problem.evaluate(reference.values, "held back")
     found = _largest(problem, unfitted)
-    pushed = found > max(SUSPECT, STAND_OUT * float(np.median(seen)))
-    # Where many windows stand out it is no push, and the gain needs some that were kept back.
+    pushed = found > max(MIN_FALL, MIN_RATIO * float(np.median(seen)))
+    # If many windows stand out, the reason is not a push. The gain also needs some held-out windows.
     if not pushed.any() or pushed.sum() > max(len(held) // 3, 1) or pushed.all():
         return train, held, reference
     both = _joined(train, held.take(pushed))
@@ -53,7 +53,7 @@ def train_on_pushed(
 
 
 def touched(windows: Windows, values: Mapping[str, float]) -> np.ndarray:
-    """(W,) whether the push in these parameter values acts during each window."""
+    """Return (W,) whether the push with these parameter values acts during each window."""
     begin = values["event.start"]
     end = begin + values["event.duration"]
     during = (windows.t0 < end) & (windows.t0 + windows.length > begin)
@@ -61,19 +61,19 @@ def touched(windows: Windows, values: Mapping[str, float]) -> np.ndarray:
 
 
 def refit_elsewhere(start: Baseline, windows: Windows, reference: Fit, pushed: Fit) -> Fit:
-    """Refit of the baseline on the windows that a push does not touch.
+    """Refit the baseline on the windows that a push does not touch.
 
-    A refit that knows of no push bends its parameters to it; taking the push into account would then seem to improve
+    A refit on all windows moves its parameters to imitate the push. A model with the push would then seem to improve
     every other window as well.
 
     Args:
         start: The baseline.
-        windows: Windows that are fitted.
+        windows: Fitted windows.
         reference: Refit on all of them.
         pushed: Fit with the push, on all of them.
 
     Returns:
-        The reference itself where too few windows are left.
+        The refit; ``reference`` where too few windows are left.
     """
     keep = ~touched(windows, pushed.values)
     if keep.sum() < MIN_OTHER_WINDOWS:
@@ -84,7 +84,7 @@ def refit_elsewhere(start: Baseline, windows: Windows, reference: Fit, pushed: F
 
 
 def _largest(problem: FitProblem, fit: Fit) -> np.ndarray:
-    """(W,) largest fall of chi2 that a push in one slot of each window brings, over the joints."""
+    """Return (W,) the largest fall of chi2 by a push in one slot of each window, over all joints."""
     return np.max([missing.score.max(1) for missing in missing_torque(problem, fit)], axis=0)
 
 

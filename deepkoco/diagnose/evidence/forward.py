@@ -1,4 +1,4 @@
-"""Selection of causes: forward, with backward elimination; lost commands last, where causes leave much unexplained."""
+"""Forward selection of causes with backward elimination; lost commands are tested last."""
 
 from __future__ import annotations
 
@@ -53,21 +53,21 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 
 MOST_CAUSES = 3
-LOOKS = 3  # at each cause beside the others, at most
+MAX_ROUNDS = 3  # of comparing each cause again and eliminating causes
 Step = tuple[Ranking, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
 class Selected:
-    """What a selection found.
+    """Result of the selection.
 
     Attributes:
-        final: Fit with everything found.
-        accepted: Causes of the catalogue.
-        steps: For each, the ranking that it won and the names that the data do not tell from it.
-        acting: Training windows, with the commands that acted where some of those that were sent were lost.
-        lost: Lost commands; None where none are named.
-        charge: What the BIC charges for all of it.
+        final: Fit with all accepted causes and lost commands.
+        accepted: Accepted causes of the catalogue.
+        steps: For each accepted cause, the ranking that it won and the names of its class.
+        acting: Training windows with the commands that acted; they differ from the sent ones where commands were lost.
+        lost: Lost commands; None where none are accepted.
+        charge: Charge of the BIC for the lost commands.
     """
 
     final: Fit
@@ -83,11 +83,11 @@ class Selection:
 
     Args:
         start: The baseline.
-        train: Windows to explain.
-        held: Windows that no fit sees; what does not carry over to them is dropped.
+        train: Training windows.
+        held: Held-out windows; a cause that raises their error is removed.
         causes: Causes to try; None tries the whole catalogue.
-        detection: Fall of the BIC from which a first cause is named.
-        progress: Told what begins.
+        detection: Fall of the BIC from which a first cause is accepted.
+        progress: Called with the name of each step.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class Selection:
         self.before = math.inf  # chi2 of the refit
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
-        """The first ranking (over the whole catalogue), and what is selected."""
+        """Return the first ranking (over the whole catalogue) and the selection."""
         self.before = reference.chi2
         hints = self._hints(self.problem, reference, missing)
         self.progress("fitting every cause")
@@ -116,16 +116,16 @@ class Selection:
         first = forward.steps[0][0] if forward.steps else first
         plain = self._pruned(forward)
         found = self._with_losses(nothing, forward, plain)
-        return first, self._or_losses(plain) if found is None else found
+        return first, self._with_losses_in_class(plain) if found is None else found
 
     def consistent_with_healthy(self, found: Selected) -> list[Cause]:
-        """Causes that the unit may have had all the time: for each that was found, what the healthy logs allow of it
-        and of those that the data do not tell from it."""
+        """Return the causes that may have been present before: accepted causes and members of their classes that the
+        healthy logs are consistent with."""
         hypotheses = []
         for ranking, members in found.steps:
             for candidate in ranking.candidates:
                 cause, fit = candidate.cause, candidate.fit
-                # Pushes, tones and detents of one log say nothing of another's.
+                # Pushes, tones and detents of one log say nothing about another log.
                 if cause.name not in members or not cause.free or kind_of(cause.name) in FLEXIBLE_CAUSES:
                     continue
                 if fit is not ranking.reference:
@@ -138,7 +138,7 @@ class Selection:
     def _forward(
         self, so_far: Selected, ranking: Ranking | None = None, hints: Hints | None = None
     ) -> Selected:
-        """Further causes, as long as they pay."""
+        """Accept further causes as long as the BIC falls enough."""
         start, problem = self.start, so_far.acting
         final, accepted, steps, charge = so_far.final, [*so_far.accepted], [*so_far.steps], so_far.charge
         while len(accepted) < MOST_CAUSES:
@@ -150,16 +150,16 @@ class Selection:
             wanted = FURTHER if accepted or so_far.lost else self.detection
             if not ranking.candidates or ranking.best.delta_bic <= wanted:
                 break
-            self.progress(f"what the data do not tell from {ranking.best.cause.name}{in_company_of(names)}")
-            ranking = self._led(problem, ranking, accepted, hints)
+            self.progress(f"class of {ranking.best.cause.name}{in_company_of(names)}")
+            ranking = self._refined(problem, ranking, accepted, hints)
             steps.append((ranking, equivalent(problem, start, ranking, tuple(accepted))))
             accepted.append(ranking.best.cause)
             final, ranking = ranking.best.fit, None
         return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge)
 
     def _pruned(self, found: Selected) -> Selected:
-        """Without causes that others make superfluous, or that do nothing for windows which no fit saw."""
-        for _ in range(LOOKS):
+        """Compare each cause again and eliminate causes, until nothing changes or the rounds are used up."""
+        for _ in range(MAX_ROUNDS):
             kept = self._kept(self._reconsidered(found))
             if kept.accepted == found.accepted:
                 return kept
@@ -167,12 +167,12 @@ class Selection:
         return self._reconsidered(found)
 
     def _kept(self, found: Selected) -> Selected:
-        # A single cause is left for the verdict to judge; not beside losses, which hide what it does for windows whose
-        # own losses are not known.
+        # A single cause stays, and the verdict tests it. Together with lost commands it can be removed here, because
+        # the held-out windows, whose losses are not known, cannot test it.
         least = 1 if found.lost is None else 0
         if len(found.accepted) <= least:
             return found
-        # What was worth its parameters when it was found need not be any more.
+        # Causes accepted later can make an earlier one superfluous.
         kept, final = eliminated(found.acting, self.start, found.accepted, found.final, FURTHER, least)
         if self.held is not None and len(self.held) > 0:
             kept, final = carried(found.acting, self.start, kept, final, self.held, least)
@@ -186,17 +186,19 @@ class Selection:
     def _without(
         self, problem: FitProblem, kept: Sequence[Cause], fit: Fit, kinds: Sequence[str], most: float
     ) -> tuple[Sequence[Cause], Fit]:
-        """Without causes of these kinds, unless more than this share of what is explained is theirs: then the verdict
-        judges."""
+        """Remove causes of these kinds, unless they explain more than this share of the total fall of chi2.
+
+        If they do, they stay, and the verdict tests them.
+        """
         rest, less = without_kinds(problem, self.start, kept, fit, kinds)
         gives_little = less.chi2 - fit.chi2 < most * (self.before - fit.chi2)
         return (rest, less) if gives_little else (kept, fit)
 
     def _reconsidered(self, found: Selected) -> Selected:
-        """Each of several causes once more, beside all others.
+        """Compare each of several causes with all lasting causes again, with the other accepted causes in the model.
 
-        What was the best of all while the others were missing need not be the best beside them, and which causes the
-        data do not tell apart depends on what the others leave.
+        The best cause while the others were missing need not be the best together with them. The class of a cause
+        also depends on the residuals that the others leave.
         """
         if len(found.accepted) < 2:
             return found
@@ -206,10 +208,11 @@ class Selection:
         lasting = [c for c in everything if c.effect != "event"]
         for k, cause in enumerate(accepted):
             others = [*accepted[:k], *accepted[k + 1 :]]
-            self.progress(f"{cause.name} once more{in_company_of(c.name for c in others)}")
+            self.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
             less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE)
             hints = self._hints(problem, less, missing_torque(problem, less))
-            # A push mends any window that another cause left; it is only put where it belongs beside the others.
+            # A push can improve any window that a missing cause fits badly. It therefore competes with no other
+            # cause; only its time and size are fitted again.
             rivals = [cause] if cause.effect == "event" else lasting
             ranking = rank(problem, start, less, others, hints, rivals)
             ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
@@ -220,19 +223,19 @@ class Selection:
         return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
 
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
-        """Lost commands and further causes, where they explain clearly more than causes alone.
+        """Accept lost commands and further causes if they explain clearly more than causes alone; else return None.
 
-        Losses are many places of known size, which bend to what any missing mechanism does; so they come last.
+        A pattern of many losses can imitate almost any missing mechanism, so lost commands are tested last.
 
         Args:
             nothing: The refit.
-            forward: Every cause in the order in which it was found.
-            plain: Those that are left.
+            forward: All causes of the forward selection, in their order.
+            plain: The causes that remain after elimination.
         """
-        causes = self._losing()
+        causes = self._loss_causes()
         if not causes:
             return None
-        best = self._lossy(plain, causes)
+        best = self._with_searched_losses(plain, causes)
         left = plain.final.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
         if best is None and not left and plain.accepted:
             return None
@@ -242,10 +245,11 @@ class Selection:
             prefixes.append(
                 replace(nothing, final=step[0].best.fit, accepted=forward.accepted[:1], steps=(step,))
             )
-        rivals = [f for f in (best, *(self._lossy(p, causes) for p in prefixes)) if f is not None]
+        searched = (self._with_searched_losses(p, causes) for p in prefixes)
+        rivals = [f for f in (best, *searched) if f is not None]
         if not rivals:
             return None
-        # A cause beside losses has to pay as any further one.
+        # A cause that is added to lost commands needs the same fall of the BIC as any further cause.
         found = max(rivals, key=lambda f: self._score(f, nothing.final, rivals) - FURTHER * len(f.accepted))
         wanted = FURTHER if plain.accepted else self.detection
         everyone = [plain, *rivals]
@@ -254,25 +258,25 @@ class Selection:
             return None
         return found
 
-    def _or_losses(self, found: Selected) -> Selected:
-        """With lost commands in the class of a push that they explain as well."""
+    def _with_losses_in_class(self, found: Selected) -> Selected:
+        """Add lost commands to the class of a push if they explain the data as well."""
         steps = list(found.steps)
-        causes = self._losing()
+        causes = self._loss_causes()
         for k, cause in enumerate(found.accepted):
             if cause.effect == "event" and causes:
-                self.progress(f"lost commands in the place of {cause.name}")
+                self.progress(f"lost commands instead of {cause.name}")
                 ranking, members = steps[k]
                 more = instead_of_push(found.acting, self.start, found.accepted, cause, found.final, causes)
                 steps[k] = (ranking, (*members, *more))
         return replace(found, steps=tuple(steps))
 
-    def _losing(self) -> list[Cause]:
-        """Commands that are lost, but those of which healthy logs lose some, too."""
+    def _loss_causes(self) -> list[Cause]:
+        """Lost commands of every command channel, except those of which healthy logs also lose some."""
         known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
         return [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
 
-    def _lossy(self, prefix: Selected, causes: Sequence[Cause]) -> Selected | None:
-        """Lost commands on top of what is selected, and what else pays then."""
+    def _with_searched_losses(self, prefix: Selected, causes: Sequence[Cause]) -> Selected | None:
+        """Search lost commands on top of a selection, and then accept further causes."""
         self.progress(f"lost commands{in_company_of(c.name for c in prefix.accepted)}")
         start, fit = self.start, prefix.final
         prior = prior_with(self.problem, start, prefix.accepted, fit.values)
@@ -286,23 +290,25 @@ class Selection:
         return self._pruned(self._forward(lossy))
 
     def _score(self, found: Selected, reference: Fit, everyone: Sequence[Selected]) -> float:
-        """Fall of the BIC from the refit, under what the best of all leaves."""
+        """Fall of the BIC from the refit, with the deflation of the best fit of all."""
         lowest = min((f.final for f in everyone), key=lambda fit: fit.cost)
         return fall_of_bic(found, reference, lowest, self.start, self.train)
 
-    def _led(self, problem: FitProblem, ranking: Ranking, accepted: Sequence[Cause], hints: Hints) -> Ranking:
-        """A ranking with its winner fitted to the end."""
+    def _refined(
+        self, problem: FitProblem, ranking: Ranking, accepted: Sequence[Cause], hints: Hints
+    ) -> Ranking:
+        """Return a ranking whose winner and close candidates are fitted to convergence."""
         start = self.start
         ranking = without_events_first(problem, start, ranking, accepted, hints, self.detection)
         ranking = front_settled(problem, start, accepted, ranking)
         best = ranking.best
         untried = hints.chi2 <= LARGE_MISFIT and not hints.strained
         if untried and at_bound(problem, best.cause, best.fit):
-            # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
+            # The estimate stops at its bound. The reason may be a wrong unit, which is not tried for so small a chi2.
             hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
             again = rank(problem, start, ranking.reference, accepted, hints, self.causes)
             if not again.best.cause.free:
-                return self._led(problem, again, accepted, hints)
+                return self._refined(problem, again, accepted, hints)
         return ranking
 
     def _hints(self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
@@ -311,12 +317,12 @@ class Selection:
 
 
 def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:
-    """Fall of the BIC from a refit by everything that was selected.
+    """Return the fall of the BIC from the refit to a selection.
 
     Args:
         found: The selection.
         reference: The refit.
-        lowest: Fit whose residuals are taken for noise.
+        lowest: Fit whose residuals give the deflation.
         start: The baseline.
         train: The windows.
     """
@@ -329,18 +335,18 @@ def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, t
 def learned_instead(
     found: Selected, reference: Fit, learned: ResidualModel, start: Baseline, train: Windows, least: float
 ) -> bool:
-    """Whether a load that follows angle, speed and effort smoothly says as much as what was selected, or clearly more.
+    """Return whether a learned load explains the data better than the selected causes, by a given fall of the BIC.
 
-    A cause that is there leaves it nothing to say, and no smooth load looks like detents, tones and pushes; but these
-    together bend to a smooth load.
+    If the selected causes are correct, the learned load has no residual left to fit. Detents, tones and pushes
+    together can imitate the smooth load of a missing mechanism; a learned load cannot imitate them.
 
     Args:
         found: The selection.
         reference: The refit.
-        learned: The load that was learned on top of the refit.
+        learned: Load learned on top of the refit.
         start: The baseline.
         train: The windows.
-        least: Fall of the BIC by which it has to be ahead; below 0 it may be behind by so much.
+        least: Fall of the BIC by which the learned load must be ahead; negative if it may be behind by that much.
     """
     if not learned.accepted:
         return False

@@ -1,4 +1,4 @@
-"""The front of a ranking, fitted to the end."""
+"""Refined ranking: the winner and the candidates close to it are fitted to convergence."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from deepkoco.diagnose.evidence.selection import (
 from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
-VALLEYS = 8  # searches along a valley, at most
+VALLEYS = 8  # largest number of searches along a valley
 
 
 def front_settled(
     problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking
 ) -> Ranking:
-    """A ranking whose winner, and all that come near it and may go further, are fitted to the end.
+    """Fit the winner, and all close candidates that may still improve, to convergence.
 
-    What is near the winner only because it has not converged would be called the same as it, and what is behind for
-    that reason would not; one of them may even be ahead.
+    The class depends on BIC differences, so fits that have not converged would give a wrong class. A candidate that
+    converges late may even become the winner.
     """
     winner = _better(ranking.best, settled(problem, start, accepted, ranking.best), ranking)
     others = list(ranking.candidates[1:])
     for k, other in enumerate(others):
-        # What stands before the winner by its score was put behind it for a reason.
+        # A candidate with a better score than the winner was put behind it on purpose (`without_events_first`).
         behind = ranking.best.delta_bic - other.delta_bic
         if behind < 0.0 or behind - _overpaid(ranking, other) >= NEAR or not other.cause.free:
             continue
@@ -48,10 +48,10 @@ def front_settled(
 
 
 def _overpaid(ranking: Ranking, other: Candidate) -> float:
-    """What a candidate pays its prior beyond the winner, where the winner has none: part of a fall of the BIC.
+    """Return the penalty of the prior of a candidate above that of the winner, as a difference of BIC.
 
-    A constant between units is tried at its value and pays nothing for it. A gain of the same size starts with the
-    spread that is declared for small gains, and is that far behind until it is fitted with a wider one.
+    It applies where the winner has no free parameter, as a unit slip. A gain of the same size has the narrow prior of
+    small gains. It is behind by this penalty until it is fitted with a wider prior.
     """
     if ranking.best.cause.free:
         return 0.0
@@ -59,7 +59,7 @@ def _overpaid(ranking: Ranking, other: Candidate) -> float:
 
 
 def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> Ranking:
-    """A ranking in which a cause has this fit, where it has none or a worse one.
+    """Return a ranking in which a cause has this fit, if it had none or a worse one.
 
     Args:
         problem: The windows.
@@ -78,8 +78,10 @@ def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> R
 
 
 def _pulled_back(problem: FitProblem, start: Baseline, candidate: Candidate) -> bool:
-    """Whether the spread that was declared for small effects still holds a large one back, as it no longer holds back
-    the winner."""
+    """Return whether the declared prior, which is meant for small effects, pulls a large estimate towards null.
+
+    The winner was refitted with a wider prior, so such a candidate must be refitted in the same way.
+    """
     return any(
         abs(candidate.fit.values[p.name] - start.values[p.name]) > p.prior_sd
         for p in declared(problem, candidate.cause.free)
@@ -97,7 +99,7 @@ def _better(candidate: Candidate, fit: Fit, ranking: Ranking) -> Candidate:
 
 
 def settled(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], winner: Candidate) -> Fit:
-    """Fit of a winner to the end: what is left of a valley that it crept along would pass for a further cause."""
+    """Fit a winner to convergence. Otherwise its remaining misfit would look like a further cause."""
     fit = winner.fit
     prior = prior_with(problem, start, [*accepted, winner.cause], fit.values)
     if not set(fit.free) <= set(prior.names):
@@ -107,7 +109,7 @@ def settled(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], win
         found = problem.fit([trial], PATIENCE)[0]
         return fit if found.diverged else found
     for _ in range(VALLEYS):
-        # Steps of a fit are short across a narrow valley; starts along it are not.
+        # A fit takes short steps in a narrow valley of the cost, so new starts are placed along the valley.
         along = [
             trial,
             *(replace(trial, values={**trial.values, **v}) for v in winner.cause.valley(trial.values)),

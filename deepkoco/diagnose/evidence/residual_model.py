@@ -1,9 +1,9 @@
-"""A learned load for what nothing in the catalogue explains: sparse regression on simulation errors.
+"""Learned load for residuals that no cause of the catalogue explains: sparse regression on simulation errors.
 
-Terms in angle, speed and effort are added one by one: the one whose weight promises most by the score test, refitted
-with all others and with the baseline's parameters by multiple shooting. How many are kept is decided on windows of
-the training data that this fit does not see; those that later ones made idle are dropped. Whether the whole is kept
-is decided on the held-out windows.
+Terms in angle, speed and effort are added one by one. The score test chooses the next term; multiple shooting refits
+it with all others and with the baseline's parameters. Validation windows, which are part of the training data but not
+of this fit, decide how many terms are kept. Terms that later ones make superfluous are dropped. The held-out windows
+decide whether the learned load is kept.
 
 Source: forward selection, Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 3.3.2; the score test
     as in :mod:`deepkoco.diagnose.evidence.screening`. The library of terms is in the spirit of Brunton, Proctor, Kutz,
@@ -32,12 +32,12 @@ from deepkoco.systems.effects import EFFECTS, place
 from deepkoco.systems.effects.learned import SCALES, is_spring
 
 MOST_TERMS = 6
-VALIDATED = 4  # one training window in four decides how many terms are kept
+VALIDATED = 4  # one training window in four validates the number of terms
 MIN_MODEL_WINDOWS = 6
-BETTER = 0.99  # validation error against the one before, below which a term is worth keeping
-PATIENCE = 2  # terms in a row that may fail to improve it
+BETTER = 0.99  # validation error over the best one before, below which a term is kept
+PATIENCE = 2  # terms in a row that may fail to lower the validation error
 ITERATIONS = 12
-LEAST_WEIGHT = 2.0  # standard deviations, below which a term is idle beside those found later
+LEAST_WEIGHT = 2.0  # standard deviations of a weight below which its term is dropped
 
 
 @dataclass(frozen=True)
@@ -59,17 +59,17 @@ class Term:
 
 @dataclass(frozen=True)
 class ResidualModel:
-    """A learned load and what it is worth.
+    """A learned load and its held-out error.
 
     Attributes:
-        accepted: Whether it lowers the held-out error; only then it belongs into the simulation.
-        reason: Why, or why not.
-        terms: Its terms in the order in which they were found.
+        accepted: Whether it lowers the held-out error; only then it becomes part of the simulation.
+        reason: Why it is accepted or rejected.
+        terms: Its terms in the order in which they were chosen.
         fit: Fit on all training windows.
-        gain: Held-out errors with it as "extended"; None without held-out windows or terms.
-        validation: Terms -> chi2 per sample on the windows that chose their number.
+        gain: Held-out errors with the learned load as "extended"; None without held-out windows or terms.
+        validation: chi2 per sample on the validation windows after 0, 1, 2, ... terms.
         before: chi2 per sample of the refit on the training windows.
-        after: The same with the terms.
+        after: chi2 per sample with the terms on the training windows.
     """
 
     accepted: bool
@@ -115,13 +115,13 @@ def learn_residual(
     Args:
         start: The baseline.
         train: Training windows.
-        held: Held-out windows, which decide whether it is accepted.
+        held: Held-out windows, which decide whether the load is accepted.
         reference: The refitted baseline on the training windows.
-        missing: Load that the refit misses at each joint, which gives the ranges of angles and speeds.
-        seed: Of the bootstrap.
+        missing: Missing load at each joint, which gives the ranges of angles and speeds.
+        seed: Seed of the bootstrap.
 
     Returns:
-        None where there are too few windows to choose terms.
+        The learned load; None where there are too few windows to choose terms.
     """
     if len(train) < MIN_MODEL_WINDOWS:
         return None
@@ -135,12 +135,12 @@ def learn_residual(
     problem = FitProblem(system, train)
     before = reference.chi2 / train.samples
     if not names:
-        text = "no term in angle, speed and effort lowers the error on windows that it was not fitted to"
+        text = "no term in angle, speed and effort lowers the error on the validation windows"
         return ResidualModel(False, text, (), reference, None, validation, before, before)
     fit, terms = _without_idle_terms(problem, start, scaled, names, reference)
     after = fit.chi2 / train.samples
     if held is None or len(held) == 0:
-        text = "no held-out windows are there to judge it by"
+        text = "there are no held-out windows to test it"
         return ResidualModel(False, text, terms, fit, None, validation, before, after)
     quiet = {"event.torque": 0.0}
     models = {
@@ -155,14 +155,14 @@ def learn_residual(
     }
     gain = held_out_gain(system, windows, models, seed)
     if gain is None:
-        text = "the simulation diverges on the held-out windows that are to judge it"
+        text = "the simulation diverges on the held-out windows, so these cannot test it"
         return ResidualModel(False, text, terms, fit, None, validation, before, after)
     accepted = gain.low > 0.0
     span = f"{100 * gain.reduction:.0f} % ({100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
     text = (
         f"it lowers the held-out error by {span}"
         if accepted
-        else f"its held-out gain is {span}, which may be none"
+        else f"its held-out gain is {span}, which is not clearly above 0"
     )
     return ResidualModel(accepted, text, terms, fit, gain, validation, before, after)
 
@@ -172,7 +172,7 @@ def _scales(start: Baseline, train: Windows, missing: Sequence[MissingTorque]) -
     for placed in place(EFFECTS["learned"], system):
         j = placed.index
         weights = {p.name for p in placed.parameters(system.base) if p.name not in SCALES}
-        # Weights that a model file brought along mean something in their own scales only.
+        # Weights from a model file are valid only with the scales of that file.
         had = {name for name in weights if start.values[f"{placed.name}.{name}"] != 0.0}
         if not any(map(is_spring, had)):
             low, high = float(missing[j].theta.min()), float(missing[j].theta.max())
@@ -190,7 +190,7 @@ def _scales(start: Baseline, train: Windows, missing: Sequence[MissingTorque]) -
 
 
 def _resting(train: Windows, missing: Sequence[MissingTorque]) -> tuple[int, ...]:
-    """Joints that rest: a spring somewhere in their way would be a wall."""
+    """Joints that rest; a spring term there would act like a wall, so it is not offered."""
     found = []
     for j, own in enumerate(missing):
         noise = [n.sd for n, state in zip(train.noise, train.shows, strict=True) if state == j]
@@ -200,7 +200,7 @@ def _resting(train: Windows, missing: Sequence[MissingTorque]) -> tuple[int, ...
 
 
 def _candidates(start: Baseline) -> list[Cause]:
-    """Every term at every joint that the baseline does not free already, in the shape that the score test takes."""
+    """Return every term at every joint that the baseline does not free already, as causes for the score test."""
     found, system = [], start.system.base
     for placed in place(EFFECTS["learned"], system):
         for p in placed.parameters(system):
@@ -230,7 +230,7 @@ def _choose(
     scaled: Mapping[str, float],
     offered: Sequence[Cause],
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Names of the weights that pay on the windows that choose, and the error there after each term."""
+    """Return the weights that lower the validation error, and the validation error after each term."""
     system = start.system
     inner, others = FitProblem(system, train.take(~choose)), replace(train.take(choose), varies={})
     state = reference.state[torch.from_numpy(~choose)]
@@ -271,7 +271,7 @@ def _fit(
 
 
 def _error(problem: FitProblem, fit: Fit, others: Windows) -> float:
-    """chi2 per sample with the parameters of a fit on windows of the same logs that it has not seen."""
+    """Return chi2 per sample of a fit on other windows of the same logs."""
     unseen = FitProblem(problem.system, problem.elsewhere(others, fit))
     return unseen.evaluate(fit.values).chi2 / others.samples
 
@@ -279,7 +279,7 @@ def _error(problem: FitProblem, fit: Fit, others: Windows) -> float:
 def _without_idle_terms(
     problem: FitProblem, start: Baseline, scaled: Mapping[str, float], names: Sequence[str], reference: Fit
 ) -> tuple[Fit, tuple[Term, ...]]:
-    """Fit all terms, and again without the weakest as long as its weight may be none (backward elimination)."""
+    """Fit all terms, and drop the weakest term while its weight may be zero (backward elimination)."""
     while True:
         fit = _fit(problem, start, scaled, names, reference, reference.state)
         terms = _terms(problem, fit, names, dispersion(fit, problem.windows).deflation)

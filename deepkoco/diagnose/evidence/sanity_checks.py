@@ -1,4 +1,4 @@
-"""Signs that what is wrong lies beyond what the catalogue can say, so that no name in it can be trusted."""
+"""Sanity checks of selected causes: reasons for naming no cause although one fits."""
 
 from __future__ import annotations
 
@@ -18,17 +18,20 @@ from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.systems import ExtendedSystem, System
 
 EDGE = 1e-6  # share of its range within which an estimate lies at its bound
-FAINT = 1e-4  # largest command per limit of the system, below which the log's unit is doubted
-WILD = 1e4  # and above which it is
-SHAPES = ("frequency", "cycles")  # they choose where a cause acts; at their bounds it is still the same one
+MIN_COMMAND = 1e-4  # largest command over the limit of the system, below which the unit of the log is doubted
+MAX_COMMAND = 1e4  # and above which it is doubted
+SHAPES = (
+    "frequency",
+    "cycles",
+)  # they choose where a cause acts; at their bounds the cause is still the same
 
 
 def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
-    """Parameters of a cause that a fit has driven to a bound: the data want more of it than it can give.
+    """Return the parameters of a cause whose estimates lie at a bound.
 
     Args:
         problem: Training windows.
-        cause: The cause; an event has no bounds of its own and never counts.
+        cause: The cause; an event has no bounds of its own and gives an empty result.
         fit: Fit with it. A bound that is the null value does not count.
     """
     if cause.effect == "event":
@@ -46,13 +49,13 @@ def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
 
 
 def doubts_of_estimates(problem: FitProblem, causes: Sequence[Cause], fit: Fit) -> tuple[str, ...]:
-    """One sentence for every estimate of named causes that lies at its bound."""
+    """Return a sentence for every estimate of the causes that lies at its bound."""
     result = []
     for cause in causes:
         for name in at_bound(problem, cause, fit):
             result.append(
-                f"{cause.name} fits best of all, but its {name.rsplit('.', 1)[1]} stops at the bound of "
-                f"{fit.values[name]:.4g}: the true cause is another, or the log and the system disagree in a unit."
+                f"{cause.name} fits best, but its {name.rsplit('.', 1)[1]} stops at the bound "
+                f"{fit.values[name]:.4g}. Another cause acts, or a unit of the log is wrong."
             )
     return tuple(result)
 
@@ -64,14 +67,14 @@ def doubts_of_friction(
     missing: Sequence[MissingTorque],
     inflation: float,
 ) -> tuple[str, ...]:
-    """One sentence for every joint whose friction, with the named causes, would drive it.
+    """Return a sentence for every joint that its fitted friction would drive.
 
     Args:
         system: The system with every effect.
-        causes: Named causes.
+        causes: Selected causes.
         fit: Fit with them.
-        missing: Per joint, with its speeds.
-        inflation: Variance of what the model leaves, in noise variances.
+        missing: Missing load of each joint, with its speeds.
+        inflation: Variance of the residuals, in noise variances.
     """
     result, rubbing = [], [c for c in causes if CAUSES[c.kind].family == "friction"]
     for joint in sorted({c.joint or 0 for c in rubbing}):
@@ -79,23 +82,23 @@ def doubts_of_friction(
         if fastest > 0.0 and pushes(friction_curve(system, fit, joint, fastest, inflation)):
             names = " and ".join(c.name for c in rubbing if (c.joint or 0) == joint)
             result.append(
-                f"With {names}, the friction of {system.joint_names[joint]} would push it on instead of holding it "
-                "back; no friction does: something else acts like this."
+                f"With {names}, the fitted friction of {system.joint_names[joint]} would drive the joint. No friction "
+                "does this, so another cause acts."
             )
     return tuple(result)
 
 
 def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
-    """One sentence for every command that is out of all proportion to what the system takes."""
+    """Return a sentence for every command that is far too large or too small for the system."""
     result = []
     for k, channel in enumerate(system.commands):
         limit = max(abs(channel.low), abs(channel.high))
         top = max((float(np.abs(c.column(k)).max(initial=0.0)) for c in windows.commands), default=0.0)
-        if not 0.0 < limit < math.inf or top == 0.0 or FAINT * limit <= top <= WILD * limit:
+        if not 0.0 < limit < math.inf or top == 0.0 or MIN_COMMAND * limit <= top <= MAX_COMMAND * limit:
             continue
         result.append(
-            f'Command "{channel.name}" reaches {top:.3g} {channel.unit}, {top / limit:.2g} of the {limit:.4g} '
-            f"{channel.unit} that the system takes: check its unit and scale before anything else."
+            f'Command "{channel.name}" reaches {top:.3g} {channel.unit}, {top / limit:.2g} times the limit of '
+            f"{limit:.4g} {channel.unit} of the system. Check its unit and scale first."
         )
     return tuple(result)
 
@@ -103,12 +106,12 @@ def doubts_of_commands(windows: Windows, system: System) -> tuple[str, ...]:
 def doubts_of_bending(
     start: Baseline, causes: Sequence[Cause], lost: Finding | None, windows: Windows, fit: Fit
 ) -> tuple[str, ...]:
-    """A sentence for lost commands, and for a push beside other causes, that leave more than noise.
+    """Return a sentence if lost commands, or a push together with another cause, leave more than noise.
 
     Args:
         start: The baseline.
-        causes: Causes that would be named.
-        lost: Lost commands among them.
+        causes: Selected causes.
+        lost: Lost commands; None where none are selected.
         windows: Training windows.
         fit: Fit with all of them.
     """
@@ -118,21 +121,25 @@ def doubts_of_bending(
     left = more_than_noise(fit, windows, start)
     if left is None:
         return ()
-    what = "a pattern of lost commands bends" if lost is not None else "a push beside another cause bends"
+    what = "A pattern of lost commands" if lost is not None else "A push together with another cause"
     return (
-        f"{_listed(causes, lost)} would leave more than noise: {left}; and {what} to much that it is not.",
+        f"With {_listed(causes, lost)}, more than noise remains: {left}. {what} can imitate many other causes, so it "
+        "is named only if nothing else remains.",
     )
 
 
 def doubts_of_names(causes: Sequence[Cause], lost: Finding | None) -> tuple[str, ...]:
-    """A sentence for causes that explain hardly more than a learned load which stands for no mechanism, or less.
+    """Return the sentence for causes that explain less, or hardly more, than a learned load.
 
     Args:
-        causes: Causes that would be named.
-        lost: Lost commands among them.
+        causes: Selected causes.
+        lost: Lost commands; None where none are selected.
     """
     names = _listed(causes, lost)
-    return (f"A load that follows angle, speed and effort smoothly says nearly as much as {names}, or more.",)
+    return (
+        f"A learned load, a smooth function of angle, speed and effort, explains the log nearly as well as {names}, or "
+        "better.",
+    )
 
 
 def _listed(causes: Sequence[Cause], lost: Finding | None) -> str:

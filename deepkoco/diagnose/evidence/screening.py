@@ -1,9 +1,9 @@
-"""How much each cause could win, to first order, from one batch of simulations.
+"""Score test: the fall of the cost that each cause promises to first order, from one batch of simulations.
 
-A full fit of every cause simulates each of them with perturbed parameters and states over and over. Most
-have nothing to offer, and that shows already in the direction in which their first dose moves the measurements:
-the residuals' share along it, after everything that the baseline's parameters and the windows' states can do,
-is the fall of chi2 that the linearised fit would reach.
+A full fit of every cause needs many simulations, and most causes explain nothing. The score test simulates one small
+dose of each cause. The dose moves the measurements in some direction. The baseline's parameters and the windows'
+initial states are projected out of it. The residuals along the rest of this direction give the fall of chi2 that the
+linearised fit would reach.
 
 Source: the score test; Rao, Linear Statistical Inference and its Applications, 6e.2.
 """
@@ -25,12 +25,12 @@ from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 
-LANES = 160  # simulated at once
-RIDGE = 1e-8  # relative; two doses may move the measurements alike
+LANES = 160  # simulations in one batch
+RIDGE = 1e-8  # relative; two doses may move the measurements in the same direction
 
 
 class StartPoint(NamedTuple):
-    """One start of a cause, and the fall of the cost that it promises."""
+    """One start of a cause, and the fall of the cost that the score test predicts (the promise)."""
 
     cause: Cause
     values: Mapping[str, float]
@@ -40,10 +40,10 @@ class StartPoint(NamedTuple):
 def screen(
     problem: FitProblem, reference: Fit, prior: Prior, starts: Sequence[tuple[Cause, Mapping[str, float]]]
 ) -> list[StartPoint]:
-    """Promise of every start on top of a reference fit.
+    """Return the promise of every start on top of a reference fit.
 
-    A start at null is judged by the slopes of its free parameters there; one away from it by the secant from
-    null to the start, which sees effects whose slope at null is zero.
+    A start at null is tested along the slopes of its free parameters. A start away from null is tested along the
+    secant from null to the start, because some effects have zero slope at null.
     """
     tangent = _Tangent(problem, reference, prior)
     doses, owner, forward = [], [], []
@@ -60,7 +60,7 @@ def screen(
 def _doses(
     problem: FitProblem, reference: Fit, cause: Cause, place: Mapping[str, float]
 ) -> list[dict[str, float]]:
-    """Parameter values, each of which moves the measurements in one direction that the cause offers."""
+    """Return parameter values; each moves the measurements in one of the directions of the cause."""
     at = {**reference.values, **place}
     null = reference.values
     shifted = any(at[n] != null[n] for n in place if n not in Push.NAMES[1:])
@@ -74,26 +74,26 @@ def _doses(
             continue
         step = PARAMETER_STEP * problem.scale[j]
         if name.endswith(".frequency"):
-            continue  # without a dose a shape moves nothing
+            continue  # a frequency changes nothing while the amplitude is zero
         step = -step if at[name] + step > problem.high[j] else step
         result.append({**at, name: at[name] + step})
     return result
 
 
 def _one_way(problem: FitProblem, reference: Fit, cause: Cause, place: Mapping[str, float]) -> bool:
-    """Whether the only dose may be taken forwards alone: away from null, or from a bound."""
+    """Return whether the only dose may have positive sign only: away from null, or from a bound."""
     if any(reference.values[n] != v for n, v in place.items()):
         return True
     return any(reference.values[n] <= problem.low[problem.names.index(n)] for n in cause.free)
 
 
 def _linear(cause: Cause, place: Mapping[str, float]) -> bool:
-    """Whether a start only chooses a shape (a frequency, a Stribeck speed) and leaves the dose at null."""
+    """Return whether a start only chooses a shape (a frequency, a Stribeck speed) and leaves the size at null."""
     return cause.kind in ("cogging", "periodic") or (cause.kind == "stribeck" and len(place) == 1)
 
 
 class _Tangent:
-    """Measurements linearised in the baseline's parameters and the windows' states at a reference."""
+    """Measurements linearised in the baseline's parameters and the windows' initial states at a reference."""
 
     def __init__(self, problem: FitProblem, reference: Fit, prior: Prior) -> None:
         self.problem, self.reference = problem, reference
@@ -130,7 +130,7 @@ class _Tangent:
         self.slopes = torch.cat([slopes[:p], own])
 
     def respond(self, doses: Sequence[Mapping[str, float]]) -> Tensor:
-        """(D, W, NM) whitened change of the measurements under each dose."""
+        """Return the whitened change (D, W, NM) of the measurements by each dose."""
         problem, reference = self.problem, self.reference
         theta = np.array([[d[n] for n in problem.names] for d in doses]).reshape(-1, len(problem.names))
         null = np.array([[reference.values[n] for n in problem.names]])
@@ -145,20 +145,20 @@ class _Tangent:
         return torch.cat(parts) if parts else torch.zeros(0, len(problem.windows), 1, dtype=torch.float64)
 
     def promises(self, moved: Tensor, owner: np.ndarray, forward: Sequence[bool]) -> np.ndarray:
-        """Fall of the cost that the doses of each owner reach together with the baseline's parameters."""
+        """Return the fall of the cost by the doses of each owner together with the baseline's parameters."""
         windows = len(self.problem.windows)
         residual = self.residual.reshape(windows, -1)
         states = self.states.reshape(len(self.states), windows, -1)
         slopes = self.slopes.reshape(len(self.slopes), windows, -1)
         matrix, right, inverse = self.normal.reduced(0.0)
-        # Doses, cleared of what the states of each window can do.
+        # Project the initial states of each window out of the doses.
         along = torch.einsum("dwm,swm->wds", moved, states)
         through = along @ inverse
         both = torch.einsum("dwm,pwm->dp", moved, slopes) - torch.einsum(
             "wds,wps->dp", through, self.normal.hps
         )
         pull = torch.einsum("dwm,wm->d", moved, residual) - torch.einsum("wds,ws->d", through, self.normal.gs)
-        # Then of what the parameters can do.
+        # Then project the baseline's parameters out.
         solved = torch.from_numpy(scaled_inverse(matrix.numpy()))
         pull = pull - both @ (solved @ right)
         result = np.zeros(len(forward))

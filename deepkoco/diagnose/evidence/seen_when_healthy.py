@@ -1,4 +1,4 @@
-"""What healthy logs have to say of a cause that other logs of the unit show."""
+"""Test of a cause against the healthy logs: it may have been present before."""
 
 from __future__ import annotations
 
@@ -19,13 +19,11 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import dispersion
 
-SURE = (
-    0.975  # probability with which what other logs say of a cause must differ from what the healthy ones do
-)
+CONFIDENCE = 0.975  # of the chi2 test that the estimates from healthy logs and from the other logs differ
 
 
 class Hypothesis(NamedTuple):
-    """A cause that other logs show, the causes beside it, and the fit of all."""
+    """A selected cause, the other selected causes, and the fit of all."""
 
     cause: Cause
     beside: tuple[Cause, ...]
@@ -35,15 +33,15 @@ class Hypothesis(NamedTuple):
 def consistent_with_healthy(
     start: Baseline, problem: FitProblem, hypotheses: Sequence[Hypothesis]
 ) -> list[bool]:
-    """Whether the healthy logs allow each cause at the values that other logs ask for.
+    """Return for each cause whether its estimate from the healthy logs is consistent with that from other logs.
 
-    What a unit shows on a good day as well is nothing that went wrong with it; and a cause to which the healthy logs
-    are blind may have been there before.
+    A cause that the unit also shows when healthy is not what went wrong. A cause about which the healthy logs say
+    nothing may have been present before.
 
     Args:
-        start: A baseline learned from healthy logs; without any nothing is allowed.
-        problem: The windows of the other logs.
-        hypotheses: What they show.
+        start: Baseline learned from healthy logs; without healthy logs the result is False for all causes.
+        problem: Windows of the other logs.
+        hypotheses: Causes selected on them.
     """
     healthy = start.healthy
     if healthy is None or not hypotheses:
@@ -51,23 +49,25 @@ def consistent_with_healthy(
     known = {c.name for c in healthy.causes}
     told = np.unique(healthy.windows.log) if start.runs is None else sorted(start.runs.log_information)
     logs = [healthy.windows.log == k for k in told]
-    # It may have been there in all of them, which then took it for something else, or in one: units vary from run to
-    # run.
+    # The cause may have been present in one healthy log, because units vary from run to run, or in all of them.
     asked = [*logs, np.full(len(healthy.windows), True)] if start.runs is not None else logs
-    apart = [_apart(start, problem, hypotheses, _asked(start, healthy, own, hypotheses)) for own in asked]
+    apart = [
+        _chi2_between(start, problem, hypotheses, _healthy_estimates(start, healthy, own, hypotheses))
+        for own in asked
+    ]
     least = np.min(apart, axis=0)
-    limits = [float(scipy.stats.chi2.ppf(SURE, len(c.cause.free))) for c in hypotheses]
+    limits = [float(scipy.stats.chi2.ppf(CONFIDENCE, len(c.cause.free))) for c in hypotheses]
     return [
         hypothesis.cause.name not in known and chi2 <= limit
         for hypothesis, chi2, limit in zip(hypotheses, least, limits, strict=True)
     ]
 
 
-def _asked(
+def _healthy_estimates(
     start: Baseline, healthy: Healthy, own: np.ndarray, hypotheses: Sequence[Hypothesis]
 ) -> list[tuple[float, dict[str, float]]]:
-    """For each claim, the chi2 by which some healthy windows are against its values, and the values they prefer."""
-    before, learned, windows, deflation = _before(start, healthy, own)
+    """For each hypothesis, chi2 by which its values fit some healthy windows worse, and the best values there."""
+    before, learned, windows, deflation = _healthy_prior(start, healthy, own)
     problem = FitProblem(start.system, windows)
     state = healthy.fit.state[torch.from_numpy(np.flatnonzero(own))]
     nuisance = healthy.fit.nuisance[: problem.nuisances.count]
@@ -83,7 +83,7 @@ def _asked(
             )
     fits = problem.fit(trials, PATIENCE, CLOSE)
     return [
-        # A healthy log on which the cause cannot be simulated at all says nothing of it.
+        # If the simulation of the cause diverges on a healthy log, this log says nothing about the cause.
         (
             0.0 if free.diverged else max(bound.cost - free.cost, 0.0) / deflation,
             {n: free.values[n] for n in hypothesis.cause.free},
@@ -92,13 +92,14 @@ def _asked(
     ]
 
 
-def _before(
+def _healthy_prior(
     start: Baseline, healthy: Healthy, own: np.ndarray
 ) -> tuple[Baseline, tuple[Cause, ...], Windows, float]:
-    """What may be taken for granted of some healthy windows, causes that this has to be widened by, the windows with
-    the noise under which it holds, and their deflation.
+    """Return the baseline before some healthy windows were seen, causes to widen its prior by, these windows with
+    their noise, and their deflation.
 
-    Of a log it is what the other logs say, as far as a log may differ from them; of all, what was known before.
+    For a single log, the prior comes from the other healthy logs and the run-to-run variance. For all logs together,
+    it is the prior before any log.
     """
     runs = start.runs
     if runs is None:
@@ -114,19 +115,19 @@ def _before(
     return before, (), replace(windows, varies={}).take(own), runs.correlation
 
 
-def _apart(
+def _chi2_between(
     start: Baseline,
     problem: FitProblem,
     hypotheses: Sequence[Hypothesis],
     answers: Sequence[tuple[float, Mapping[str, float]]],
 ) -> list[float]:
-    """chi2 by which two estimates of one thing differ, each with the spread that its logs leave it, for every claim.
+    """Return for every hypothesis the chi2 between its two estimates: from these windows and from a healthy log.
 
     Args:
         start: The baseline.
-        problem: The windows that the claims are made for.
-        hypotheses: What they show.
-        answers: chi2 by which a healthy log is against that, and what it prefers.
+        problem: Windows on which the causes were selected.
+        hypotheses: The causes.
+        answers: For each, chi2 by which its values fit a healthy log worse, and the best values for that log.
     """
     trials = []
     for (cause, beside, fit), (_, values) in zip(hypotheses, answers, strict=True):
@@ -142,7 +143,7 @@ def _apart(
         more = (
             max(back.cost - hypothesis.fit.cost, 0.0) / dispersion(hypothesis.fit, problem.windows).deflation
         )
-        # Either may be infinite: a simulation that diverges is against anything.
+        # Either value is infinite if the simulation diverges.
         finite = math.isfinite(unlike) and math.isfinite(more)
         result.append(unlike * more / max(unlike + more, 1e-9) if finite else min(unlike, more))
     return result

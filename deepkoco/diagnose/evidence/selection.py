@@ -1,4 +1,4 @@
-"""Fit every cause of the catalogue, rank them, and decide which are there."""
+"""Ranking of the catalogue: every promising cause is fitted and ranked by its fall of the BIC."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import Parameter
 
-# Fall of the BIC that a first cause must reach, and each further one. Calibrated on logs of units in
-# which nothing is wrong (results/diagnose/), on other seeds than the tests use.
+# Fall of the BIC that the first cause needs, and each further one. Both were calibrated on logs of units in
+# which nothing is wrong (results/diagnose/), with other seeds than the tests use.
 DETECTION = 24.0
 FURTHER = 30.0
-SCOUTING = 4  # iterations after which only the best start of each cause goes on
-PROMISING_SHARE = 0.3  # share of the best start's gain that a candidate must have by then to go on
+SCOUTING = 4  # iterations after which only the best start of each cause is continued
+PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
 ITERATIONS = 14
 PATIENCE = 40  # further iterations for a winner that has not converged
-WORTH = 8.0  # fall of the cost, to first order, from which a cause is worth a fit of its own
-SLIPS = 4  # constants between units that are fitted in full
+WORTH = 8.0  # promised fall of the cost from which a cause is fitted
+SLIPS = 4  # unit conversion constants that are fitted in full
 SLIP_ITERATIONS = 6
-SHARE = 0.2  # or this share of what the most promising one offers
-ABREAST = 0.3  # share of a cause's best promise that its further starts must have
-STARTS = 3  # of one cause, at most
+MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
+MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
+STARTS = 3  # largest number of starts of one cause
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
-FAR = 25.0  # prior penalty of a refit that a strong cause has driven away
+FAR = 25.0  # penalty of the prior from which a refit was probably distorted by a strong cause
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Candidate:
 
     Attributes:
         cause: The cause.
-        fit: Its fit; never worse than the reference that it extends.
+        fit: Its fit; its cost is never above that of the reference.
         likelihood_ratio: Fall of the cost against the reference, under white noise.
-        delta_bic: Fall of the BIC against the reference, after deflation; above 0 it pays.
+        delta_bic: Fall of the BIC against the reference, after deflation.
     """
 
     cause: Cause
@@ -58,14 +58,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Candidates from best to worst, and the yardstick they were measured with."""
+    """Candidates from best to worst, with the reference and the deflation behind their scores."""
 
     reference: Fit
     candidates: tuple[Candidate, ...]
     dispersion: Dispersion
     deflation: float
     samples: float  # effective number of samples
-    unfitted: tuple[str, ...] = ()  # causes at every start of which the simulation diverges
+    unfitted: tuple[str, ...] = ()  # causes for which the simulation diverges from every start
 
     @property
     def best(self) -> Candidate:
@@ -73,23 +73,23 @@ class Ranking:
         return self.candidates[0]
 
     def probabilities(self) -> dict[str, float]:
-        """Weight of each candidate among all and the reference, exp(delta BIC / 2) normalised."""
+        """Return the weight exp(delta BIC / 2) of each candidate, normalised over all candidates and the reference."""
         score = np.array([0.0] + [c.delta_bic for c in self.candidates])
         weight = np.exp(0.5 * (score - score.max()))
         return dict(zip([c.cause.name for c in self.candidates], weight[1:] / weight.sum(), strict=True))
 
 
 def penalty(cause: Cause, samples: float, places: int) -> float:
-    """What the BIC charges for a cause that was searched for at ``places`` places."""
+    """Return the charge of the BIC for a cause that was searched for at ``places`` places."""
     charge = cause.size * math.log(max(samples, 2.0))
-    # Once for the places that were tried, and once more because any one window may be spoiled by model
-    # error, which a push can mend and which the other windows do not speak against.
+    # The places are charged twice: once because so many were tried, and once more because model error may spoil
+    # any single window. A push can improve that window, and no other window can contradict it.
     charge += 2.0 * math.log(cause.choices)
     return charge + (4.0 * math.log(max(places, 1)) if cause.searched else 0.0)
 
 
 def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
-    """Declarations of parameters, pushes included, by full name."""
+    """Return the declarations of parameters (those of a push included) by their full names."""
     pushes = Push.declared(problem.system, problem.windows)
     return [pushes[n] if n in pushes else problem.system.parameter(n) for n in names]
 
@@ -97,14 +97,14 @@ def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
 def prior_with(
     problem: FitProblem, start: Baseline, causes: Sequence[Cause], values: Mapping[str, float]
 ) -> Prior:
-    """The baseline's prior, widened by what the causes free.
+    """Return the baseline's prior, extended by the free parameters of the causes.
 
-    A cause's spread is at least as wide as its value has come from null: the declared one, for small effects, would
-    pull a large one back, and what that lacks would pass for a further cause.
+    The standard deviation of a cause's parameter is at least its distance from null. The declared one is meant for
+    small effects and would bias a large estimate towards null; the remaining misfit would look like a further cause.
     """
     prior = start.prior
     for cause in causes:
-        # What only chooses a shape or a place has no null: its prior is around where the search found it.
+        # A frequency, a start or a duration has no null value: its prior is centred where the search found it.
         shapes = {*Push.NAMES[1:3], f"{cause.effect}.frequency"}
         centre = {n: values[n] if n in shapes else start.values[n] for n in cause.free}
         own = [
@@ -118,13 +118,13 @@ def prior_with(
 def freed(
     problem: FitProblem, before: Baseline, causes: Sequence[Cause], fit: Fit, values: Mapping[str, float]
 ) -> Trial:
-    """Everything free that a baseline has and these causes free, from a fit of the same windows."""
+    """Return a trial with all free parameters of a baseline and of these causes; it starts from a given fit."""
     prior = prior_with(problem, before, causes, values)
     return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
 
 
 def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
-    """Whether a fit has left its prior by far, as a strong cause or a wrong unit makes it."""
+    """Return whether a fit is far from its prior, as with a strong cause or a wrong unit."""
     away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
     return away > FAR * start.correlation
 
@@ -144,7 +144,7 @@ def rank(
         start: The baseline.
         reference: Fit of the baseline with the causes accepted so far.
         accepted: Those causes.
-        hints: What causes look at for their start values.
+        hints: Data from which causes choose their start values.
         causes: Causes to try; None tries the whole catalogue.
     """
     everything = catalogue(problem.system.base).values() if causes is None else causes
@@ -155,7 +155,7 @@ def rank(
     prior = prior_with(problem, start, accepted, reference.values)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free])
     promising = _promising(promises)
-    # Parameters that a healthy log freed are in the tangent already, which hides what more of them would win.
+    # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
     promising += [
         Promise(c, {}, WORTH) for c in tried if c.free and known.intersection(c.free) and c.name not in found
@@ -175,8 +175,8 @@ def rank(
     trials += _slipped(problem, start, accepted, reference, slips)
     fits = _fit_best(problem, trials, reference)
     if strained(problem, start, reference) and promising:
-        # A strong cause drives the refit far from the truth, into a valley that leads back slowly. The
-        # baseline's values before the refit are a second foothold, with states that suit each start.
+        # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
+        # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
         before = {n: start.values[n] for n in start.prior.names}
         values = [{**reference.values, **before, **p.values} for p in promising]
         states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
@@ -186,13 +186,13 @@ def rank(
             for k, p in enumerate(promising)
             if bool(torch.isfinite(costs[k]).all())
         ]
-        # First each cause alone, before the baseline may give way to it as it did in the refit.
+        # First fit each cause alone, so that the baseline's parameters cannot absorb it as they did in the refit.
         alone = problem.fit([replace(t, free=tuple(free[t.name])) for t in footholds], ITERATIONS, CLOSE)
         footholds = [
             replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
             for t, fit in zip(footholds, alone, strict=True)
         ]
-        # Each foothold goes its own way to the end: the valley looks better for the first few iterations.
+        # These starts are fitted to the end by themselves: in the first iterations the others look better.
         for name, fit in _fit_best(problem, footholds, reference).items():
             if name not in fits or fit.cost < fits[name].cost:
                 fits[name] = fit
@@ -200,8 +200,8 @@ def rank(
     unfitted = tuple(name for name, fit in fits.items() if fit.diverged)
     fits = {name: fit for name, fit in fits.items() if not fit.diverged}
     ranking = _ranked(problem, start, reference, tried, fits, promised)
-    # What is left of a winner that has not converged would pass for a further cause; and what promised more than
-    # the winner won may only be slow.
+    # The remaining misfit of a winner that has not converged would look like a further cause. A candidate that
+    # promised more than the winner's fall of the cost may only converge slowly.
     best = ranking.best.cause.name if ranking.candidates else ""
     won = reference.cost - min((fit.cost for fit in fits.values()), default=reference.cost)
     unsettled = [n for n, f in fits.items() if not f.converged and (n == best or promised.get(n, 0.0) > won)]
@@ -217,7 +217,7 @@ def rank(
 
 
 def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> dict[str, Fit]:
-    """Fit of each name: a few iterations of every trial, then the better half of the way of the best ones."""
+    """Return the fit of each name: a few iterations of every trial, then more for the best trial of each name."""
     if not trials:
         return {}
     scouts = problem.fit(trials, SCOUTING, CLOSE)
@@ -228,7 +228,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
     won = reference.cost - min(scout.cost for scout, _ in best.values())
     longer, running = [], []
     for name, (scout, trial) in best.items():
-        # One that is far behind stays where it is: it would not get to the front.
+        # A candidate that is far behind is not continued; it would not become the winner.
         if not scout.converged and reference.cost - scout.cost > PROMISING_SHARE * won:
             running.append(name)
             longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
@@ -237,7 +237,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
 
 
 def _best(promises: Sequence[Promise]) -> dict[str, float]:
-    """Best promise of each cause."""
+    """Largest promise of each cause."""
     result: dict[str, float] = {}
     for p in promises:
         result[p.cause.name] = max(result.get(p.cause.name, 0.0), p.promise)
@@ -245,13 +245,13 @@ def _best(promises: Sequence[Promise]) -> dict[str, float]:
 
 
 def _promising(promises: Sequence[Promise]) -> list[Promise]:
-    """Starts that are worth a fit: of the causes that promise much, those that promise it."""
+    """Return the starts that are fitted: the best starts of each cause whose promise is large enough."""
     best = _best(promises)
-    bar = max(WORTH, SHARE * max(best.values(), default=0.0))
+    bar = max(WORTH, MIN_OF_BEST_CAUSE * max(best.values(), default=0.0))
     kept: dict[str, list[Promise]] = {}
     for p in sorted(promises, key=lambda p: -p.promise):
         own = kept.setdefault(p.cause.name, [])
-        enough = best[p.cause.name] >= bar and p.promise >= ABREAST * best[p.cause.name]
+        enough = best[p.cause.name] >= bar and p.promise >= MIN_OF_BEST_START * best[p.cause.name]
         if enough and len(own) < STARTS:
             own.append(p)
     return [p for own in kept.values() for p in own]
@@ -264,7 +264,7 @@ def _slipped(
     reference: Fit,
     slips: Sequence[tuple[Cause, Mapping[str, float]]],
 ) -> list[Trial]:
-    """Trials of constants between units: far from the refit, with the baseline as it was before."""
+    """Return trials of unit conversion constants; they start from the baseline's values before the refit."""
     if not slips:
         return []
     before = {n: start.values[n] for n in start.prior.names}
@@ -275,7 +275,7 @@ def _slipped(
             states[k, :, problem.windows.shows[cause.index]] /= next(iter(place.values()))
     fitted, costs = problem.fit_states_each(values, states, SLIP_ITERATIONS)
     total = costs.sum(-1).nan_to_num(torch.inf)
-    # Of many constants only the few that come near the data are worth a fit.
+    # Only the few constants with the lowest cost are fitted in full.
     return [
         _trial(problem, start, accepted, slips[k][0], values[k], fitted[k], reference)
         for k in total.argsort()[:SLIPS].tolist()
@@ -304,11 +304,11 @@ def without_events_first(
     hints: Hints,
     detection: float,
 ) -> Ranking:
-    """Put a lasting cause before an event, if it shows where the event is not.
+    """Rank a lasting cause before a push if it is detected in the windows that the push does not touch.
 
-    One window that a model fits badly can outweigh all others, and a push can mend any single window. So
-    when an event leads, the windows that it touches are masked and the others are ranked again: a cause
-    that is detected there acts all the time and goes first; the event may follow in the next round.
+    One badly fitted window can outweigh all others, and a push can improve any single window. So when a push
+    leads the ranking, the causes are ranked again on the windows that it does not touch. A lasting cause that is
+    detected there goes first. The push may follow in the next round.
     """
     winner = ranking.best
     if winner.cause.effect != "event":
@@ -360,12 +360,12 @@ def _ranked(
     candidates = []
     for cause in tried:
         if cause.name not in fits and cause.name not in promises:
-            continue  # it had nothing to start from
-        # What promised little was not fitted and stands with its promise, which is below every fit's.
+            continue  # it had no start values
+        # A cause with a small promise was not fitted. It is ranked with its promise, which is below every fit's ratio.
         fit = fits.get(cause.name, reference)
         ratio = reference.cost - fit.cost if cause.name in fits else promises.get(cause.name, 0.0)
         if ratio < 0.0:
-            # The null value is one of its values: where no start finds better, it stays there.
+            # If no start improves on the reference, the cause keeps its null value.
             fit, ratio = reference, 0.0
         score = ratio / deflation - penalty(cause, samples, places)
         candidates.append(Candidate(cause, fit, ratio, float(score)))

@@ -1,4 +1,4 @@
-"""What the causes of the catalogue may look at when they choose their start values."""
+"""Data from which the causes of the catalogue choose their start values."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.systems import System
 
-WIDTHS = (1, 2, 3, 4, 6)  # slots that a push may last, to begin with
+WIDTHS = (1, 2, 3, 4, 6)  # durations of a push at its starts, in slots
 
 
 class Hints:
-    """Hints for every cause, from the windows to be fitted.
+    """Data for the start values of every cause, from the training windows.
 
     Args:
         system: The system.
         windows: Training windows.
-        missing: Load on each joint that the refitted baseline misses.
-        chi2: What the refitted baseline leaves, per sample.
-        strained: Whether it has left its prior by far.
+        missing: Missing load of the refitted baseline on each joint.
+        chi2: chi2 per sample of the refitted baseline.
+        strained: Whether the refit is far from its prior.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Hints:
         self.seconds = float(sum(c.t[-1] - c.t[0] for c in windows.commands))
 
     def for_cause(self, cause: Cause) -> Hint:
-        """What one cause sees: commands and speeds of its own joint."""
+        """Return the data for one cause: commands and speeds of its own joint."""
         joint = cause.joint or 0
         driven = self.system.command_joints
         command = driven.index(joint) if joint in driven else 0
@@ -72,7 +72,7 @@ class Hints:
 
 
 def pushes_from(missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...]:
-    """Starts of a push: the slots (and runs of slots) where an outside load would help most, for each joint."""
+    """Return starts of a push for each joint: the runs of slots where an outside load lowers chi2 most."""
     found = []
     for joint in missing:
         for width in WIDTHS:

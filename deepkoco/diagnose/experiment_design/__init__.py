@@ -1,4 +1,4 @@
-"""Design of experiments that tell causes apart."""
+"""Design of experiments that distinguish causes."""
 
 from deepkoco.diagnose.experiment_design.design import Design, InseparableError, design_experiment
 from deepkoco.diagnose.experiment_design.design_files import write_design

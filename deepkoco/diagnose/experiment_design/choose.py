@@ -1,4 +1,4 @@
-"""The last word on candidate sequences: real refits, and the limits on a unit with each cause in it."""
+"""Final choice among candidate sequences: by refits, and by the limits on a unit with each cause."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Choice:
     """A candidate that was refitted.
 
     Attributes:
-        index: Its place among the candidates.
+        index: Its index among the candidates.
         ratio: (C, C) expected likelihood ratio by refits.
-        rehearsals: What each cause makes of it.
+        rehearsals: Simulation of the sequence with each cause.
     """
 
     index: int
@@ -30,21 +30,21 @@ class Choice:
 
     @property
     def excess(self) -> float:
-        """By how much it breaks a limit with one of the causes in the unit, as a share of the limit."""
+        """Largest excess over a limit with any of the causes in the unit, as a share of the limit."""
         return max(float(p.excess.max()) for p in self.rehearsals)
 
 
 def choose(
     stage: Stage, tried: np.ndarray, order: Sequence[int], doses: Sequence[Dose], count: int
 ) -> Choice:
-    """Refit candidates until there are enough, one of which keeps the limits, and take the best that does.
+    """Refit candidates until enough are refitted and one of them keeps the limits; return the best one that does.
 
     Args:
         stage: The experiment.
         tried: (K, n, M) sequences.
-        order: In which they are refitted, the most promising first.
+        order: Order of the refits, the most promising candidate first.
         doses: C causes.
-        count: Candidates that are refitted at least.
+        count: Least number of refitted candidates.
 
     Raises:
         DesignError: With a cause in the unit, every candidate breaks a limit.
@@ -54,7 +54,7 @@ def choose(
         if len(refitted) >= count and any(c.excess <= 0.0 for c in refitted):
             break
         refitted.append(Choice(int(k), *confirm(stage, tried[k], doses)))
-    # A safety limit holds for the unit with the cause in it, too: no ratio makes up for a broken one.
+    # A safety limit also holds for the unit with the cause, and no likelihood ratio compensates for breaking it.
     kept = [c for c in refitted if c.excess <= 0.0]
     if kept:
         return max(kept, key=lambda c: smallest_pair(c.ratio))
@@ -69,9 +69,9 @@ def choose(
 
 
 def broken_limit(stage: Stage, path: np.ndarray) -> tuple[str, float, float]:
-    """The limit that paths (K, T, S) break most, relative to its size: name of the state, what it reached, what it may.
+    """Return the limit that paths (K, T, S) exceed most, relative to its size: state name, value reached, limit.
 
-    Of a speed, all are magnitudes. A path that is not finite has reached infinity.
+    Values of a speed are magnitudes. A path that is not finite has reached infinity.
     """
     joints, limits, names = stage.system.joints, stage.limits, stage.system.state_names
     found: list[tuple[float, str, float, float]] = []

@@ -1,4 +1,4 @@
-"""Expected likelihood ratios by real refits: each cause fitted to what the others would make of a sequence."""
+"""Expected likelihood ratios by refits: each cause is fitted to simulated logs of the other causes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ STARTS = (
     1.0,
     0.3,
     -0.5,
-)  # doses from which a rival is fitted; one that is not admissible is cut to its bound
+)  # doses from which a rival cause is fitted; a dose outside the bounds is moved to its bound
 
 
 def confirm(
     stage: Stage, feedforward: np.ndarray, doses: Sequence[Dose]
 ) -> tuple[np.ndarray, list[Rehearsal]]:
-    """Refit every rival to noise-free data of every cause.
+    """Refit every rival cause to noise-free data of every cause.
 
     Args:
         stage: The experiment.
@@ -31,8 +31,8 @@ def confirm(
         doses: C causes.
 
     Returns:
-        (C, C) chi2 that a log made by the first cause leaves when the second is fitted to it, above what the first
-        itself leaves; and what each cause makes of the sequence.
+        (C, C) chi2 of the second cause fitted to a simulated log of the first, minus chi2 of the first fitted to it;
+        and the simulation of the sequence with each cause.
     """
     count = len(doses)
     ratio, played = np.zeros((count, count)), []

@@ -1,4 +1,4 @@
-"""Design of an experiment: which commands would tell named causes apart, and whether any can."""
+"""Design of an experiment: commands that distinguish the given causes, or an error if no command can."""
 
 from __future__ import annotations
 
@@ -41,48 +41,48 @@ from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System, any_system
 
 STRENGTH = 0.5  # ES of each cause in a usual log
-TRAINED = 0.75  # share of the windows that a diagnosis fits; the others it keeps back
-SETTLED = 24.0  # likelihood ratio from which two causes are told apart nineteen times in twenty
-ALIKE = 1e-5  # share of what a cause shows, below which no rival differs from it
-CONFIRMED = 2  # of the last candidates that are judged by refits; more where these break a limit
-DRAWS = 4  # units on which the last candidates are compared
-TRIED = 4  # of them
+TRAINED = 0.75  # share of the windows that a diagnosis fits; the others are held out
+SETTLED = 24.0  # likelihood ratio from which two causes are distinguished in 95 % of the logs
+ALIKE = 1e-5  # share of a cause's effect that a rival cannot imitate, below which the two count as equal
+CONFIRMED = 2  # number of final candidates that are refitted; more if these break a limit
+DRAWS = 4  # units on which the final candidates are compared
+FINAL_CANDIDATES = 4
 
 
 class InseparableError(DesignError):
-    """No command tells two causes apart.
+    """No command distinguishes two causes.
 
     Attributes:
         pair: Their names.
-        advice: What would.
+        advice: Other experiments that distinguish them.
     """
 
     def __init__(self, pair: tuple[str, str], advice: Sequence[str]) -> None:
         self.pair, self.advice = pair, tuple(advice)
         super().__init__(
-            f"{pair[0]} and {pair[1]} cannot be told apart by any command: whatever is played, one makes the same "
-            f"measurements as the other. It needs something else. {' '.join(advice)}"
+            f"{pair[0]} and {pair[1]} cannot be distinguished by any command: both give the same measurements under "
+            f"all tried commands. Use another experiment. {' '.join(advice)}"
         )
 
 
 @dataclass(frozen=True)
 class Design:
-    """An experiment and what is expected of it.
+    """A designed experiment and its expected likelihood ratios.
 
     Attributes:
-        causes: Names of the causes that it is to tell apart.
+        causes: Names of the causes to distinguish.
         doses: Their sizes.
-        stage: What it was designed for.
+        stage: Setup of the experiment.
         family: Family of the sequence.
         point: Its parameters in the unit cube.
         sequence: (n, M) commands, before any feedback.
-        linear: (C, C) expected likelihood ratio of a log made by the first cause against the second, to first order.
-        ratio: (C, C) the same by refits; the number to believe.
+        linear: (C, C) expected likelihood ratio of a log of the first cause against the second, to first order.
+        ratio: (C, C) the same by refits, which is more accurate.
         strength: (C,) ES of each cause in this experiment.
         worst: Smallest ratio, to first order, over units drawn from the prior.
         typical: Family -> smallest ratio of a usual sequence of that family, to first order.
         at_hand: Smallest ratio in the log at hand, scaled to the length of this experiment; None without a log.
-        rehearsals: What each cause makes of the sequence.
+        rehearsals: Simulation of the sequence with each cause.
         seed: Seed of the search.
     """
 
@@ -103,27 +103,27 @@ class Design:
 
     @property
     def smallest(self) -> float:
-        """Expected likelihood ratio of the pair that is hardest to tell apart."""
+        """Expected likelihood ratio of the pair that is hardest to distinguish."""
         return smallest_pair(self.ratio)
 
     @property
     def chance(self) -> float:
-        """Probability that a diagnosis of the recorded log tells that pair apart."""
+        """Probability that a diagnosis of the recorded log distinguishes that pair."""
         return chance_of(self.smallest)
 
     @property
     def settles(self) -> bool:
-        """Whether it does so nineteen times in twenty."""
+        """Whether this probability is at least about 95 %."""
         return self.smallest >= SETTLED
 
     @property
     def seconds_needed(self) -> float:
-        """Length [s] from which the same experiment, repeated, would settle it."""
+        """Length [s] from which the repeated experiment would distinguish that pair."""
         return self.stage.frame.seconds * max(1.0, SETTLED / max(self.smallest, 1e-12))
 
 
 def chance_of(ratio: float) -> float:
-    """Probability that an observed likelihood ratio exceeds what telling apart takes; it scatters by 2 sqrt(ratio)."""
+    """Return the probability that the observed likelihood ratio exceeds ``APART``; its sd is 2 sqrt(ratio)."""
     return float(norm.cdf((ratio - APART) / (2.0 * math.sqrt(max(ratio, 1.0)))))
 
 
@@ -142,30 +142,30 @@ def design_experiment(
     generations: int = GENERATIONS,
     progress: Callable[[str, int, float], None] | None = None,
 ) -> Design:
-    """Find the command sequence that tells causes apart best.
+    """Find the command sequence that best distinguishes causes.
 
-    Among several families of sequences the one is sought whose smallest expected likelihood ratio, over all ordered
-    pairs of the causes, is largest; the parameters of the baseline and of the rival are refitted in it. Sequences are
-    judged to first order and on units drawn from the prior; the winner by real refits.
+    The search covers several families of sequences. It maximises the smallest expected likelihood ratio over all
+    ordered pairs of causes, with the parameters of the baseline and of the rival refitted. Sequences are compared to
+    first order on units drawn from the prior; the final candidates are compared by refits.
 
     Args:
         system: Name, or a system (plain, or loaded from model.yaml).
         distinguish: Two or more causes, by their names at this system.
-        recordings: A log at hand: its fits say how large the causes are, its noise and refit what the unit is.
+        recordings: Log at hand, for the sizes of the causes, the noise and the parameters of the unit.
         seconds: Length of the experiment [s].
         limits: (low, high) by the name of a command, coordinate or speed.
-        strength: ES of each cause in a usual sequence of steps (or in the log). None: as fitted to the log, where there
-            is one that shows them; 0.5 else.
+        strength: ES of each cause in a usual sequence of steps (or in the log). None takes the sizes fitted to the
+            log; causes that no log shows get 0.5.
         command_rate: Commands per second [Hz].
         sensor_rate: Samples per second [Hz].
         seed: Seed of the search.
         scanned: Sequences of each family that are tried first.
-        generations: Rounds by which the best two families are evolved.
+        generations: Generations of the evolution of the best two families.
         progress: Called with family, generation and best ratio so far.
 
     Raises:
-        DesignError: A name is unknown, a cause cannot be designed for, or the limits allow nothing.
-        InseparableError: No command tells two of the causes apart.
+        DesignError: A name is unknown, no command shows a cause, or no sequence keeps the limits.
+        InseparableError: No command distinguishes two of the causes.
     """
     base = any_system(system)
     causes = known_causes(base, distinguish)
@@ -175,19 +175,20 @@ def design_experiment(
         noise, values = (log.windows.noise, log.refit.values) if log else (None, None)
         stage = make_stage(base, seconds, limits, command_rate, sensor_rate, noise, values)
         doses = sized(stage, causes, log, strength, generator)
-        # A sequence that hangs on the nominal parameters, as a balance on the top does, fails on the unit.
+        # A sequence that needs the exact nominal parameters (such as balancing upright) fails on the unit, so
+        # sequences are also compared on drawn units.
         units = [draw_unit(stage, dose, generator) for dose in doses]
         scans = scan(stage, doses, units, generator, scanned)
         check_separable(stage, doses, scans)
         candidates = evolve(stage, doses, units, scans, generator, generations, progress)
-        return _decide(stage, doses, log, scans, candidates[:TRIED], generator, seed)
+        return _decide(stage, doses, log, scans, candidates[:FINAL_CANDIDATES], generator, seed)
 
 
 def known_causes(system: System, names: Sequence[str]) -> list[Cause]:
-    """Causes by their names at a system.
+    """Return the causes with the given names at a system.
 
     Raises:
-        DesignError: A name is unknown or given twice, or nothing of a cause shows in the mean of the measurements.
+        DesignError: A name is unknown, fewer than two causes are given, or no command sequence can show a cause.
     """
     base = system.base if isinstance(system, ExtendedSystem) else system
     try:
@@ -199,16 +200,16 @@ def known_causes(system: System, names: Sequence[str]) -> list[Cause]:
     for cause in causes:
         if cause.scatter is not None:
             raise DesignError(
-                f"{cause.name} shows in how measurements scatter, whatever is commanded; no sequence brings it out. "
-                f"{cause.advice}"
+                f"{cause.name} changes the scatter of the measurements under every command, so no sequence shows it "
+                f"better than another. {cause.advice}"
             )
         if cause.traced:
             raise DesignError(
-                f"{cause.name} shows wherever commands change fast and by much; no sequence is better than any such. "
-                f"{cause.advice}"
+                f"{cause.name} shows equally in every sequence with fast and large changes of the command, so there is "
+                f"nothing to design. {cause.advice}"
             )
         if not cause.free or cause.effect == "event":
-            raise DesignError(f"{cause.name} is nothing that commands bring out. {cause.advice}")
+            raise DesignError(f"no command sequence can test {cause.name}. {cause.advice}")
     return causes
 
 
@@ -219,7 +220,7 @@ def sized(
     strength: float | None,
     generator: np.random.Generator,
 ) -> list[Dose]:
-    """The dose of each cause: as the log shows it, or such that a usual sequence shows it at a strength ES."""
+    """Return the dose of each cause: as fitted to the log, or such that a usual sequence shows it with strength ES."""
     fitted = {} if log is None or strength is not None else log.doses
     wanted = STRENGTH if strength is None else strength
     missing = [c for c in causes if c.name not in fitted]
@@ -244,7 +245,7 @@ def sized(
 
 
 def _usual(stage: Stage, generator: np.random.Generator) -> np.ndarray:
-    """Steps of full size (K, n, M)."""
+    """Return steps of full size (K, n, M)."""
     family = FAMILIES["steps"]
     points = generator.random((8, family.dimension(stage.frame)))
     points[:, -1] = 0.0
@@ -252,17 +253,17 @@ def _usual(stage: Stage, generator: np.random.Generator) -> np.ndarray:
 
 
 def check_separable(stage: Stage, doses: Sequence[Dose], scans: Sequence[Scan]) -> None:
-    """Refuse causes that no command shows, or that are exactly alike.
+    """Check that the scanned commands show every cause and distinguish every pair.
 
     Raises:
-        DesignError: A cause changes nothing.
-        InseparableError: Two causes are alike in everything that was scanned.
+        DesignError: A cause does not change any measurement.
+        InseparableError: Two causes give the same measurements under all scanned commands.
     """
     shown = np.concatenate([s.separation.strength for s in scans]).max(0)
     for dose, s in zip(doses, shown, strict=True):
         if s < 1e-6:
             raise DesignError(
-                f"{dose.cause.name} changes nothing that {stage.system.name} measures. {dose.cause.advice}"
+                f"{dose.cause.name} changes no measurement of {stage.system.name}. {dose.cause.advice}"
             )
     pairs = alike_pairs(doses, scans)
     if pairs:
@@ -272,7 +273,7 @@ def check_separable(stage: Stage, doses: Sequence[Dose], scans: Sequence[Scan]) 
 
 
 def alike_pairs(doses: Sequence[Dose], scans: Sequence[Scan]) -> list[tuple[int, int]]:
-    """Pairs of causes between which no sequence of a scan shows any difference."""
+    """Return the pairs of causes that give the same measurements under every scanned sequence."""
     share = np.max([s.separation.share for s in scans], axis=0)
     return [p for p in combinations(range(len(doses)), 2) if share[p] < ALIKE]
 

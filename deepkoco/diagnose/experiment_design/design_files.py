@@ -1,4 +1,4 @@
-"""Write a designed experiment: commands to play, what is expected of them, pictures with their tables."""
+"""Files of a designed experiment: commands, expected likelihood ratios, and pictures with their tables."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def write_design(design: Design, out: str | Path) -> Path:
 
 
 def command_table(design: Design) -> pd.DataFrame:
-    """Time [s] and every command in its unit, one row per command; `deepkoco record --commands` plays it."""
+    """Return time [s] and every command in its unit, one row per tick; `deepkoco record --commands` plays it."""
     names = [c.name for c in design.stage.system.commands]
     return pd.DataFrame(
         {"t": design.stage.frame.time, **{n: design.sequence[:, k] for k, n in enumerate(names)}}
@@ -56,7 +56,7 @@ def command_table(design: Design) -> pd.DataFrame:
 
 
 def describe(design: Design) -> dict[str, Any]:
-    """What was maximised, for whom, and what came out: the content of design.yaml."""
+    """Return the content of design.yaml: causes, expected likelihood ratios, doses and setup."""
     stage, names = design.stage, design.causes
     system, frame, hold = stage.system, stage.frame, stage.hold
     document: dict[str, Any] = {
@@ -130,7 +130,7 @@ def _pairs(design: Design) -> list[tuple[int, int]]:
 
 
 def _short(value: float) -> float | None:
-    """Six digits; None for what is not finite, which JSON has no word for: no such sequence, no limit."""
+    """Round to six digits; None for values that are not finite (no such sequence, no limit), which JSON lacks."""
     return float(f"{float(value):.6g}") if np.isfinite(value) else None
 
 
@@ -150,7 +150,7 @@ def _sequence(design: Design) -> Picture:
 
 
 def _outcome(design: Design) -> Picture:
-    """What every channel shows under each cause, and the differences against the first, with what no refit removes."""
+    """Draw every channel under each cause, and the differences from the first cause."""
     stage, system = design.stage, design.stage.system
     channels = system.measurements
     figure = Figure(figsize=(9.0, 1.9 * len(channels) + 0.6))
@@ -174,14 +174,14 @@ def _outcome(design: Design) -> Picture:
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
     caption = (
-        "What the unit would show under each cause, and how they differ. A diagnosis refits parameters and start "
-        "states, so that it sees less of a difference than is drawn here."
+        "Left: measurements expected under each cause. Right: their differences. A diagnosis refits parameters and "
+        "initial states, so the differences that it finds are smaller than those drawn here."
     )
-    return Picture("outcome", "The outcomes", caption, figure, pd.DataFrame(frame))
+    return Picture("outcome", "Expected measurements", caption, figure, pd.DataFrame(frame))
 
 
 def _sensed(design: Design, index: int) -> np.ndarray:
-    """(T, N) measurements along the path that one cause makes."""
+    """Return the measurements (T, N) along the simulated path with one cause."""
     played, stage = design.rehearsals[index], design.stage
     values = design.doses[index].on(stage.start.values)
     acting, named = acting_model(stage.system, [values])

@@ -1,4 +1,4 @@
-"""How much of each cause an experiment is designed for."""
+"""Doses: sizes of the causes for which an experiment is designed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.systems import ExtendedSystem
 
-# Parameters that only choose a shape, and those of a dose that a neighbour of the family has too.
+# Parameters that only choose a shape, and parameters that a similar cause of the family also has.
 SHAPES = {
     "stribeck": ("coulomb", "speed"),
     "cogging": ("cycles", "cosine"),
@@ -30,11 +30,11 @@ class Dose:
     values: Mapping[str, float]
 
     def on(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Parameters of a baseline with this cause."""
+        """Return the parameters of a baseline with this cause."""
         return {**values, **self.values}
 
     def scaled(self, factor: float, system: ExtendedSystem) -> Dose:
-        """A dose that many times as far from null, inside the bounds."""
+        """Return a dose with the distance from null multiplied by ``factor``, inside the bounds."""
         result = {}
         for name, value in self.values.items():
             p, null = system.parameter(name), null_value(system, name)
@@ -43,7 +43,7 @@ class Dose:
         return Dose(self.cause, result)
 
     def directions(self, values: Mapping[str, float], system: ExtendedSystem) -> list[dict[str, float]]:
-        """Parameter sets that show how the cause moves the measurements: the dose, then each parameter nudged."""
+        """Return parameter sets whose simulations span the effect of the cause: the dose, then each parameter moved."""
         at = self.on(values)
         result = [at]
         for name in self.cause.free:
@@ -54,24 +54,24 @@ class Dose:
 
 
 def unit_dose(cause: Cause, system: ExtendedSystem) -> Dose:
-    """A dose of a tenth of each parameter's prior spread, away from its bound."""
+    """Return a dose of a tenth of each parameter's prior standard deviation, away from its bound."""
     values = {}
     for name in cause.free:
         p, null = system.parameter(name), null_value(system, name)
         step = 0.0 if is_shape(cause, name) else 0.1 * p.prior_sd
         values[name] = null + step if null + step <= p.high else null - step
-    # A weak actuator is likelier than a strong one, and a command that is at its limit shows it alike.
+    # A weak actuator is more likely than a strong one, and commands at their limit show both equally well.
     if cause.kind == "gain":
         values = {n: 2.0 * null_value(system, n) - v for n, v in values.items()}
     return Dose(cause, values)
 
 
 def is_shape(cause: Cause, name: str) -> bool:
-    """Whether a parameter chooses a shape only."""
+    """Return whether a parameter only chooses a shape."""
     return name.rsplit(".", 1)[-1] in SHAPES.get(cause.kind, ())
 
 
 def null_value(system: ExtendedSystem, name: str) -> float:
-    """Value of an effect's parameter that changes nothing."""
+    """Return the value at which an effect's parameter changes nothing."""
     bare = ExtendedSystem(system.base, (name.rsplit(".", 1)[0],))
     return bare.parameter(name).value

@@ -1,4 +1,4 @@
-"""What an experiment is designed for: the unit as the simulation knows it, its limits, its sensors."""
+"""Setup of an experiment: the unit as simulated, its limits and its sensors."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from deepkoco.fit.data.windows import CommandSeries, Windows, period, window_len
 from deepkoco.systems import JOINT_SYSTEMS, ExtendedSystem, JointSystem, Motion, System
 
 COMMAND_RATE, SENSOR_RATE = 50.0, 100.0  # [Hz]
-SHORTEST = 4.0  # windows of a sequence, at least
+SHORTEST = 4.0  # least length of a sequence, in windows
 LONGEST = 300.0  # [s]
 
 
 class DesignError(ValueError):
-    """An experiment cannot be designed as asked; the message says why."""
+    """The requested experiment cannot be designed; the message says why."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a sequence must not exceed, in the order of the system's commands and joints.
+    """Limits of a sequence, in the order of the system's commands and joints.
 
     Attributes:
         command: (M, 2) lowest and highest command, in the commands' units.
@@ -41,7 +41,7 @@ class Limits:
 
     @staticmethod
     def of(system: System, given: Mapping[str, tuple[float, float]] | None = None) -> Limits:
-        """Limits of a system, narrowed by those given by the name of a command, coordinate or speed.
+        """Return the limits of a system, narrowed by those given by the name of a command, coordinate or speed.
 
         Raises:
             DesignError: A name is unknown, or a range is empty, outside the actuator's, or one of speed without 0.
@@ -50,7 +50,7 @@ class Limits:
         joints = system.joints
         position, speed = np.tile([-math.inf, math.inf], (joints, 1)), np.full(joints, math.inf)
         if system.name in JOINT_SYSTEMS:
-            # Beyond that a pendulum whirls, where gravity averages out; `deepkoco record` brakes there too.
+            # Above this speed a pendulum rotates fully and gravity averages out; `deepkoco record` also brakes there.
             speed[:] = 3.0 * 2.0 * math.pi / period(system)
         commands = [c.name for c in system.commands]
         for name, (low, high) in (given or {}).items():
@@ -60,7 +60,7 @@ class Limits:
                 k = commands.index(name)
                 if low < command[k, 0] - 1e-9 or high > command[k, 1] + 1e-9:
                     raise DesignError(
-                        f"limits of {name}: {low:g} to {high:g} exceed what the actuator takes, "
+                        f"limits of {name}: {low:g} to {high:g} exceed the range of the actuator, "
                         f"{command[k, 0]:g} to {command[k, 1]:g} {system.commands[k].unit}"
                     )
                 command[k] = low, high
@@ -69,8 +69,8 @@ class Limits:
             elif name in system.state_names:
                 if not low < 0.0 < high:
                     raise DesignError(
-                        f"limits of {name}: {low:g} to {high:g} leaves no standstill, where every experiment begins "
-                        f"and ends; give a range with 0 inside, such as {name}={-max(abs(low), abs(high)):g}:"
+                        f"limits of {name}: {low:g} to {high:g} excludes 0, but every experiment begins and ends at "
+                        f"rest; give a range that contains 0, such as {name}={-max(abs(low), abs(high)):g}:"
                         f"{max(abs(low), abs(high)):g}"
                     )
                 speed[system.state_names.index(name) - joints] = min(-low, high)
@@ -82,18 +82,18 @@ class Limits:
 
 @dataclass(frozen=True)
 class Stage:
-    """Everything about an experiment but its commands.
+    """Setup of an experiment, without its commands.
 
     Attributes:
         start: Baseline: system with every effect, present values, prior.
         frame: Length, rate and number of the commands.
-        limits: What must not be exceeded.
+        limits: Limits of commands, positions and speeds.
         sensor_rate: Samples of every channel per second [Hz].
-        noise: Of each channel.
-        window: Length of the windows in which a diagnosis will look at it [s].
+        noise: Noise of each channel.
+        window: Length of the windows of the later diagnosis [s].
         initial: (S,) state at the beginning.
-        rest: (M,) commands that keep it there.
-        hold: Feedback that keeps the unit in place; None where it stays by itself.
+        rest: (M,) commands that hold this state.
+        hold: Feedback that holds the unit in place; None where it does not drift.
     """
 
     start: Baseline
@@ -116,7 +116,7 @@ class Stage:
         low, high = self.limits.command.T
         rest = np.clip(self.rest, low, high)
         values = rest + np.where(signals >= 0.0, signals * (high - rest), signals * (rest - low))
-        # No more digits than a file shows, so that the file holds exactly what was judged.
+        # Commands are rounded to the digits of the file, so that the file contains exactly the simulated commands.
         digits = 4 - math.floor(math.log10(float((high - low).max())))
         values = np.clip(np.round(values, digits), low, high)
         values[:, -1] = np.round(rest, digits)
@@ -124,7 +124,7 @@ class Stage:
 
 
 def feasible_seconds(system: System, seconds: float) -> float:
-    """The length [s] nearest to the one asked for that a stage of the system takes."""
+    """Return the allowed length of an experiment [s] that is nearest to the requested one."""
     return min(max(seconds, SHORTEST * window_length(system)), LONGEST)
 
 
@@ -137,7 +137,7 @@ def make_stage(
     noise: tuple[Noise, ...] | None = None,
     values: Mapping[str, float] | None = None,
 ) -> Stage:
-    """Stage of a system.
+    """Return the setup of an experiment on a system.
 
     Args:
         system: Plain, or loaded from model.yaml.
@@ -145,22 +145,22 @@ def make_stage(
         limits: Narrower limits by name of a command, coordinate or speed.
         command_rate: Commands per second [Hz].
         sensor_rate: Samples per second [Hz].
-        noise: Of each channel; None takes what the system declares.
-        values: Baseline parameters as a log shows them; None takes the system's.
+        noise: Noise of each channel; None takes the declared noise of the system.
+        values: Baseline parameters fitted to a log; None takes the system's.
 
     Raises:
-        DesignError: The length or a limit makes no sense.
+        DesignError: The length, a rate or a limit is not allowed.
     """
     window = window_length(system)
     if not SHORTEST * window <= seconds <= LONGEST:
         raise DesignError(
             f"an experiment of {seconds:g} s: give between {SHORTEST * window:.3g} and {LONGEST:g} s; a diagnosis "
-            f"looks at windows of {window:.3g} s and needs several"
+            f"cuts the log into windows of {window:.3g} s and needs several"
         )
     if not 1.0 < command_rate <= sensor_rate <= 1e4:
         raise DesignError(
-            f"commands at {command_rate:g} Hz and samples at {sensor_rate:g} Hz: give rates above 1 Hz, commands at "
-            "most as fast as samples"
+            f"commands at {command_rate:g} Hz and samples at {sensor_rate:g} Hz: give a command rate above 1 Hz and "
+            "at most as high as the sample rate"
         )
     start = baseline_from(system, nothing(system))
     if values is not None:
@@ -186,7 +186,7 @@ def make_stage(
 
 
 def rest_command(system: System, initial: np.ndarray) -> np.ndarray:
-    """Commands (M,) under which the nominal system stays at a state (S,), as near as it can."""
+    """Return the commands (M,) with the smallest accelerations of the nominal system at a state (S,)."""
     parameters = system.default_parameters()
     law, joints, count = system.accelerations(parameters), system.joints, len(system.commands)
     state = torch.from_numpy(initial)
@@ -203,7 +203,7 @@ def rest_command(system: System, initial: np.ndarray) -> np.ndarray:
 
 
 def nothing(system: System) -> Windows:
-    """No windows at all, for what only asks which there are."""
+    """Return an empty set of windows, for functions that only read its channels."""
     channels, states = len(system.measurements), 2 * system.joints
     empty = torch.zeros(0, channels, 0, dtype=torch.float64)
     series = (CommandSeries(np.zeros(1), np.zeros(1)),)

@@ -1,4 +1,4 @@
-"""Families of command sequences among which an experiment is searched: a new one is a function and a line below."""
+"""Families of command sequences for the search. A new family is a function and one line in ``FAMILIES``."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ HOLDS_PER_PERIOD = 1.6  # levels of a multi-level sequence in one period of the 
 MIN_HOLDS, MAX_HOLDS = 6, 24
 TONES = 6
 SLOWEST, FASTEST = 0.2, 5.0  # frequencies, in natural frequencies of the system
-PER_TICK = 6.0  # commands in a period of the fastest tone, at least
+PER_TICK = 6.0  # least number of commands in a period of the fastest tone
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What a sequence has to fit into.
+    """Length, rate and channels of a sequence.
 
     Attributes:
         ticks: n, commands in the sequence.
@@ -54,7 +54,7 @@ class Family:
 
     Attributes:
         name: Name of the family.
-        text: What the sequences are, for a sentence.
+        text: Description of the sequences, for a sentence.
         size: Frame -> number of parameters of one command.
         make: (points (K, d), frame) -> (K, n) signals in [-1, 1]; 0 is the command of rest.
     """
@@ -65,7 +65,7 @@ class Family:
     make: Callable[[np.ndarray, Frame], np.ndarray]
 
     def dimension(self, frame: Frame) -> int:
-        """Parameters of a sequence: those of every command, and its size as a whole."""
+        """Return the number of parameters of a sequence: those of every command, and one for the overall size."""
         return self.size(frame) * frame.commands + 1
 
     def signals(self, points: np.ndarray, frame: Frame) -> np.ndarray:
@@ -73,7 +73,7 @@ class Family:
         points = np.clip(points, 0.0, 1.0)
         parts = np.split(points[:, :-1], frame.commands, axis=1)
         signals = np.clip(np.stack([self.make(part, frame) for part in parts], -1), -1.0, 1.0)
-        # Most draws are large; small ones are there for the sake of tight limits.
+        # Most draws are large; small ones are needed where limits are tight.
         return (1.0 - 0.95 * points[:, -1:, None] ** 3) * signals
 
 
@@ -82,7 +82,7 @@ def _holds(frame: Frame) -> int:
 
 
 def _held(levels: np.ndarray, lengths: np.ndarray, frame: Frame) -> np.ndarray:
-    """Piecewise constant signals (K, n) from levels (K, h) and the shares of time (K, h) that they get."""
+    """Return piecewise constant signals (K, n) from levels (K, h) and their relative durations (K, h)."""
     ends = np.cumsum(lengths, axis=1)
     ends = ends / ends[:, -1:] * frame.seconds
     index = (frame.time[None, :, None] >= ends[:, None, :-1]).sum(-1)
@@ -130,7 +130,7 @@ def _multisine(points: np.ndarray, frame: Frame) -> np.ndarray:
 
 
 def _band_limited(points: np.ndarray, frame: Frame) -> np.ndarray:
-    """Noise with a flat spectrum between two frequencies; the draw itself is a parameter too."""
+    """Return noise with a flat spectrum between two frequencies; the seed of the draw is also a parameter."""
     edges = np.sort(_frequency(points[:, :2], frame), axis=1)
     grid = np.fft.rfftfreq(frame.ticks, 1.0 / frame.rate)
     signals = np.empty((len(points), frame.ticks))

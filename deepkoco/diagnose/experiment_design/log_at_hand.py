@@ -1,4 +1,4 @@
-"""What a log at hand says about an experiment: the unit's parameters, the sizes of the causes, the noise."""
+"""Fit of a log at hand: the unit's parameters, the sizes of the causes and the noise for the design."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LogAtHand:
         start: The baseline.
         windows: Moving windows, with the states of the refit.
         refit: The refitted baseline.
-        doses: Cause -> its fitted size; causes of which the log shows nothing are left out.
+        doses: Cause -> its fitted size; causes that the log does not show are left out.
     """
 
     start: Baseline
@@ -39,11 +39,11 @@ class LogAtHand:
 
     @property
     def seconds(self) -> float:
-        """Length of what is fitted [s]."""
+        """Total length of the fitted windows [s]."""
         return len(self.windows) * self.windows.length
 
     def separation(self, doses: Sequence[Dose]) -> Separation:
-        """How far apart causes are in this log."""
+        """Return the expected likelihood ratios between causes in this log."""
         return separate(self.start.system, self.windows, self.refit.values, self.start.prior, doses)
 
 
@@ -58,8 +58,8 @@ def fit_log(recordings: Sequence[Recording], system: System, causes: Sequence[Ca
         windows = windows.take(moving(windows))
     if len(windows) < MIN_LOG_WINDOWS:
         raise DesignError(
-            f"the log holds {len(windows)} windows of {windows.length:.2g} s in which the joint moves; design from the "
-            "system alone instead, without a log"
+            f"the joint moves in only {len(windows)} windows of {windows.length:.2g} s of the log, and "
+            f"{MIN_LOG_WINDOWS} are needed; design from the system alone, without a log"
         )
     start = baseline_from(system, windows)
     windows, refit = refit_sharply(start, windows)

@@ -1,4 +1,4 @@
-"""Command sequences played in simulation, cut as a diagnosis would cut the log."""
+"""Simulation of command sequences, cut into windows as in a diagnosis."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from deepkoco.fit.simulate.simulator import integrate
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, Motion
 
-SUBSTEP = 0.01  # of the closed loop [s]
+SUBSTEP = 0.01  # time step of the closed loop [s]
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """K sequences on U units, in simulation; sequence k on unit u is log u K + k.
+    """Simulation of K sequences on U units; sequence k on unit u is log u K + k.
 
     Attributes:
-        commands: (U K, n, M) that really went out, feedback included.
-        time: (T,) of the path [s].
+        commands: (U K, n, M) sent commands, including the feedback.
+        time: (T,) times of the path [s].
         path: (U K, T, S) states.
-        excess: (U K,) by how much the limits are broken, as a share of them; 0 where they are kept.
+        excess: (U K,) excess over the limits, as a share of them; 0 where they are kept.
         windows: Moving windows of all logs, with the states of the unit.
     """
 
@@ -48,7 +48,7 @@ class Rehearsal:
 
 
 def rehearse(stage: Stage, feedforward: np.ndarray, units: Sequence[Mapping[str, float]]) -> Rehearsal:
-    """Play sequences on simulated units.
+    """Simulate sequences on units.
 
     Args:
         stage: The experiment.
@@ -61,7 +61,7 @@ def rehearse(stage: Stage, feedforward: np.ndarray, units: Sequence[Mapping[str,
     if stage.hold is None:
         sent, driven = tiled, feedforward
     else:
-        # Every unit answers the feedback in its own way: each goes with commands of its own.
+        # The feedback depends on the motion of each unit, so each unit has its own commands.
         each = {n: v if v.ndim == 0 else v.repeat_interleave(count) for n, v in named.items()}
         sent = driven = _closed_loop(stage, tiled, acting, each)
     whole = _whole(stage, driven)
@@ -84,7 +84,7 @@ def rehearse(stage: Stage, feedforward: np.ndarray, units: Sequence[Mapping[str,
 
 
 def measured(stage: Stage, played: Rehearsal, values: Mapping[str, float]) -> Windows:
-    """The windows of what was played, with the noise-free measurements of the model that played it."""
+    """Return the windows of a simulation with the noise-free measurements of the simulated model."""
     windows = played.windows
     problem = FitProblem(stage.system, windows)
     theta = np.array([[values[n] for n in problem.names]])
@@ -95,7 +95,7 @@ def measured(stage: Stage, played: Rehearsal, values: Mapping[str, float]) -> Wi
 def acting_model(
     system: ExtendedSystem, units: Sequence[Mapping[str, float]]
 ) -> tuple[ExtendedSystem, dict[str, torch.Tensor]]:
-    """The system with those effects only that some unit has, and parameters: scalars, or (U,) where units differ."""
+    """Return the system with only those effects that some unit has, and its parameters: scalars, or (U,) if different."""
     bare = ExtendedSystem(system.base, tuple(e.name for e in system.effects))
     null = {p.name: p.value for p in bare.parameters}
     moved = {n.split(".")[0] for n in null if "." in n and any(unit[n] != null[n] for unit in units)}
@@ -104,7 +104,7 @@ def acting_model(
     for p in acting.parameters:
         values = [float(unit[p.name]) for unit in units]
         if p.name.endswith(".limit"):
-            # At its null value a saturation cuts no command, but beside a gain it would cut efforts.
+            # At its null value a saturation cuts no command, but together with a gain it would cut efforts.
             values = [v if v < null[p.name] else math.inf for v in values]
         same = len(set(values)) == 1
         named[p.name] = torch.tensor(values[0] if same else values, dtype=torch.float64)
@@ -112,7 +112,7 @@ def acting_model(
 
 
 def _kept(windows: Windows) -> np.ndarray:
-    """`moving` looks at the share of windows that move in a log: each log by itself."""
+    """Return (W,) which windows move, for each log separately, because `moving` uses the share of moving windows."""
     keep = np.zeros(len(windows), dtype=bool)
     for log in np.unique(windows.log):
         own = windows.log == log
@@ -121,7 +121,7 @@ def _kept(windows: Windows) -> np.ndarray:
 
 
 def _whole(stage: Stage, sent: np.ndarray) -> Windows:
-    """One window as long as the experiment for each sequence, its nodes on those of the short windows."""
+    """Return one window over the whole experiment for each sequence, with the time nodes of the short windows."""
     base = stage.system.base
     longest = min(LONGEST_STEP, period(base) / STEPS_PER_PERIOD)
     step = stage.window / math.ceil(stage.window / longest - 1e-9)
@@ -162,7 +162,7 @@ def _excess(stage: Stage, path: np.ndarray) -> np.ndarray:
 def _closed_loop(
     stage: Stage, feedforward: np.ndarray, system: ExtendedSystem, named: dict[str, torch.Tensor]
 ) -> np.ndarray:
-    """Commands (K, n, M) with the hold's share, from a simulation that goes from tick to tick."""
+    """Return the commands (K, n, M) including the feedback, from a simulation tick by tick."""
     assert stage.hold is not None
     law, joints = system.accelerations(named), system.joints
     gain, place = (torch.from_numpy(x) for x in (stage.hold.gain, stage.hold.place))

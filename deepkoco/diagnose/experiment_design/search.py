@@ -1,4 +1,4 @@
-"""Search for the command sequence that tells causes apart best: a scan of every family, then evolution of the best."""
+"""Search for the command sequence that best distinguishes causes: a scan of every family, then evolution."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deepkoco.diagnose.experiment_design.families import FAMILIES, Family
 from deepkoco.diagnose.experiment_design.rehearsal import rehearse
 from deepkoco.diagnose.experiment_design.separation import Separation, separate
 
-SCANNED = 12  # sequences of each family
+SCANNED = 12  # scanned sequences of each family
 EVOLVED = 2  # families whose best sequences are evolved
 GENERATIONS = 8
 BAD = 1e3  # cost of a sequence that breaks its limits
@@ -29,8 +29,8 @@ class Scan:
     Attributes:
         family: The family.
         points: (K, d) in the unit cube.
-        separation: How far apart the causes are.
-        excess: (K,) by how much limits are broken.
+        separation: Expected likelihood ratios between the causes.
+        excess: (K,) excess over the limits, as a share of them.
     """
 
     family: Family
@@ -40,12 +40,12 @@ class Scan:
 
     @property
     def allowed(self) -> np.ndarray:
-        """(K,) whether the limits are kept."""
+        """(K,) whether a sequence keeps the limits."""
         return self.excess <= 0.0
 
     @property
     def cost(self) -> np.ndarray:
-        """(K,) to be minimised."""
+        """(K,) cost to be minimised."""
         return costs(self.separation.smallest, self.excess)
 
     @property
@@ -61,7 +61,7 @@ class Scan:
 
 
 def costs(smallest: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Minus the logarithm of the ratio (K,); what breaks its limits is worse than all else."""
+    """Return minus the logarithm of the ratio (K,); a sequence that breaks its limits costs more than any other."""
     broken = BAD * (1.0 + np.minimum(excess, 1e6))
     return np.where(excess > 0.0, broken, -np.log(np.maximum(smallest, 1e-12)))
 
@@ -69,7 +69,7 @@ def costs(smallest: np.ndarray, excess: np.ndarray) -> np.ndarray:
 def judge(
     stage: Stage, feedforward: np.ndarray, doses: Sequence[Dose], units: Sequence[Mapping[str, float]]
 ) -> tuple[Separation, np.ndarray]:
-    """How far apart causes are in sequences (K, n, M), and by how much these break the limits; worst of units."""
+    """Return the separation of causes in sequences (K, n, M), and the excess over the limits; worst over units."""
     played = rehearse(stage, feedforward, units)
     values = stage.start.values
     found = separate(stage.system, played.windows, values, stage.start.prior, doses)
@@ -83,14 +83,14 @@ def scan(
     generator: Generator,
     count: int = SCANNED,
 ) -> tuple[Scan, ...]:
-    """Sequences of every family, spread over its parameters."""
+    """Scan sequences of every family, spread over its parameters."""
     result = []
     for family in FAMILIES.values():
         size = family.dimension(stage.frame)
         points = qmc.LatinHypercube(size, rng=generator).random(count)
         found, excess = judge(stage, sequences(stage, family, points), doses, units)
         if not bool((excess <= 0.0).any()):
-            # Tight limits: only gentle sequences have a chance.
+            # The limits are tight, so only small sequences can keep them.
             points[:, -1] = 0.85 + 0.15 * points[:, -1]
             found, excess = judge(stage, sequences(stage, family, points), doses, units)
         result.append(Scan(family, points, found, excess))
@@ -98,7 +98,7 @@ def scan(
 
 
 def sequences(stage: Stage, family: Family, points: np.ndarray) -> np.ndarray:
-    """Commands (K, n, M) of points (K, d)."""
+    """Return the commands (K, n, M) of points (K, d)."""
     return stage.commands(family.signals(points, stage.frame))
 
 
@@ -111,7 +111,7 @@ def evolve(
     generations: int = GENERATIONS,
     progress: Callable[[str, int, float], None] | None = None,
 ) -> list[tuple[Family, np.ndarray]]:
-    """Candidates from best scan to worst: the families' best points, the best of them evolved.
+    """Return candidates from best to worst: the best point of each family; those of the best families are evolved.
 
     Raises:
         DesignError: No sequence keeps the limits.
@@ -153,7 +153,7 @@ def evolve(
 
 
 def draw_unit(stage: Stage, dose: Dose, generator: Generator) -> dict[str, float]:
-    """A unit with a cause, its other parameters within two standard deviations of the prior."""
+    """Draw a unit with a cause; its other parameters lie within two standard deviations of the prior."""
     prior = stage.start.prior
     spread = np.sqrt(np.diag(prior.covariance))
     shift = np.clip(generator.standard_normal(len(spread)), -2.0, 2.0) * spread

@@ -1,9 +1,9 @@
-"""How far apart causes would be in a log, to first order, for many sequences at once.
+"""Separation of causes: expected likelihood ratios to first order, for many sequences in one batch.
 
-A log made by cause a, fitted by the baseline with cause b, leaves chi2 above the noise on average by the
-non-centrality: the squared length of what a adds to the whitened measurements, cleared of the free initial
-states, of what the baseline's parameters can do within their prior, and of what b can do. It is the expected
-likelihood ratio against b.
+A log is simulated with cause a and fitted with cause b. Its chi2 exceeds that of noise on average by the
+non-centrality. This is the squared length of the effect of a on the whitened measurements, after three projections:
+of the free initial states, of the baseline's parameters within their prior, and of the effect of b. It is the
+expected likelihood ratio against b.
 
 Source: Atkinson and Fedorov, The design of experiments for discriminating between two rival models,
     Biometrika 62(1), 1975 (T-optimality), with nuisance parameters linearised.
@@ -27,9 +27,9 @@ from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 from deepkoco.systems import ExtendedSystem
 
 RIDGE = 1e-9  # relative; directions of one cause may be parallel
-TINY = 1e-9  # noise standard deviations; a column this short moves nothing
-SMALL = 0.1  # part of a dose at which a cause that grows smoothly is linearised
-# Causes that a small dose shows in another way than a large one: it cuts the largest commands only.
+TINY = 1e-9  # length of a column [noise standard deviations] below which it has no effect
+SMALL = 0.1  # share of a dose at which a smooth cause is linearised
+# Causes whose small dose acts in another way than a large one, because it cuts only the largest commands.
 CUTTING = ("saturation",)
 
 
@@ -38,9 +38,9 @@ class Separation:
     """Expected likelihood ratios of K logs.
 
     Attributes:
-        ratio: (K, C, C) of a log made by the first cause against the second; 0 on the diagonal.
-        seen: (K, C) against the refitted baseline alone.
-        samples: (K,) measured values.
+        ratio: (K, C, C) ratio of a log of the first cause against the second cause; 0 on the diagonal.
+        seen: (K, C) ratio against the refitted baseline alone.
+        samples: (K,) number of measured values.
     """
 
     ratio: np.ndarray
@@ -49,25 +49,25 @@ class Separation:
 
     @property
     def strength(self) -> np.ndarray:
-        """(K, C) ES: root mean square of what the refitted baseline leaves, in noise standard deviations."""
+        """(K, C) ES: root mean square residual of the refitted baseline, in noise standard deviations."""
         return np.sqrt(self.seen / np.maximum(self.samples[:, None], 1))
 
     @property
     def smallest(self) -> np.ndarray:
-        """(K,) ratio of the pair that is hardest to tell apart, in the harder direction."""
+        """(K,) ratio of the pair that is hardest to distinguish, in the harder direction."""
         if self.ratio.shape[1] == 1:
             return self.seen[:, 0]
         off = ~np.eye(self.ratio.shape[1], dtype=bool)
         return self.ratio[:, off].min(1)
 
     def worst(self, units: int) -> Separation:
-        """The smallest numbers over units, where log u K + k is sequence k on unit u."""
+        """Return the smallest numbers over units, where log u K + k is sequence k on unit u."""
         least = [x.reshape(units, -1, *x.shape[1:]).min(0) for x in (self.ratio, self.seen, self.samples)]
         return Separation(least[0], least[1], least[2])
 
     @property
     def share(self) -> np.ndarray:
-        """(C, C) largest part of what a cause shows that another cannot take over, over all logs, symmetric."""
+        """(C, C) largest share of a cause's effect that another cause cannot imitate, over all logs; symmetric."""
         part = (self.ratio / np.maximum(self.seen[:, :, None], 1e-300)).max(0)
         return np.minimum(part, part.T)
 
@@ -83,12 +83,12 @@ def separate(
 
     Args:
         system: The system with every effect.
-        windows: Windows whose states suit ``values``; their measurements are not looked at.
+        windows: Windows with states that belong to ``values``; their measurements are not used.
         values: Parameters of the baseline.
-        prior: Over the baseline's free parameters.
+        prior: Prior over the baseline's free parameters.
         doses: C causes.
     """
-    # A rival that mimics a cause takes a size of its own; the two are compared where both are straight lines.
+    # A rival imitates a cause with a size of its own, so both are compared at small doses, where both are linear.
     parts = np.array([1.0 if d.cause.kind in CUTTING else SMALL for d in doses])
     doses = [d.scaled(part, system) for d, part in zip(doses, parts, strict=True)]
     problem = FitProblem(system, windows)
@@ -130,7 +130,7 @@ class _Owner:
 def _columns(
     problem: FitProblem, values: Mapping[str, float], free: Sequence[str], doses: Sequence[Dose]
 ) -> tuple[Tensor, _Owner, Tensor]:
-    """Whitened columns (., W, NM), cleared of the initial states: nuisances, then those of each dose."""
+    """Return whitened columns (., W, NM) with the initial states projected out: nuisances, then each dose's columns."""
     windows, names = problem.windows, problem.names
     theta = np.array([float(values[n]) for n in names])
     columns = np.array([names.index(n) for n in free], dtype=int)
@@ -160,7 +160,7 @@ def _columns(
     for own_directions in directions:
         secant = change[at]
         first.append(sum(len(p) for p in parts))
-        # Slopes at the dose: what more of each parameter would do.
+        # Slopes at the dose: effect of a further change of each parameter.
         slopes = change[at + 1 : at + len(own_directions)] - secant
         size = slopes.flatten(1).norm(dim=1).clamp_min(1e-300)[:, None, None]
         parts.append(torch.cat([secant[None], slopes / size]))

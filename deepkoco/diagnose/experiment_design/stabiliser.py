@@ -1,4 +1,4 @@
-"""A slow feedback that keeps in place what no force brings back: a hovering quadrotor, an arm without gravity."""
+"""Slow feedback for systems that drift away from their rest state: a hovering quadrotor, an arm without gravity."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from torch import Tensor
 
 from deepkoco.systems import Motion, System
 
-STEP = 1e-6  # of the finite differences
-DRIFT = 1e-3  # real part above which a motion without oscillation does not come back [1/s]
-STRENGTH = 0.3  # share of the commands' range that a displacement of 1 rad or m is worth
+STEP = 1e-6  # step of the finite differences
+DRIFT = 1e-3  # a real eigenvalue above -DRIFT counts as drift [1/s]
+STRENGTH = 0.3  # share of the commands' range that costs as much as a displacement of 1 rad or m
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Hold:
 
     Attributes:
         gain: (M, S) commands' units per unit of the state.
-        place: (S,) state to be kept.
+        place: (S,) state to hold.
     """
 
     gain: np.ndarray
@@ -32,14 +32,14 @@ class Hold:
 def find_hold(
     system: System, place: np.ndarray, rest: np.ndarray, limits: np.ndarray, period: float
 ) -> Hold | None:
-    """Linear-quadratic regulator about a state, where the system would drift from it; None where it would not.
+    """Return a linear-quadratic regulator about a state; None if the system does not drift away from it.
 
     Args:
         system: The nominal system.
-        place: (S,) state to be kept.
-        rest: (M,) commands there.
-        limits: (M, 2) of the commands.
-        period: Time scale [s], in which a speed is as bad as a displacement.
+        place: (S,) state to hold.
+        rest: (M,) commands at this state.
+        limits: (M, 2) limits of the commands.
+        period: Time scale [s] that weighs speeds against displacements.
     """
     a, b = linearised(system, place, rest)
     roots = np.linalg.eigvals(a)
@@ -57,7 +57,7 @@ def find_hold(
 
 
 def linearised(system: System, state: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices A (S, S), B (S, M) of the motion about a state, by central differences."""
+    """Return the matrices A (S, S) and B (S, M) of the motion about a state, by central differences."""
     law, joints = system.accelerations(system.default_parameters()), system.joints
     point = np.concatenate([state, efforts])
     nudged = np.concatenate([point + STEP * np.eye(len(point)), point - STEP * np.eye(len(point))])

@@ -1,4 +1,4 @@
-"""Lost commands among the causes: whether they are named, and what a report says of them."""
+"""Lost commands as a cause: the conditions for naming them, and their finding in the report."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, missing_tor
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.prior import Prior
 
-# One or two losses may as well be a push, and model error bends to losses that do not show clearly.
+# One or two losses could also be a push, and model error can imitate losses that do not show clearly.
 MIN_CLEAR_LOSSES = 3
 CHANCE = 1e-3  # probability under independence, below which losses depend on the motion
 
 
 class Losses(NamedTuple):
-    """Lost commands that are worth their description.
+    """Accepted lost commands.
 
     Attributes:
-        finding: What a report shows.
-        problem: The windows with the commands that acted.
-        fit: The model on them.
-        charge: What the BIC charges for them.
+        finding: Finding of the report.
+        problem: Windows with the commands that acted.
+        fit: Fit of the model on these windows.
+        charge: Charge of the BIC for the lost commands.
     """
 
     finding: Finding
@@ -43,13 +43,13 @@ class Losses(NamedTuple):
 def best_losses(
     problem: FitProblem, fit: Fit, prior: Prior, causes: Sequence[Cause], floor: float, wanted: float
 ) -> Losses | None:
-    """Lost commands, where they pay.
+    """Return the lost commands of the channel with the lowest cost, if they lower the BIC enough; else None.
 
     Args:
-        problem, fit, prior: Model to be improved.
-        causes: Lost commands at every command of the system.
-        floor: Least factor by which likelihood ratios are too large on a healthy unit.
-        wanted: Fall of the BIC that they must reach.
+        problem, fit, prior: Model whose residuals are to be explained.
+        causes: Lost commands of every command channel of the system.
+        floor: Smallest deflation.
+        wanted: Fall of the BIC that they need.
     """
     tried = [(cause, lost_commands(problem, fit, prior, cause.index)) for cause in causes]
     found = [
@@ -77,18 +77,21 @@ def instead_of_push(
     fit: Fit,
     causes: Sequence[Cause],
 ) -> tuple[str, ...]:
-    """Names of lost commands, too few to be named by themselves, that say as much as a push, or more.
+    """Return lost commands, too few to be named alone, that explain the data as well as a push.
 
-    A command that is held over while it should have changed acts as a push does, of a size and a time that are known.
-    At least one has to be lost where the push is.
+    A lost command acts like a push of known size and time: the actuator holds the previous command although the
+    command should have changed. At least one command must be lost in a window that the push touches.
 
     Args:
         problem: Windows.
         start: The baseline.
-        accepted: Causes that were selected.
+        accepted: Accepted causes.
         push: The push among them.
         fit: Model with all of them.
-        causes: Lost commands at every command of the system.
+        causes: Lost commands of every command channel of the system.
+
+    Returns:
+        Names of these causes.
     """
     less = problem.fit_one(without(problem, start, accepted, push, fit), PATIENCE)
     prior = prior_with(problem, start, [c for c in accepted if c is not push], less.values)
@@ -108,7 +111,7 @@ def instead_of_push(
 
 
 def _inside(lost: LostCommands, pushed: np.ndarray) -> bool:
-    """Whether a command was lost during the windows (W,) that a push touches."""
+    """Return whether a command was lost in one of the windows (W,) that a push touches."""
     windows = lost.problem.windows
     for w in np.flatnonzero(pushed):
         log, begin = windows.log[w], windows.t0[w]
@@ -119,9 +122,10 @@ def _inside(lost: LostCommands, pushed: np.ndarray) -> bool:
 
 
 def _by_chance(lost: LostCommands) -> bool:
-    """Whether which commands were lost has nothing to do with the motion, as the loss of a message has not.
+    """Return whether the lost commands are independent of the joint's angle and speed (rank-sum tests).
 
-    What else is missing from a model wants offsets of a certain sign or size where the joint is, and as it moves.
+    A message is lost independently of the motion. If another mechanism is missing from the model, the fitted losses
+    depend on angle or speed.
     """
     # scipy.stats takes a third of a second to load, and few units lose commands.
     from scipy.stats import mannwhitneyu
@@ -133,7 +137,7 @@ def _by_chance(lost: LostCommands) -> bool:
         shown = log.lost | (log.worth > lost.price)
         own = motion.log == number
         if not own.any():
-            continue  # it never moved
+            continue  # the joint never moved in this log
         order = np.argsort(motion.time[own], axis=None)
         t = command.t[shown]
         angle, speed = (
@@ -152,14 +156,23 @@ def _by_chance(lost: LostCommands) -> bool:
 
 
 def _finding(lost: LostCommands, cause: Cause, ratio: float, score: float, needed: float) -> Finding:
-    """As a report shows it: fall of the cost, fall of the BIC, and the fall of the cost that would have sufficed."""
+    """Return the finding of the report.
+
+    Args:
+        lost: The lost commands.
+        cause: Their cause.
+        ratio: Fall of the cost.
+        score: Fall of the BIC.
+        needed: Fall of the cost that would have sufficed.
+    """
     from scipy.stats import binomtest
 
     interval = binomtest(lost.lost, max(lost.ticks, 1)).proportion_ci(method="wilson")
     text = (
-        f"{lost.lost} of {lost.ticks} commands whose loss would show clearly were held over by the one before. "
-        f"Simulating {lost.found} of them as lost lowers the squared error by {ratio:,.0f} noise variances; chance and "
-        f"saying which ones they are explain up to {needed:,.0f}. Which ones is known to a few ticks."
+        f"The loss of {lost.ticks} commands would show clearly; {lost.lost} of them were lost and replaced by the "
+        f"previous command. With {lost.found} lost commands, the squared error of the simulation falls by {ratio:,.0f} "
+        f"noise variances. Chance and the choice of their positions explain a fall of up to {needed:,.0f}. The "
+        "positions are known to a few ticks."
     )
     evidence = Evidence("likelihood_ratio", ratio, needed, text)
     own = {f"{cause.effect}.share": Estimate(lost.share, float(interval.low), float(interval.high), "1")}

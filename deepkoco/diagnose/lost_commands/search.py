@@ -1,9 +1,9 @@
-"""Commands that were sent and logged but never acted: the actuator held the one before for a tick.
+"""Search for lost commands: sent and logged commands that never acted, so that the actuator held the previous one.
 
-Which ticks were lost is searched for in every window by itself. What the loss of each single tick does to the
-measurements is simulated once; a pattern of losses is a sum of such responses with known sizes, and the errors have to
-pay for saying which ticks they are. Neighbouring ticks do nearly the same to a slow machine: how many were lost is
-found better than which.
+Every window is searched separately. The effect of the loss of each single tick on the measurements is simulated once.
+The effect of a pattern of losses is the sum of such responses with known sizes. The charge for a pattern is the length
+of its description. On a slow machine, losses of neighbouring ticks have nearly the same effect, so the number of
+losses is found better than their positions.
 
 Source: detection of a sequence (:mod:`deepkoco.diagnose.lost_commands.sequence`) under the two-part code of minimum
     description length (Rissanen 1978).
@@ -27,20 +27,22 @@ from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.simulate.simulator import predict
 from deepkoco.fit.solve.prior import Prior
 
-BEFORE = 0.15  # share of a window before it whose commands still act in it, through lags and delays
-REGULAR = 0.9  # share of the ticks that come at the usual pace, without which a lost one has no length
-PACE = 1.5  # factor from the usual pace within which a tick is regular
-SMALL = 1e-3  # offset that is simulated where a command does not change, in largest commands
-LANES = 2000  # windows simulated at once
-MOST_TICKS = 400  # in a window: beyond that the search takes too long
-MOST_LOST = 0.5  # share of the commands from which on it is no loss but a delay
-SHARE = 0.1  # share of lost commands that the first turn expects
-RARE, COMMON = 0.01, 0.3  # shares that a later one may expect
-# Share of the best tick's worth that others must have in the first turn; its powers in the next ones.
-FIRST = 0.2
-TURNS = 8  # of search and fit, at most
-CLEAR = 4.0  # prices of a tick that its loss must be worth to count for the share
-MIN_CLEAR_TICKS = 10  # ticks that the share is taken from, where there are as many
+BEFORE = 0.15  # time before a window, as a share of its length, whose commands still act in it (lags, delays)
+MIN_REGULAR = 0.9  # share of regular ticks below which the duration of a lost tick is not defined
+PACE = 1.5  # factor from the median interval within which a tick is regular
+SMALL = 1e-3  # simulated offset where a command does not change, as a share of the largest command
+LANES = 2000  # windows in one batch of simulations
+MOST_TICKS = 400  # commands in a window above which the search would take too long
+MOST_LOST = 0.5  # share of lost commands above which the reason is not a loss but a delay
+FIRST_SHARE = 0.1  # share of lost commands that the first round expects
+MIN_SHARE, MAX_SHARE = 0.01, 0.3  # range of the share that later rounds expect
+# Share of the best tick's fall of chi2 that other ticks need in the first round; its powers in the next rounds.
+MIN_OF_BEST_TICK = 0.2
+ROUNDS = 8  # largest number of rounds of search and fit
+CLEAR = (
+    4.0  # fall of chi2 by the loss of a tick, in prices of a tick, from which the tick counts for the share
+)
+MIN_CLEAR_TICKS = 10  # number of clear ticks from which the share is computed from them alone
 
 
 class Shown(NamedTuple):
@@ -48,7 +50,7 @@ class Shown(NamedTuple):
 
     Attributes:
         lost: (n,) whether each tick was lost.
-        worth: (n,) fall of chi2 that its loss would be worth, had it been lost.
+        worth: (n,) fall of chi2 by the loss of each tick, had it been lost.
     """
 
     lost: np.ndarray
@@ -57,19 +59,19 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True)
 class LostCommands:
-    """What was found.
+    """Result of the search in one command channel.
 
     Attributes:
-        index: Which command.
-        logs: The ticks of every log.
-        problem: The windows, with the commands that acted in the place of those that were sent.
-        fit: Fit of the same model to them.
-        lost: Ticks that were lost, of those whose loss would show clearly.
-        ticks: Ticks whose loss would show clearly.
-        searched: Ticks that were or could have been taken for lost.
-        found: Those that were.
-        price: Fall of the cost that a lost tick had to be worth.
-        sent: Commands of every log, all that were sent.
+        index: Index of the command channel.
+        logs: Ticks of every log.
+        problem: Windows with the commands that acted instead of those that were sent.
+        fit: Fit of the same model to these windows.
+        lost: Number of lost ticks among those whose loss would show clearly.
+        ticks: Number of ticks whose loss would show clearly.
+        searched: Number of ticks that could have been counted as lost.
+        found: Number of ticks that were counted as lost.
+        price: Fall of the cost that a lost tick needed.
+        sent: Sent commands of every log.
     """
 
     index: int
@@ -90,55 +92,55 @@ class LostCommands:
 
     @property
     def charge(self) -> float:
-        """What the BIC charges: twice the logarithm of the number of patterns, and the share as a parameter."""
+        """Charge of the BIC: twice the logarithm of the number of patterns, and the share as one parameter."""
         n, k = self.searched, self.found
         patterns = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
         return 2.0 * patterns + math.log(max(self.problem.windows.samples, 2))
 
     @property
     def total(self) -> float:
-        """Cost of the fit and of writing the pattern down."""
+        """Cost of the fit plus the charge for the pattern."""
         return self.fit.cost + self.charge
 
 
 def why_not_searched(windows: Windows, losing: Sequence[int] = ()) -> str | None:
-    """Why lost commands, or those of some command, are not searched for in these windows; None where all are.
+    """Return why lost commands are not searched for, in all or some command channels; None if all are searched.
 
     Args:
         windows: Windows to explain.
-        losing: Commands of which healthy logs of the unit lose some, too.
+        losing: Indices of the commands of which healthy logs of the unit also lose some.
     """
     for log in np.unique(windows.log):
         t = windows.commands[log].t
         gap = np.diff(t)
         usual = float(np.median(gap)) if len(gap) else 0.0
         regular = (gap < PACE * usual) & (gap > usual / PACE)
-        if len(t) < 20 or np.mean(regular) < REGULAR:
-            return "commands do not come at a regular pace, and a lost one has no length"
+        if len(t) < 20 or np.mean(regular) < MIN_REGULAR:
+            return "commands do not come at a regular rate, so the duration of a lost one is not defined"
     most = max(len(own) for own in _spans(windows))
     if most > MOST_TICKS:
-        return f"a window holds {most} commands, more than the {MOST_TICKS} for which the search is made"
+        return f"a window contains {most} commands; the search takes at most {MOST_TICKS}"
     if losing:
         which = " and ".join(str(k + 1) for k in losing)
-        return f"not for command {which}: the healthy logs lose some of it, too"
+        return f"command {which} is not searched: the healthy logs also lose some of its commands"
     return None
 
 
 def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> LostCommands | None:
     """Search the ticks of one command for lost ones, and refit the model to the commands that acted.
 
-    The search is to first order around a fit, which the losses have bent; so search and fit take turns, the plainest
-    losses first.
+    The search is linearised around a fit, and the losses bias this fit. Search and fit therefore alternate, with
+    the clearest losses first.
 
     Args:
-        problem: Windows, with the commands that were sent.
+        problem: Windows with the sent commands.
         fit: Model whose residuals are to be explained.
         prior: Its prior.
-        index: Which command.
+        index: Index of the command channel.
 
     Returns:
-        What was found; None where nothing was, where it would be more than half of the commands, or where there is no
-        search (:func:`why_not_searched`).
+        The lost commands. None if there are none, if more than half of the commands would be lost, if offsets of the
+        opposite sign explain more, or if there is no search (:func:`why_not_searched`).
     """
     windows = problem.windows
     sent = [c.column(index) for c in windows.commands]
@@ -146,11 +148,12 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
         return None
     spans = _spans(windows)
     patterns = [np.zeros(len(u), dtype=bool) for u in sent]
-    share, acted, now = SHARE, problem, fit
+    share, acted, now = FIRST_SHARE, problem, fit
     best: LostCommands | None = None
-    for turn in range(TURNS):
+    for turn in range(ROUNDS):
         before = patterns
-        logs, price, last = _search(acted, now, index, spans, sent, before, share, FIRST ** (turn + 1))
+        part = MIN_OF_BEST_TICK ** (turn + 1)
+        logs, price, last = _search(acted, now, index, spans, sent, before, share, part)
         patterns = [shown.lost for shown in logs]
         if not any(p.any() for p in patterns):
             return None
@@ -158,7 +161,7 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
         now = acted.fit_one(Trial(fit.name, fit.free, prior, now.values, now.state, now.nuisance))
         found = _counted(index, logs, acted, now, price, sent)
         best = found if best is None or found.total < best.total else best
-        share = float(np.clip(found.share, RARE, COMMON))
+        share = float(np.clip(found.share, MIN_SHARE, MAX_SHARE))
         if last and all((a == b).all() for a, b in zip(patterns, before, strict=True)):
             break
     if best is None or best.share > MOST_LOST or _imitated(best, index, spans, sent):
@@ -169,16 +172,16 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
 def _imitated(
     found: LostCommands, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
 ) -> bool:
-    """Whether offsets of the opposite sign, which no loss makes, would explain more.
+    """Return whether offsets of the opposite sign, which no loss can cause, would explain more.
 
-    Whatever is irregular is explained in part by offsets at hundreds of places; only losses prefer one sign.
+    Offsets at hundreds of ticks explain part of any irregular residual, with either sign. Real losses have one sign.
     """
     windows, real, opposite = found.problem.windows, 0.0, 0.0
     responses = _responses(found.problem, found.fit, index, spans, sent)
     for response, own, log in zip(responses, spans, windows.log, strict=True):
         given = sent[log][own[0] - 1 : own[-1] + 1]
         lost = found.logs[log].lost[own]
-        # What the residuals are if nothing was lost.
+        # Residuals if nothing was lost.
         without = response.residual + response.change @ offset_of(given, lost)
         turned = response._replace(residual=-without)
         other = pattern(turned, given, np.zeros_like(lost), found.price, found.price)
@@ -199,7 +202,7 @@ def _counted(
     lost = np.concatenate([shown.lost for shown in logs])
     worth = np.concatenate([shown.worth for shown in logs])
     searched = lost | (worth > price)
-    # A tick that is worth hardly more than its price is missed half the time.
+    # Half of the losses whose fall of chi2 is hardly above the price are missed, so only clear ticks are counted.
     clear = worth > CLEAR * price
     clear = clear if clear.sum() >= MIN_CLEAR_TICKS else searched
     counts = int((lost & clear).sum()), int(clear.sum()), int(searched.sum()), int(lost.sum())
@@ -207,19 +210,19 @@ def _counted(
 
 
 def _spans(windows: Windows) -> list[np.ndarray]:
-    """Per window, the ticks that may act in it."""
+    """Return for each window the ticks that may act in it."""
     spans = []
     for w, log in enumerate(windows.log):
         t = windows.commands[log].t
         first = int(np.searchsorted(t, windows.t0[w] - BEFORE * windows.length, side="right")) - 1
         last = int(np.searchsorted(t, windows.t0[w] + windows.length))
-        # The first command of a log has nothing before it that could be held.
+        # The first command of a log has no previous command that could be held.
         spans.append(np.arange(max(first, 1), max(last, 2)))
     return spans
 
 
 def _acting(windows: Windows, index: int, patterns: Sequence[np.ndarray]) -> Windows:
-    """Windows with the commands that acted."""
+    """Return the windows with the commands that acted."""
     commands = []
     for command, lost in zip(windows.commands, patterns, strict=True):
         value = np.array(command.value, dtype=float)
@@ -239,19 +242,19 @@ def _search(
     share: float,
     part: float,
 ) -> tuple[list[Shown], float, bool]:
-    """One search of all windows.
+    """Search all windows once.
 
     Args:
-        problem, fit: Model under the pattern before.
-        index: Which command.
+        problem, fit: Model under the previous pattern.
+        index: Index of the command channel.
         spans: Ticks of each window.
         sent: Commands of each log.
-        before: Pattern before, of each log.
-        share: Share of lost ticks that is expected.
-        part: No tick is taken that wins less than this part of what the best one does.
+        before: Previous pattern of each log.
+        share: Expected share of lost ticks.
+        part: Share of the best tick's fall of chi2 that a tick needs.
 
     Returns:
-        The ticks of every log, the price of a tick, and whether all that are worth it could be taken.
+        The ticks of every log, the price of a tick, and whether the price alone limited the search.
     """
     windows = problem.windows
     price = max(2.0 * math.log((1.0 - share) / share), 0.0)
@@ -262,7 +265,7 @@ def _search(
         worth = 2.0 * step * (response.residual @ response.change) - step**2 * response.size
         most = max(most, float(worth.max(initial=0.0)))
     bar = max(price, part * most)
-    # Where windows overlap a tick is lost if one of them says so.
+    # In overlapping windows, a tick is lost if it is lost in one of them.
     logs = [Shown(np.zeros_like(p), np.zeros(len(p))) for p in before]
     for response, own, log in zip(responses, spans, windows.log, strict=True):
         given = sent[log][own[0] - 1 : own[-1] + 1]
@@ -275,7 +278,7 @@ def _search(
 def _responses(
     problem: FitProblem, fit: Fit, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
 ) -> Iterator[Responses]:
-    """For each window, what its measurements do when a command in one of its ticks is another one."""
+    """Yield for each window the responses of its measurements to an offset of the command in each of its ticks."""
     problem, fit = problem.as_fitted(fit)
     windows, states = problem.windows, fit.state.shape[1]
     system = acting_system(problem, fit)
@@ -324,17 +327,17 @@ def _responses(
 def _ring(
     windows: Windows, index: int, ring: int, sent: Sequence[np.ndarray]
 ) -> tuple[tuple[CommandSeries, ...], list[np.ndarray]]:
-    """For each log and each place in a ring of ticks, the commands with an offset in every tick of that place, so that
-    no window sees two of them; and the offsets of every log.
+    """Return the commands with an offset in every ``ring``-th tick, for each log and each first tick, and the offsets.
 
-    The offset is what a loss of the tick makes: what acts on commands need not be smooth.
+    A window has at most ``ring`` ticks, so it contains at most one offset. The offset equals that of a loss of the
+    tick, because the response to a command need not be linear.
     """
     commands, sizes = [], []
     for number, command in enumerate(windows.commands):
         acted = np.array(command.column(index), dtype=float)
         offset = np.append(0.0, acted[:-1] - sent[number][1:])
         least = SMALL * max(float(np.abs(sent[number]).max(initial=0.0)), 1e-12)
-        # A tick whose loss changes nothing by itself still does beside other losses.
+        # A tick whose loss alone changes nothing can matter together with other losses.
         offset = np.where(np.abs(offset) < least, least, offset)
         place = np.arange(len(acted)) % ring
         for k in range(ring):

@@ -1,10 +1,10 @@
-"""Which ticks of a window were lost: patterns grow tick by tick in the order of time, and the best go on.
+"""Search for the pattern of lost ticks in a window: patterns grow tick by tick, and the best are kept.
 
-Two patterns that differ in one tick are told apart only by measurements after it, so none is decided on at once. The
-best one is then changed tick by tick as long as that helps.
+Only later measurements can distinguish two patterns that differ in one tick, so many patterns are kept in parallel.
+The best pattern is then improved one tick at a time.
 
 Source: M-algorithm of sequence detection (Anderson and Mohan 1984, "Sequential coding algorithms"), on innovations
-    that take the window's initial state for unknown.
+    for an unknown initial state of the window.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-KEPT = 256  # patterns that go on from tick to tick
-DIFFUSE = 1e8  # variance of the initial state before a window, in units of that after it
-NO_SLOPE = 1e-12  # share of the largest slope below which a direction of the initial state does nothing
-NEAR = 3  # ticks around a lost one that are turned over together with a neighbour
-MOST_CHANGES = 400  # of a window's pattern
+KEPT = 256  # patterns that are kept from tick to tick
+DIFFUSE = 1e8  # prior variance of the initial state of a window, over its posterior variance
+NO_SLOPE = 1e-12  # share of the largest slope below which a direction of the initial state has no effect
+NEAR = 3  # distance [ticks] from a lost tick within which neighbouring ticks are changed together
+MOST_CHANGES = 400  # largest number of changes of a window's pattern
 
 
 class Responses(NamedTuple):
-    """What offsets of a window's commands do to its measurements, in the order of time.
+    """Responses of a window's measurements to offsets of its commands, in the order of time.
 
     Attributes:
-        change: (S, K) of every sample to a unit offset in each tick, in noise standard deviations; what an unknown
-            initial state can do is taken out.
-        residual: (S,) of the model, under the pattern before.
-        until: (K,) number of samples before the tick that follows.
+        change: (S, K) change of every sample by a unit offset in each tick, in noise standard deviations; the part
+            that an unknown initial state explains is removed.
+        residual: (S,) residuals of the model under the previous pattern.
+        until: (K,) number of samples before the next tick.
     """
 
     change: np.ndarray
@@ -45,19 +45,18 @@ class Responses(NamedTuple):
 def innovations(
     state: np.ndarray, change: np.ndarray, residual: np.ndarray, t: np.ndarray, ticks: np.ndarray
 ) -> Responses:
-    """Responses in which every sample tells only what those before it and an unknown initial state do not.
+    """Return the responses as innovations: earlier samples and an unknown initial state are projected out.
 
-    Source: recursive least squares, which is the Kalman filter of a state that stays (Ljung, System Identification,
-        11.2).
+    Source: recursive least squares, the Kalman filter of a constant state (Ljung, System Identification, 11.2).
 
     Args:
-        state: (S, n) slopes of the samples by the initial state.
-        change: (S, K) by a unit offset in each tick.
+        state: (S, n) derivatives of the samples by the initial state.
+        change: (S, K) change of the samples by a unit offset in each tick.
         residual: (S,) residuals.
         t: (S,) times of the samples [s].
         ticks: (K,) times of the ticks [s].
     """
-    # Samples at which the simulation of an offset diverges say nothing.
+    # Samples at which the simulation of an offset diverges are left out.
     seen = np.isfinite(state).all(1) & np.isfinite(change).all(1) & np.isfinite(residual)
     state, change, residual, t = state[seen], change[seen], residual[seen], t[seen]
     order = np.argsort(t, kind="stable")
@@ -78,11 +77,11 @@ def innovations(
 
 
 def held_over(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
-    """Commands that acted when these ticks were lost: each holds what acted before it.
+    """Return the commands that acted if these ticks were lost: a lost tick holds the previous acting command.
 
     Args:
         sent: (K,) or (K, m) commands.
-        lost: (L,) numbers of the lost ones.
+        lost: (L,) indices of the lost ones.
     """
     source = np.arange(len(sent))
     source[lost] = 0
@@ -90,24 +89,24 @@ def held_over(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
 
 
 def offset_of(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
-    """(K,) what acts less what was sent, when these of K ticks are lost; (K + 1,) commands with the one before."""
+    """Return (K,) acting minus sent command if these of K ticks are lost; ``sent`` (K + 1,) begins one tick earlier."""
     return held_over(sent, 1 + np.flatnonzero(lost))[1:] - sent[1:]
 
 
 def pattern(
     responses: Responses, sent: np.ndarray, before: np.ndarray, price: float, shows: float
 ) -> np.ndarray:
-    """Which of a window's ticks were lost, (K,); never a worse pattern than the one before.
+    """Return (K,) which ticks of a window were lost; the pattern is never worse than the previous one.
 
     Args:
-        responses: Of this window's ticks.
-        sent: (K + 1,) commands, that before the first tick included.
-        before: (K,) the pattern before, under which the residuals are.
-        price: What a lost tick costs.
-        shows: Fall of the cost that a tick's loss must be able to bring to be looked at.
+        responses: Responses to offsets in this window's ticks.
+        sent: (K + 1,) commands, including the one before the first tick.
+        before: (K,) previous pattern, under which the residuals were computed.
+        price: Cost of a lost tick.
+        shows: Possible fall of the cost from which a tick is considered.
     """
     plain = responses._replace(residual=responses.residual + responses.change @ offset_of(sent, before))
-    # Where commands act late the right pattern may be given up before it shows.
+    # If commands act late, the search may drop the right pattern before the measurements show it.
     best = min((_grown(plain, sent, price, shows), before), key=lambda lost: _cost(plain, sent, lost, price))
     return _turned_over(plain, sent, best, price, shows)
 
@@ -118,7 +117,7 @@ def _cost(plain: Responses, sent: np.ndarray, lost: np.ndarray, price: float) ->
 
 
 def _grown(plain: Responses, sent: np.ndarray, price: float, shows: float) -> np.ndarray:
-    """The best pattern that grows from tick to tick, of residuals without any loss."""
+    """Return the best pattern of the tick-by-tick search, from residuals without any loss."""
     change, until, size = plain.change, plain.until, plain.size
     ticks = len(until)
     offset, lost = np.zeros((1, ticks)), np.zeros((1, ticks), dtype=bool)
@@ -143,7 +142,7 @@ def _grown(plain: Responses, sent: np.ndarray, price: float, shows: float) -> np
 def _turned_over(
     plain: Responses, sent: np.ndarray, lost: np.ndarray, price: float, shows: float
 ) -> np.ndarray:
-    """A pattern with ticks turned over one by one, or with neighbours, as long as that lowers its cost."""
+    """Change single ticks, or neighbouring ticks together, as long as this lowers the cost of the pattern."""
     gram = plain.change.T @ plain.change
     lost, worth = lost.copy(), np.diff(sent) ** 2 * np.diag(gram) > shows
     offset = offset_of(sent, lost)
@@ -169,7 +168,7 @@ def _turned_over(
 
 
 def _turns(worth: np.ndarray, lost: np.ndarray) -> Iterator[list[np.ndarray]]:
-    """Ticks to turn over: each alone, then, as a loss that was put a tick off does not move alone, with neighbours."""
+    """Groups of ticks to change: single ticks first, then neighbours together, which moves a loss by a tick."""
     yield [np.array([k]) for k in np.flatnonzero(worth | lost)]
     near = np.unique(np.flatnonzero(lost)[:, None] + np.arange(-NEAR, NEAR + 1))
     near = near[(near >= 0) & (near < len(lost))]

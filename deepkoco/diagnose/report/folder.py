@@ -22,7 +22,7 @@ from deepkoco.pages.links import Link
 from deepkoco.systems import save_model
 
 DPI = 130  # of the pictures that lie beside the page
-COLOURS_OF_A_PICTURE = 128  # enough for lines and text, and a third of the bytes
+COLOURS_OF_A_PICTURE = 128  # enough for lines and text; the file is a third as large
 
 
 def write_report(
@@ -32,7 +32,7 @@ def write_report(
     links: Sequence[Link] = (),
     made: date | None = None,
 ) -> Path:
-    """Write everything about a diagnosis into a new folder; it appears whole or not at all.
+    """Write a diagnosis into a new folder. The folder appears only when it is complete.
 
     Args:
         diagnosis: What to write.
@@ -79,6 +79,6 @@ def _png(picture: Picture, dpi: int) -> bytes:
     picture.figure.savefig(buffer, format="png", dpi=dpi)
     image = Image.open(buffer).convert("RGB").quantize(COLOURS_OF_A_PICTURE, dither=Image.Dither.NONE)
     small = io.BytesIO()
-    # Pillow writes no version into the file: the same diagnosis gives the same bytes.
+    # Pillow writes no version into the file, so the same diagnosis gives the same bytes.
     image.save(small, format="PNG", optimize=True)
     return small.getvalue()

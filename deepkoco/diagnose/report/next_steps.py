@@ -1,4 +1,4 @@
-"""What to do with a diagnosis: the commands that check its model and train in it."""
+"""Next steps after a diagnosis: commands that check its model and train a controller in it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deepkoco.systems import ExtendedSystem
 
 TRAIN = "deepkoco train"
 """The command that trains a controller."""
-# System -> what chooses its task in the command above. The rod's first task has an integrator of its own.
+# System -> arguments that choose its task in the command above. The first task of the rod uses its own integrator.
 TASKS = {
     "rod_pendulum": "task=pendulum task.id=deepkoco/RodPendulumDelay-v0",
     "pendulum": "task=disk_pendulum",
@@ -19,11 +19,11 @@ TASKS = {
 
 
 class Step(NamedTuple):
-    """One thing to do.
+    """One step.
 
     Attributes:
-        text: What and why.
-        command: To be typed; empty where there is none.
+        text: What to do and why.
+        command: Command or code; empty where there is none.
     """
 
     text: str
@@ -31,11 +31,11 @@ class Step(NamedTuple):
 
 
 def next_steps(diagnosis: Diagnosis, folder: str) -> list[Step]:
-    """What to do with the model that a diagnosis has written; nothing where it has written none.
+    """Return the steps that use the model of a diagnosis; none if it wrote no model.
 
     Args:
         diagnosis: The diagnosis.
-        folder: Of its report, as the commands shall name it.
+        folder: Folder of its report, as the commands name it.
     """
     if diagnosis.verdict == "insufficient":
         return []
@@ -43,7 +43,7 @@ def next_steps(diagnosis: Diagnosis, folder: str) -> list[Step]:
     base = diagnosis.model.base if isinstance(diagnosis.model, ExtendedSystem) else diagnosis.model
     steps = [
         Step(
-            "Record another log and diagnose it with this model. If the model is right, nothing is missing any more.",
+            "Record another log and diagnose it with this model. If the model is right, the verdict is `nothing`.",
             f"deepkoco diagnose OTHER_LOG.csv --system {model} --out {folder}_check",
         )
     ]
@@ -51,7 +51,7 @@ def next_steps(diagnosis: Diagnosis, folder: str) -> list[Step]:
         command = f"{TRAIN} {TASKS[base.name]} +task.kwargs.model={model} run={runs}"
         steps += [
             Step("Train a controller in the extended simulation.", command),
-            Step("See what the controller has learned.", f"deepkoco show {runs}"),
+            Step("Show what the controller has learned.", f"deepkoco show {runs}"),
         ]
     else:
         code = f'from deepkoco.systems import load_model\n\nsystem = load_model("{model}")'

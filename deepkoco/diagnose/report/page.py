@@ -1,4 +1,4 @@
-"""The diagnosis as one self-contained page."""
+"""Report page of a diagnosis: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -20,19 +20,22 @@ from deepkoco.pages.page import render_page
 from deepkoco.pages.units import in_one_unit, less, plain, readable
 
 GLOSSARY = {
-    "window": "A short stretch of the log, about one swing long, that is simulated by itself.",
-    "held out": "Kept away from every fit, to measure how good the result is. Where structure remains, it also decides "
-    "whether causes or a learned load are kept, which makes what is measured a little optimistic.",
-    "refitted simulation": "The simulation as given, its own parameters adjusted to the log within "
-    "what their data sheet allows.",
-    "95 % interval": "Range that holds the true value in 95 of 100 such cases, if the model is right.",
-    "sensor noise, noise variance": "What the sensor adds at random, estimated from the log. An error of 1 noise "
-    "variance per sample is what a perfect simulation leaves.",
-    "BIC": "Bayesian information criterion: how badly a model fits plus a charge for each of its parameters. A fall of "
+    "window": "A short part of the log, about one swing long. Each window is simulated separately.",
+    "held-out window": "A window that no fit uses; it measures the error of the result. Where structure remains, "
+    "held-out windows also decide whether causes or a learned load are kept. The measured error is then slightly "
+    "optimistic.",
+    "structure": "Errors that are larger or more correlated than noise.",
+    "refitted simulation": "The simulation as given, with its own parameters fitted to the log. Each parameter stays "
+    "near the value of its data sheet.",
+    "extended simulation": "The refitted simulation with the named causes, or with a learned load.",
+    "95 % interval": "Range that contains the true value in 95 of 100 such cases, if the model is right.",
+    "sensor noise, noise variance": "Random error of the sensor, estimated from the log. A perfect simulation has a "
+    "mean squared error of 1 noise variance.",
+    "BIC": "Bayesian information criterion: misfit of a model plus a charge for each of its parameters. A fall of "
     "10 is already strong evidence.",
     "missing torque": "Torque (or force) from outside that would make the simulation follow the measurement.",
     "sd": "Standard deviation.",
-    "null value": "Value of a cause's parameter at which the simulation is what it was before.",
+    "null value": "Value of a cause's parameter at which the cause has no effect.",
 }
 
 
@@ -43,13 +46,13 @@ def render(
     links: Sequence[Link] = (),
     made: date | None = None,
 ) -> str:
-    """The page.
+    """Return the HTML of the page.
 
     Args:
-        diagnosis: What to show.
-        pictures: Most telling first.
-        folder: Of the report, as commands on the page name it.
-        links: Ways to other pages.
+        diagnosis: The diagnosis.
+        pictures: Pictures, most informative first.
+        folder: Folder of the report, as commands on the page name it.
+        links: Links to other pages.
         made: Day that the page is made; None takes today's.
     """
     logs = [log["file"] or "a log" for log in diagnosis.data["logs"]]
@@ -71,7 +74,7 @@ def render(
         lead=lead(diagnosis),
         tiles=_tiles(diagnosis),
         steps=next_steps(diagnosis, folder),
-        advice_title="What would settle the rest" if suffices else "What is needed",
+        advice_title="What to record next" if suffices else "What is needed",
         advice=[text for text in diagnosis.advice],
         warnings=[text for log in diagnosis.data["logs"] for text in log["warnings"]],
         pictures=pictures,
@@ -131,7 +134,7 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     gain = diagnosis.gain
     if gain is not None and diagnosis.verdict in ("cause", "ambiguous"):
         text = (
-            "less error than the refitted simulation, on windows kept away from every fit "
+            "less error than the refitted simulation, on held-out windows "
             f"(95 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
         )
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})
@@ -141,8 +144,8 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
         after = c.refit if gain.as_given else c.extended
         (first, second), unit = in_one_unit([c.baseline, after], c.unit)
         text = (
-            f"error of {c.name} on windows kept away from every fit: {first} {unit} by the simulation as given, "
-            f"{second} {unit} by the {last}"
+            f"error of {c.name} on held-out windows: {first} {unit} with the simulation as given, "
+            f"{second} {unit} with the {last}"
         )
         tiles.append({"value": f"{less(c.baseline, after)} error", "text": text})
     return tiles

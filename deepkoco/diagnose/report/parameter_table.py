@@ -1,4 +1,4 @@
-"""The simulation's own parameters, as given and as model.yaml has them, in readable units."""
+"""Table of the simulation's own parameters, as given and in model.yaml, in readable units."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from deepkoco.diagnose.diagnosis import Diagnosis, Estimate
 from deepkoco.diagnose.report.text import spoken
 from deepkoco.pages.units import in_one_unit
 
-NOTABLE = 2.0  # standard deviations of the prior from which a change is set off
+NOTABLE = 2.0  # standard deviations of the prior from which a change is highlighted
 
 
 class ParameterRow(NamedTuple):
@@ -20,7 +20,7 @@ class ParameterRow(NamedTuple):
         final: Value in model.yaml.
         interval: Its 95 % interval.
         refit: Value of the refit without the named cause.
-        notable: Whether the final value lies far from the one given.
+        notable: Whether the final value is far from the mean of its prior.
     """
 
     name: str
@@ -32,7 +32,7 @@ class ParameterRow(NamedTuple):
 
 
 def parameter_rows(diagnosis: Diagnosis) -> list[ParameterRow]:
-    """A row for each of the simulation's own parameters; none without details."""
+    """Return a row for each of the simulation's own parameters; none without details."""
     details = diagnosis.details
     if details is None:
         return []
@@ -55,11 +55,11 @@ def parameter_rows(diagnosis: Diagnosis) -> list[ParameterRow]:
 
 
 def interval(estimate: Estimate, fixed: str = "kept as given") -> str:
-    """The 95 % interval of an estimate in words.
+    """Return the 95 % interval of an estimate as text.
 
     Args:
         estimate: The estimate.
-        fixed: What is said of one without width.
+        fixed: Text for an interval without width.
     """
     if not estimate.low < estimate.high:
         return fixed

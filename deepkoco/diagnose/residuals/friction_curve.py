@@ -1,4 +1,4 @@
-"""The friction of a joint over its speed, with the band that the data leave."""
+"""Friction of a joint over its speed, with its 95 % band."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from deepkoco.fit.fit import Fit
 from deepkoco.systems import ExtendedSystem, Motion
 
 SPEEDS = 81
-DRAWS = 400  # from the fit's normal approximation
-SEED = 0  # of the draws: the same diagnosis gives the same curve
-SURELY = 2.0  # times the half width of the 95 % band by which a curve must lie below 0
+DRAWS = 400  # draws from the fit's normal approximation
+SEED = 0  # of the draws, so that the same diagnosis gives the same curve
+DRIVING_MARGIN = 2.0  # half widths of the 95 % band by which a driving curve must lie below 0
 SLOWEST = 0.05  # share of the largest speed below which dry friction is smoothed
 
 
 class FrictionCurve(NamedTuple):
-    """Load against the motion over the speed of one joint, all (n,)."""
+    """Load against the motion, over the speed of one joint; all (n,)."""
 
     speed: np.ndarray  # per second
     load: np.ndarray  # N m or N
@@ -29,18 +29,18 @@ class FrictionCurve(NamedTuple):
 def friction_curve(
     system: ExtendedSystem, fit: Fit, joint: int, fastest: float, inflation: float
 ) -> FrictionCurve:
-    """Friction of a joint under a fitted model.
+    """Return the friction of a joint in a fitted model.
 
-    It is the part of the load on the joint that is odd in its speed, everything else at rest: the weight and what
-    the motor does at zero speed cancel. Single parameters of friction laws are often not told apart (more viscous
-    and less quadratic fit alike); the curve is what the data do say.
+    Friction is the part of the load that is odd in the speed of the joint, with all other joints at rest. The weight
+    and the motor's effort at zero speed cancel. Data often cannot distinguish single parameters of friction laws
+    (more viscous and less quadratic friction fit alike), but they determine the curve.
 
     Args:
         system: The system with every effect.
         fit: The model.
-        joint: Which joint.
+        joint: Index of the joint.
         fastest: Largest speed, per second.
-        inflation: Variance of what the model leaves, in noise variances.
+        inflation: Variance of the residuals, in noise variances.
     """
     names = [p.name for p in system.parameters]
     acting = tuple({n.split(".")[0] for n in names if "." in n})
@@ -81,7 +81,7 @@ def _odd_load(model: ExtendedSystem, named: dict, joint: int, speed: torch.Tenso
 
 
 def pushes(curve: FrictionCurve) -> bool:
-    """Whether a friction clearly drives the joint at some speed, as none can."""
+    """Return whether the curve clearly drives the joint at some speed, which no friction does."""
     with_motion = curve.speed > SLOWEST * curve.speed.max()
-    highest = curve.load + SURELY * (curve.high - curve.load)
+    highest = curve.load + DRIVING_MARGIN * (curve.high - curve.load)
     return bool((highest < 0.0)[with_motion].any())

@@ -1,4 +1,4 @@
-"""The missing torque that the named causes would leave, were they the whole truth."""
+"""Missing torque that is expected if the named causes are the only ones."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from deepkoco.fit.fit import FitProblem
 
 
 def expected_missing_torque(details: Details, joint: int) -> np.ndarray:
-    """(W, K) [N m or N]: the refitted baseline's missing torque on noise-free data of the final model.
+    """Return the missing load (W, K) [N m or N] of the refitted baseline on noise-free data of the final model.
 
-    The residual measured - refit is replaced by final - refit, and deconvolved in the same way, so that
-    what the refit absorbs of a cause is taken into account.
+    The residual measured - refit is replaced by final - refit and deconvolved in the same way. The result therefore
+    lacks the part of a cause that the refit absorbs, as the missing load of the log does.
     """
     clean = replace(details.refit, residual=details.refit.residual - details.final.residual)
     return missing_torque(FitProblem(details.system, details.windows), clean, details.inflation)[joint].torque

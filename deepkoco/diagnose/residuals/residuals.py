@@ -1,4 +1,4 @@
-"""What a fitted model leaves: whiteness, overdispersion, and the torque that is missing."""
+"""Residuals of a fit: limits of whiteness and chi2, and the missing torque by deconvolution."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ __all__ = [
 ]
 
 SLOTS = 20  # pieces of a window over each of which a missing torque is held constant
-COLOURED = 5.0  # standard deviations of the correlation that white residuals have by chance
-LEFT = 4.0  # of their chi2
-REACH = 1.5  # slots over which missing torques are alike: keeps the deconvolution from ringing
+MAX_CORRELATION_SD = 5.0  # standard deviations of the correlation that white residuals have by chance
+MAX_CHI2_SD = 4.0  # standard deviations of the chi2 that white residuals have by chance
+SMOOTHING_SLOTS = 1.5  # correlation length of the missing torque; it keeps the deconvolution from ringing
 
 
-def coloured_from(windows: Windows, deviations: float = COLOURED) -> float:
-    """Correlation of neighbouring residuals from which they are not white.
+def coloured_from(windows: Windows, deviations: float = MAX_CORRELATION_SD) -> float:
+    """Return the correlation of neighbouring residuals from which they are not white.
 
     Args:
         windows: The windows.
-        deviations: How many standard deviations that is.
+        deviations: The limit in standard deviations of the correlation of white residuals.
     """
     return deviations / math.sqrt(windows.samples)
 
 
-def white_limit(windows: Windows, deviations: float = LEFT) -> float:
-    """chi2 per sample above which residuals hold more than noise.
+def white_limit(windows: Windows, deviations: float = MAX_CHI2_SD) -> float:
+    """Return the chi2 per sample above which residuals contain more than noise.
 
     Args:
         windows: The windows.
-        deviations: How many standard deviations of chi2 / N that is, what is uncertain in the noise itself included.
+        deviations: The limit in standard deviations of chi2 per sample, including the uncertainty of the noise itself.
     """
     samples = windows.samples
     per_channel = [int(windows.valid[:, c].sum()) for c in range(windows.valid.shape[1])]
@@ -69,10 +69,10 @@ class MissingTorque:
         log: (W,) log of each window.
         torque: (W, K) [N m].
         sd: (W, K) its standard deviation [N m].
-        theta: (W, K) modelled angle there [rad].
-        omega: (W, K) modelled speed there [rad/s].
-        score: (W, K) fall of chi2 when a push is allowed in that slot alone.
-        single: (W, K) the torque of that lone push [N m].
+        theta: (W, K) modelled angle in the slot [rad].
+        omega: (W, K) modelled speed in the slot [rad/s].
+        score: (W, K) fall of chi2 if a push acts in that slot alone.
+        single: (W, K) torque of that single push [N m].
         name: Name of the joint.
     """
 
@@ -100,18 +100,18 @@ class MissingTorque:
 
 
 def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tuple[MissingTorque, ...]:
-    """Deconvolve the residuals of a fit into loads on the joints, constant over slots of the windows.
+    """Deconvolve the residuals of a fit into missing loads on the joints, constant over slots of the windows.
 
-    The response of every window to a unit load in every slot is simulated; the loads are the posterior mean
-    under a smooth normal prior whose spread maximises the marginal likelihood.
+    The response of every window to a unit load in every slot is simulated. The loads are the posterior mean under a
+    smooth normal prior, whose standard deviation maximises the marginal likelihood.
 
     Args:
         problem: Windows.
-        fit: Model whose residuals are explained.
-        inflation: Factor by which the residuals' variance exceeds that of the sensors.
+        fit: Model whose residuals are deconvolved.
+        inflation: Variance of the residuals over that of the sensor noise.
 
     Returns:
-        One for each joint.
+        The missing load of each joint.
     """
     problem, fit = problem.as_fitted(fit)
     windows, system = problem.windows, problem.system
@@ -148,7 +148,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     energy = (response**2).sum(1)
     match = (response * residual).sum(1)
     distance = torch.arange(SLOTS, dtype=torch.float64)
-    kernel = torch.exp(-0.5 * ((distance[:, None] - distance) / REACH) ** 2)
+    kernel = torch.exp(-0.5 * ((distance[:, None] - distance) / SMOOTHING_SLOTS) ** 2)
     root = torch.linalg.cholesky(kernel + 1e-6 * torch.eye(SLOTS))
     torque, sd = _posterior(
         response / inflation**0.5,
@@ -178,7 +178,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
 
 
 def acting_system(problem: FitProblem, fit: Fit) -> ExtendedSystem:
-    """The base with the effects that a fit does not leave at their null values."""
+    """Return the base system with those effects whose fitted parameters differ from null."""
     full = ExtendedSystem(problem.system.base, tuple(e.name for e in problem.system.effects))
     null = {p.name: p.value for p in full.parameters}
     moved = {n.split(".")[0] for n in null if "." in n and fit.values[n] != null[n]}
@@ -186,7 +186,7 @@ def acting_system(problem: FitProblem, fit: Fit) -> ExtendedSystem:
 
 
 def push_of(problem: FitProblem, theta: np.ndarray) -> Tensor | None:
-    """Load (J, 1, W, n) of the push in a parameter vector (P,), None if there is none."""
+    """Return the load (J, 1, W, n) of the push in a parameter vector (P,); None without a push."""
     return push_torque(problem.windows, theta[None, -len(Push.NAMES) :], problem.system.joints)
 
 
@@ -196,11 +196,11 @@ def _path(problem: FitProblem, system: ExtendedSystem, named: dict[str, Tensor],
 
 
 def _posterior(response: Tensor, residual: Tensor, root: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Posterior mean and standard deviation (W, K) under the spread of best marginal likelihood.
+    """Return posterior mean and standard deviation (W, K) under the prior of highest marginal likelihood.
 
     Args:
-        response: (W, NM, K) of the measurements to a unit torque in each slot.
-        residual: (W, NM, 1).
+        response: (W, NM, K) response of the measurements to a unit torque in each slot.
+        residual: (W, NM, 1) residuals.
         root: (K, K) square root of the prior's correlation between slots.
     """
     response = response @ root

@@ -1,7 +1,7 @@
-"""Causes that change how measurements scatter about the simulation, not where they are expected.
+"""Tests of the noise causes, which change the scatter of the measurements and not their mean.
 
-Each test compares the likelihood of the final residuals under white noise of one size with that under noise
-of a shape; with the shape's parameter at null the two are the same.
+Each test is a likelihood ratio of the final residuals: under white noise of constant size, and under the noise of the
+cause. At the null value of the cause's parameter, both are the same.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from deepkoco.fit.fit import Fit
 from deepkoco.logs.quantum import quantum_of
 from deepkoco.systems import System
 
-SPEC = 0.15  # relative uncertainty of the noise that a data sheet gives
-FLOORS = np.geomspace(1e-3, 1.0, 60)  # share of a channel's variance that jitter leaves unexplained
-COARSE = 2.0  # steps of a grid, in noises of the data sheet, from which rounding is worth naming
+SPEC = 0.15  # relative uncertainty of the noise in a data sheet
+FLOORS = np.geomspace(1e-3, 1.0, 60)  # share of a channel's variance that jitter does not explain
+COARSE = 2.0  # step of a grid, over the noise of the data sheet, from which rounding is named
 GRID_CHANCE = 0.1  # chance that one sample of a continuous channel lies within 5 % of a grid line
 
 
 class Scatter(NamedTuple):
-    """What the tests look at."""
+    """System, windows and final fit that the tests use."""
 
     system: System
     windows: Windows
@@ -41,7 +41,7 @@ class Verdict(NamedTuple):
 
 
 def jitter(view: Scatter, _: int) -> Verdict | None:
-    """Stamps that scatter by tau: the variance of a channel grows by (tau times its rate)^2."""
+    """Test for time stamps with standard deviation tau: the variance of a channel grows by (tau times its rate)^2."""
     pieces = []
     for c in range(view.windows.valid.shape[1]):
         residual, slope = residual_and_slope(view.windows, view.fit, c)
@@ -52,7 +52,7 @@ def jitter(view: Scatter, _: int) -> Verdict | None:
     largest = max(float(np.sqrt((slope**2).mean())) for _, slope in pieces)
     if not largest > 0.0:
         return None
-    # Jitter of which one standard deviation moves a typical sample by 0.03 to 30 noises.
+    # The grid covers jitter whose standard deviation moves a typical sample by 0.03 to 30 noise standard deviations.
     grid = np.geomspace(0.03, 30.0, 16) / largest
     ratio = np.array([_heteroscedastic(pieces, tau) for tau in grid])
     near = grid[max(int(ratio.argmax()) - 1, 0)], grid[min(int(ratio.argmax()) + 1, len(grid) - 1)]
@@ -66,11 +66,11 @@ def jitter(view: Scatter, _: int) -> Verdict | None:
 
 
 def noise_level(view: Scatter, channel: int) -> Verdict | None:
-    """A channel whose noise exceeds that of its data sheet."""
+    """Test whether the noise of a channel exceeds that of its data sheet."""
     declared, found = view.system.measurements[channel].noise_sd, view.windows.noise[channel]
     if not declared > 0.0 or not bool(view.windows.valid[:, channel].any()):
         return None
-    # A channel in another unit has its noise in that unit, too.
+    # If the channel has a wrong unit, its noise has the same wrong unit.
     slip = view.fit.values.get(f"channel_slip({view.system.measurements[channel].name}).factor", 1.0)
     factor = found.sd / (declared * abs(slip))
     if factor <= 1.0 or _grid(view, channel) > declared * abs(slip):
@@ -82,7 +82,7 @@ def noise_level(view: Scatter, channel: int) -> Verdict | None:
 
 
 def quantisation(view: Scatter, channel: int) -> Verdict | None:
-    """A channel that takes the values of a grid that is coarse against the noise of its data sheet."""
+    """Test whether the values of a channel lie on a grid that is coarse against the noise of its data sheet."""
     declared, step = view.system.measurements[channel].noise_sd, _grid(view, channel)
     if not step > COARSE * declared:
         return None
@@ -96,7 +96,7 @@ def _grid(view: Scatter, channel: int) -> float:
 
 
 def residual_and_slope(windows: Windows, fit: Fit, c: int) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened residuals of a channel and its whitened rate of change [1/s], where neighbours allow one."""
+    """Return whitened residuals of a channel and its whitened rate of change [1/s], from windows with five samples."""
     sd = windows.noise[c].sd
     residuals, slopes = [], []
     for w in range(len(windows)):
@@ -114,7 +114,7 @@ def residual_and_slope(windows: Windows, fit: Fit, c: int) -> tuple[np.ndarray, 
 
 
 def _heteroscedastic(pieces: list[tuple[np.ndarray, np.ndarray]], tau: float) -> float:
-    """Gain of the likelihood when variances are a_c + (tau slope)^2, with the best a_c of each channel."""
+    """Return the likelihood ratio of the variances a_c + (tau slope)^2, with the best a_c of each channel."""
     total = 0.0
     for residual, slope in pieces:
         square = residual**2

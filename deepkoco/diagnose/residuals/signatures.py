@@ -1,8 +1,7 @@
-"""Signatures of timing and of sensors in what a model leaves: evidence for a reader, no verdict.
+"""Signatures of the residuals: statistics for the reader that do not change the verdict.
 
-A cause of the catalogue is named by its likelihood. These statistics say what the residuals look like, also where
-nothing is named: stamps that scatter, readings that repeat, values on a grid. (Lost commands leave no such mark; they
-are searched for tick by tick: deepkoco.diagnose.lost_commands.search.)
+They describe the residuals also where no cause is named: scattered time stamps, repeated readings, values on a grid.
+Lost commands leave no such signature; :mod:`deepkoco.diagnose.lost_commands.search` searches for them tick by tick.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from deepkoco.fit.fit import Fit
 from deepkoco.logs.quantum import quantum_of
 from deepkoco.systems import System
 
-CHANCE = 5.0  # standard deviations of a correlation of unrelated samples
+CHANCE = 5.0  # limit of a correlation by chance, in standard deviations of unrelated samples
 MIN_SAMPLES = 40  # samples that a correlation needs
-REPEATED = 0.005  # share of readings that repeat the one before, from which it is worth telling
-COARSE = 1.0  # noises of the channel that a step of a grid must reach
+REPEATED = 0.005  # share of repeated readings from which they are reported
+COARSE = 1.0  # step of a grid, in noise standard deviations of the channel, from which it is reported
 
 
 def signatures(system: System, windows: Windows, fit: Fit) -> tuple[Evidence, ...]:
-    """The signatures that hold.
+    """Return the signatures whose statistic exceeds its threshold.
 
     Args:
-        system: Names the channels.
+        system: System that names the channels.
         windows: Training windows.
         fit: The final model on them.
     """
@@ -37,14 +36,15 @@ def signatures(system: System, windows: Windows, fit: Fit) -> tuple[Evidence, ..
     for c, channel in enumerate(system.measurements):
         if bool(windows.valid[:, c].any()):
             repeated = repeated_readings(windows, c, channel.name)
-            # A reading that is older than its stamp errs with the rate, too, however regular the stamps are.
+            # Repeated readings are older than their stamps. Their errors also grow with the rate, even if the stamps
+            # are regular, so scattered stamps are not tested then.
             scattered = scattered_stamps(windows, fit, c, channel.name) if repeated is None else None
             found += [scattered, repeated, value_grid(windows, c, channel.name, channel.unit)]
     return tuple(e for e in found if e is not None)
 
 
 def scattered_stamps(windows: Windows, fit: Fit, index: int, name: str) -> Evidence | None:
-    """Squared residuals that grow with the squared rate of a channel, while the residuals are white."""
+    """Test whether the squared residuals of a channel grow with its squared rate while the residuals are white."""
     residual, slope = residual_and_slope(windows, fit, index)
     limit = CHANCE / math.sqrt(max(len(residual), 1))
     if len(residual) < MIN_SAMPLES or dispersion(fit, windows).lag_one > 5.0 / math.sqrt(windows.samples):
@@ -53,14 +53,14 @@ def scattered_stamps(windows: Windows, fit: Fit, index: int, name: str) -> Evide
     if not found > limit:
         return None
     text = (
-        f"Squared errors of {name} grow with its squared rate of change (correlation {found:.2f}; chance stays within "
-        f"{limit:.2f}) while neighbouring errors are not alike: its time stamps scatter."
+        f"The time stamps of {name} scatter: its squared errors grow with its squared rate of change (correlation "
+        f"{found:.2f}; chance stays within {limit:.2f}), and neighbouring errors are not correlated."
     )
     return Evidence("scattered_stamps", found, limit, text)
 
 
 def repeated_readings(windows: Windows, index: int, name: str) -> Evidence | None:
-    """Readings that are the same as the one before to the last digit, where values lie on no grid."""
+    """Test whether readings repeat the previous one to the last digit although the values lie on no grid."""
     value, valid = windows.value[:, index].numpy(), windows.valid[:, index].numpy()
     pairs = valid[:, 1:] & valid[:, :-1]
     if pairs.sum() < MIN_SAMPLES or quantum_of(value[valid]) > 0.0:
@@ -70,19 +70,22 @@ def repeated_readings(windows: Windows, index: int, name: str) -> Evidence | Non
     if not (share > REPEATED and same.sum() >= 5):
         return None
     text = (
-        f"{100 * share:.1f} % of the readings of {name} repeat the one before to the last digit (noise lets none): "
-        "readings are held (the sensor is slower than the log), clipped, or lost and the last one written again."
+        f"{100 * share:.1f} % of the readings of {name} repeat the previous one to the last digit, which noise would "
+        "prevent. Possible reasons: the sensor is slower than the log, it clips, or readings were lost and replaced "
+        "by the previous one."
     )
     return Evidence("repeated_readings", share, REPEATED, text)
 
 
 def value_grid(windows: Windows, index: int, name: str, unit: str) -> Evidence | None:
-    """Values that all lie on a grid whose steps show against the noise."""
+    """Test whether all values lie on a grid whose step is larger than the noise."""
     step = quantum_of(windows.value[:, index][windows.valid[:, index]].numpy())
     found = step / windows.noise[index].sd
     if not found > COARSE:
         return None
-    text = f"All values of {name} lie on a grid of {step:.3g} {unit}, {found:.1f} times its noise: it is rounded."
+    text = (
+        f"{name} is rounded: all its values lie on a grid of {step:.3g} {unit}, {found:.1f} times its noise."
+    )
     return Evidence("value_grid", found, COARSE, text)
 
 

@@ -1,4 +1,4 @@
-"""At which frequency a missing load comes back, if at any."""
+"""Spectrum of the missing load: its strongest line."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from scipy.signal import lombscargle
 
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 
-MIN_FREQUENCIES = 400  # frequencies
+MIN_FREQUENCIES = 400  # in the periodogram
 OVERSAMPLING = (
-    4.0  # frequencies for each that is independent: a line between two of them loses a tenth at most
+    4.0  # frequencies for each independent one; a line between two of them loses at most a tenth of its power
 )
 
 
 def spectrum_of(missing: Sequence[MissingTorque]) -> dict[str, float]:
-    """Strongest line of the load at the joint where most is missing.
+    """Return the strongest line of the missing load, at the joint whose load is largest against its uncertainty.
 
-    Windows lie apart and slots may be left out, so the periodogram is that of Lomb and Scargle, from one period in the
-    whole log to one in four slots.
+    Windows have gaps between them, so the Lomb-Scargle periodogram is used. It ranges from one period in the whole
+    log to one period in four slots.
 
     Returns:
-        ``peak_rad_s``; ``peak_share``, the part of the power that a sine of this frequency takes away (0 to 1); and
-        ``chance_share``, which white noise of as many slots exceeds once in a hundred.
+        ``peak_rad_s``; ``peak_share``, the share of the power that a sine of this frequency explains (0 to 1); and
+        ``chance_share``, which white noise in the same number of slots exceeds with probability 1 %.
 
-    Source: Scargle, Astrophysical Journal 263, 1982; the level of chance from the maximum of independent exponentials.
+    Source: Scargle, Astrophysical Journal 263, 1982; ``chance_share`` from the maximum of independent exponentials.
     """
     loudest = max(missing, key=lambda m: float(((m.torque / m.sd) ** 2).mean()))
-    # Logs have clocks of their own: a line is looked for in the longest one.
+    # Each log has its own clock, so only the log with the most windows is used.
     log = int(np.bincount(loudest.log).argmax())
     own = loudest.log == log
     time, load = loudest.time[own].ravel(), loudest.torque[own].ravel()

@@ -1,4 +1,4 @@
-"""Whether a fit leaves noise: what bends to anything is believed only if nothing else is left."""
+"""Test whether only noise is left: flexible causes are named only if it is."""
 
 from __future__ import annotations
 
@@ -8,26 +8,24 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.dispersion import dispersion
 
-DOUBTFUL = 2.0  # standard deviations of noise's own chi2 and correlation
+MAX_SD = 2.0  # standard deviations of the chi2 and the correlation of noise
 
 
 def more_than_noise(fit: Fit, windows: Windows, start: Baseline) -> str | None:
-    """What a fit leaves that noise has not, as a clause of a sentence; None where it leaves noise.
+    """Return in words how the residuals of a fit exceed noise; None if only noise is left.
 
     Args:
         fit: The fit.
         windows: Its windows.
-        start: The baseline, whose healthy logs tell what is left of a unit in which nothing is wrong.
+        start: The baseline, whose healthy logs give floor and correlation of the unit when nothing is wrong.
     """
-    chi2, most = fit.chi2 / windows.samples, white_limit(windows, DOUBTFUL) * start.floor
+    chi2, most = fit.chi2 / windows.samples, white_limit(windows, MAX_SD) * start.floor
     if chi2 > most:
-        return f"chi2 per sample is {chi2:.3g}, where noise leaves up to {most:.3g}"
+        return f"chi2 per sample is {chi2:.3g} (noise: up to {most:.3g})"
     lag_one, alike = (
         dispersion(fit, windows).lag_one,
-        coloured_from(windows, DOUBTFUL) + start.healthy_lag_one,
+        coloured_from(windows, MAX_SD) + start.healthy_lag_one,
     )
     if lag_one > alike:
-        return (
-            f"neighbouring residuals have a correlation of {lag_one:.2g}, where noise has up to {alike:.2g}"
-        )
+        return f"the correlation of neighbouring residuals is {lag_one:.2g} (noise: up to {alike:.2g})"
     return None

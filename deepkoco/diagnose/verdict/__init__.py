@@ -1,1 +1,1 @@
-"""From selected causes to a verdict: named, ambiguous, unknown or nothing."""
+"""Verdict on the selected causes, with findings and advice."""

@@ -1,4 +1,4 @@
-"""Which experiment would settle what a log leaves open: computed for the unit and the sizes that the log shows."""
+"""Advice: experiments that would distinguish the causes of a class, computed for the unit and the fitted sizes."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import ExtendedSystem, System
 
 SECONDS = 10.0  # length of the experiments that are compared
-TRIED = 6  # sequences of each family
-SEEN = 1.0  # likelihood ratio against the refit, below which a cause shows too little to be compared
-MOST = 5  # causes of a class that are compared
+SEQUENCES_PER_FAMILY = 6
+MIN_LIKELIHOOD_RATIO = 1.0  # against the refit; a cause below it is too small to be compared
+MAX_COMPARED = 5  # causes of a class that are compared
 FEW_LEVELS = 3
 
 
 def not_fitted(names: Sequence[str]) -> tuple[str, ...]:
-    """A sentence on what could not be fitted, because the simulation diverges there."""
+    """Return a sentence that lists what could not be fitted because the simulation diverges."""
     if not names:
         return ()
     return (
-        f"Could not be fitted: {_listed(names)}. The simulation diverges there. Check that the logs are of this "
-        "system and of this unit, or give shorter windows.",
+        f"Could not be fitted: {_listed(names)}. The simulation diverges there. Check that the logs belong to this "
+        "system and this unit, or give shorter windows.",
     )
 
 
 def always_there(names: Sequence[str]) -> tuple[str, ...]:
-    """A sentence on causes that are part of the unit, as far as its healthy logs can tell."""
+    """Return advice about causes that the healthy logs are consistent with, and that therefore joined the baseline."""
     if not names:
         return ()
     return (
-        f"The healthy logs allow {_listed(names)} as this log shows it: taken for part of the unit, and not for what "
-        "went wrong. A healthy log under the same commands would tell.",
+        f"The healthy logs are consistent with {_listed(names)} of the size that this log shows. It is therefore "
+        "counted as part of the unit and not named. To test this, record a healthy log under the same commands.",
     )
 
 
@@ -56,7 +56,7 @@ def class_advice(
     logs: Sequence[str],
     seed: int,
 ) -> tuple[str, ...]:
-    """One sentence or two for every class of more than one cause.
+    """Return advice for every class of more than one cause.
 
     Args:
         system: The simulation that was diagnosed.
@@ -64,7 +64,7 @@ def class_advice(
         windows: Training windows.
         steps: Ranking and class of every cause that was accepted.
         logs: Files that were diagnosed.
-        seed: Of the sequences that are tried.
+        seed: Seed of the sequences that are tried.
     """
     result: list[str] = []
     for ranking, members in steps:
@@ -74,17 +74,17 @@ def class_advice(
 
 
 def level_advice(windows: Windows, system: System) -> tuple[str, ...]:
-    """A warning for every command that takes a few values only."""
+    """Return a warning for every command that takes only a few values."""
     advice = []
     for k, channel in enumerate(
         system.commands[: len(system.command_joints)]
-    ):  # the others switch or set modes
+    ):  # the other commands switch or set modes
         command = np.concatenate([c.column(k) for c in windows.commands]) if windows.commands else np.zeros(0)
         levels = np.unique(np.round(command / max(np.ptp(command), 1e-12), 2)) if len(command) else command
         if 0 < len(levels) <= FEW_LEVELS:
             advice.append(
-                f"The commands of {channel.name} take only {len(levels)} levels ({channel.unit}): gain, payload, dead "
-                "zone and saturation look alike then. Record steps of many levels or a chirp."
+                f"The command {channel.name} takes only {len(levels)} levels ({channel.unit}). Gain, payload, dead "
+                "zone and saturation then look alike. Record steps of many levels or a chirp."
             )
     return tuple(advice)
 
@@ -106,7 +106,7 @@ def _advise(
     result = []
     others = [n for n in members if n not in compared]
     if others or len(compared) < 2:
-        result.append(f"To tell apart {_listed(members)}: {_by_hand(others or members)}")
+        result.append(f"To distinguish {_listed(members)}: {_catalogue_advice(others or members)}")
     if len(compared) < 2:
         return result
     listed = list(doses.values())
@@ -117,16 +117,19 @@ def _advise(
         stage, start=replace(start, values={**reference.values, "event.torque": 0.0}), window=windows.length
     )
     units = [dose.on(stage.start.values) for dose in listed]
-    scans = scan(stage, listed, units, np.random.default_rng([seed, 23]), TRIED)
+    scans = scan(stage, listed, units, np.random.default_rng([seed, 23]), SEQUENCES_PER_FAMILY)
     share = np.max([s.separation.share for s in scans], axis=0)
     shown = np.concatenate([s.separation.seen for s in scans]).max(0)
     apart, twins = list(range(len(compared))), []
     for a, b in combinations(range(len(compared)), 2):
-        if share[a, b] < ALIKE and min(shown[a], shown[b]) > SEEN and a in apart and b in apart:
+        clear = min(shown[a], shown[b]) > MIN_LIKELIHOOD_RATIO
+        if share[a, b] < ALIKE and clear and a in apart and b in apart:
             twins += [n for n in (compared[a], compared[b]) if n not in twins]
             apart.remove(b)
     if twins:
-        result.append(f"No command tells {_listed(twins)} apart, whatever is played. {_by_hand(twins)}")
+        result.append(
+            f"None of the tried command sequences distinguishes {_listed(twins)}. {_catalogue_advice(twins)}"
+        )
     if len(apart) > 1:
         names = [compared[i] for i in apart]
         at_hand = LogAtHand(stage.start, replace(windows, state=reference.state), reference, {})
@@ -136,7 +139,11 @@ def _advise(
 
 
 def _doses(ranking: Ranking, start: Baseline, members: Sequence[str]) -> dict[str, Dose]:
-    """The causes of a class at their fitted sizes; left out is what commands cannot bring out, or stays at null."""
+    """Return the causes of a class at their fitted sizes.
+
+    Causes without free parameters, pushes, and causes that stay at their null value are left out: no command
+    sequence can be simulated for them.
+    """
     fits = {c.cause.name: c for c in ranking.candidates if c.fit is not ranking.reference}
     result = {}
     for name in members:
@@ -144,7 +151,7 @@ def _doses(ranking: Ranking, start: Baseline, members: Sequence[str]) -> dict[st
             values = {p: fits[name].fit.values[p] for p in fits[name].cause.free}
             if any(values[p] != start.values[p] for p in values):
                 result[name] = Dose(fits[name].cause, values)
-    return dict(list(result.items())[:MOST])
+    return dict(list(result.items())[:MAX_COMPARED])
 
 
 def _sentence(
@@ -167,22 +174,22 @@ def _sentence(
     seconds = stage.frame.seconds
     command = ["deepkoco", "design-experiment", *_origin(system), "--distinguish", *names]
     command += ["--recording", *logs] if logs else []
-    text = f"To tell apart {_listed(names)}: "
+    text = f"To distinguish {_listed(names)}: "
     if best >= SETTLED:
         text += (
-            f"{seconds:.3g} s of {family.text} would, with an expected likelihood ratio of {best:.3g} (this log: "
+            f"record {seconds:.3g} s of {family.text}. The expected likelihood ratio is {best:.3g} (this log: "
             f"{now:.2g}; {SETTLED:.0f} is enough)."
         )
     else:
         needed = seconds * SETTLED / max(best, 1e-9)
         text += (
-            f"the best of what was tried, {family.text}, gives an expected likelihood ratio of {best:.2g} in "
-            f"{seconds:.3g} s (this log: {now:.2g}; {SETTLED:.0f} is enough), a chance of "
-            f"{100 * chance_of(best):.0f} %; "
+            f"the best tried sequence is {family.text}. Its expected likelihood ratio is {best:.2g} in "
+            f"{seconds:.3g} s (this log: {now:.2g}; {SETTLED:.0f} is enough). It succeeds with a probability of "
+            f"{100 * chance_of(best):.0f} %. "
         )
-        text += f"about {needed:.2g} s would be needed. " if needed < 600.0 else "commands hardly can. "
-        text += _by_hand(names)
-    return f"{text} The best sequence: {shlex.join(command)}"
+        text += f"About {needed:.2g} s would be needed. " if needed < 600.0 else "Longer logs hardly help. "
+        text += _catalogue_advice(names)
+    return f"{text} This command computes the best sequence: {shlex.join(command)}"
 
 
 def _origin(system: System) -> list[str]:
@@ -195,7 +202,7 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
 
 
-def _by_hand(names: Sequence[str]) -> str:
-    """What the catalogue says about telling causes from their neighbours."""
+def _catalogue_advice(names: Sequence[str]) -> str:
+    """Advice of the catalogue on how to distinguish these causes from similar ones."""
     kinds = [n.split("(")[0] for n in names]
     return " ".join(dict.fromkeys(CAUSES[k].advice for k in kinds if k in CAUSES))

@@ -1,4 +1,4 @@
-"""From fits to what a report says: parameters with intervals, evidence, places in time, advice."""
+"""Findings of a report, from fits: parameters with intervals, evidence, and stretches of missing torque."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.systems import System
 
-CLEAR_TORQUE = 5.0  # standard deviations from which a missing torque is worth pointing at
+CLEAR_TORQUE = 5.0  # standard deviations from which a missing torque is reported
 
 
 def estimates(problem: FitProblem, fit: Fit, names: Sequence[str], deflation: float) -> dict[str, Estimate]:
-    """Values with 95 % intervals; the covariance is inflated by what the residuals are short of noise."""
+    """Return values with 95 % intervals; the covariance of the fit is multiplied by the deflation."""
     result = {}
     for parameter in declared(problem, names):
         value = fit.values[parameter.name]
@@ -39,7 +39,7 @@ def finding(
     members: tuple[str, ...] = (),
     evidence: tuple[Evidence, ...] = (),
 ) -> Finding:
-    """A candidate as reported."""
+    """Return a candidate in the form in which the report shows it."""
     cause = candidate.cause
     return Finding(
         cause.name,
@@ -53,14 +53,14 @@ def finding(
 
 
 def _shown(problem: FitProblem, cause: Cause) -> tuple[str, ...]:
-    """Parameters of a cause, those included that were chosen and not fitted."""
+    """Parameters of a cause, including those that were chosen and not fitted (a frequency)."""
     if cause.effect == "event":
         return cause.free
     return tuple(p.name for p in problem.system.parameters if p.name.startswith(f"{cause.effect}."))
 
 
 def motion_of(windows: Windows, missing: MissingTorque, system: System) -> Motion:
-    """What a joint did at the slots of its missing load, flattened over windows."""
+    """Return position, speed and command of a joint in the slots of its missing load, flattened over windows."""
     driven = system.command_joints
     index = driven.index(missing.joint) if missing.joint in driven else 0
     command = np.empty_like(missing.time)
@@ -80,7 +80,7 @@ def motion_of(windows: Windows, missing: MissingTorque, system: System) -> Motio
 def evidence_for(
     cause: Cause, candidate: Candidate, ranking: Ranking, motion: Motion, missing: MissingTorque, places: int
 ) -> tuple[Evidence, ...]:
-    """Why this cause: likelihood, and the shape of the torque that the refitted baseline misses."""
+    """Return the evidence for a cause: the likelihood ratio, and its correlation with the missing torque."""
     charge = penalty(cause, ranking.samples, places)
     needed = (charge + DETECTION) * ranking.deflation
     result = [
@@ -88,8 +88,8 @@ def evidence_for(
             "likelihood_ratio",
             candidate.likelihood_ratio,
             needed,
-            f"Simulating with it lowers the squared error by {candidate.likelihood_ratio:,.0f} noise variances; "
-            f"chance and model error explain up to {needed:,.0f}.",
+            f"With this cause, the squared error of the simulation falls by {candidate.likelihood_ratio:,.0f} noise "
+            f"variances. Chance and model error explain a fall of up to {needed:,.0f}.",
         )
     ]
     shape, torque = cause.signature(motion), missing.torque.ravel()
@@ -101,21 +101,21 @@ def evidence_for(
                 "signature_correlation",
                 correlation,
                 limit,
-                f"The torque that the refitted baseline misses follows the shape of this cause with a correlation of "
-                f"{correlation:.2f} (either sign; chance stays within {limit:.2f}).",
+                f"The correlation between the missing torque and the shape of this cause is {correlation:.2f} (either "
+                f"sign counts; chance stays within {limit:.2f}).",
             )
         )
     return tuple(result)
 
 
 def localise(missing: Sequence[MissingTorque], most: int = 5) -> tuple[Localisation, ...]:
-    """Stretches of time with the largest missing load on any joint, most significant first."""
-    found = [place for joint in missing for place in _loud(joint, len(missing) > 1)]
+    """Return the stretches of time with the largest missing load on any joint, most significant first."""
+    found = [place for joint in missing for place in _clear_stretches(joint, len(missing) > 1)]
     found.sort(key=lambda item: -item[0])
     return tuple(place for _, place in found[:most])
 
 
-def _loud(missing: MissingTorque, several: bool) -> list[tuple[float, Localisation]]:
+def _clear_stretches(missing: MissingTorque, several: bool) -> list[tuple[float, Localisation]]:
     channel = f"load on {missing.name}" if several else missing.load
     loud = np.abs(missing.torque) > CLEAR_TORQUE * missing.sd
     found = []

@@ -1,4 +1,4 @@
-"""Findings about how measurements scatter, from the residuals of the final model."""
+"""Noise causes (noise level, quantisation, jitter), tested on the residuals of the final model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deepkoco.systems import ExtendedSystem
 def scatter_findings(
     system: ExtendedSystem, windows: Windows, fit: Fit, detection: float
 ) -> tuple[Finding, ...]:
-    """Causes of the noise that pay for their parameter, strongest first.
+    """Return the noise causes whose fall of the BIC exceeds the threshold, strongest first.
 
     Args:
         system: The extended system.
@@ -38,13 +38,11 @@ def scatter_findings(
             continue
         placed = f"{name}.{verdict.parameter}"
         unit = system.parameter(placed).unit
-        text = (
-            f"The likelihood of what the simulation leaves grows by {verdict.likelihood_ratio:.0f} with it."
-        )
+        text = f"With this cause, the likelihood ratio of the residuals is {verdict.likelihood_ratio:.0f}."
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)
         estimate = Estimate(verdict.value, verdict.low, verdict.high, unit)
         found.append(Finding(name, cause.family, (name,), score, 1.0, {placed: estimate}, (evidence,)))
     if any(kind_of(f.name) == "jitter" for f in found):
-        # Jitter is what makes the channels noisier than their data sheets.
+        # Jitter already explains why the channels are noisier than their data sheets say.
         found = [f for f in found if kind_of(f.name) != "noise_level"]
     return tuple(sorted(found, key=lambda f: -f.delta_bic))

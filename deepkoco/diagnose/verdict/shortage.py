@@ -1,4 +1,4 @@
-"""What a log lacks for a diagnosis: length, motion, a channel, or commands that change."""
+"""What logs lack for a diagnosis: length, motion, a channel, or changing commands."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from deepkoco.fit.data.windows import STANDSTILL
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
-SHARES = (0.1, 0.2, 0.5, 1.0)  # of the actuator's range, at which the motion is tried out
-STILL = 1e-3  # share of the actuator's range within which a command does not change
+SHARES = (0.1, 0.2, 0.5, 1.0)  # amplitudes that are simulated, as shares of the actuator's range
+CONSTANT_WITHIN = 1e-3  # share of the actuator's range within which a command counts as constant
 
 
 def missing_for_diagnosis(
@@ -27,18 +27,18 @@ def missing_for_diagnosis(
     found: int,
     needed: int,
 ) -> tuple[str, ...]:
-    """Sentences about what is missing, the first of them with the count.
+    """Return one text that says what is missing and what to record.
 
     Args:
         recordings: The logs.
         system: The system.
         noise: Of each measurement.
-        length: Of a window [s].
+        length: Length of a window [s].
         found: Windows in which the joint moves.
-        needed: Windows that a diagnosis takes at least.
+        needed: Least number of windows for a diagnosis.
     """
     texts = [
-        f"Only {found} windows of {length:.2g} s in which the joint moves; at least {needed} are needed.",
+        f"The joint moves in only {found} windows of {length:.2g} s; at least {needed} are needed.",
         *_short(recordings, length, needed),
         *_absent(recordings, system),
         *_unmoved(recordings, system, noise),
@@ -50,9 +50,7 @@ def _short(recordings: Sequence[Recording], length: float, needed: int) -> list[
     total = sum(max(r.stop - r.start, 0.0) for r in recordings)
     if total >= (needed + 1) * length:
         return []
-    return [
-        f"The logs are {total:.2g} s long together; {_good_length(length, needed):.0f} s are a good length."
-    ]
+    return [f"The logs last {total:.2g} s in total; about {_good_length(length, needed):.0f} s suffice."]
 
 
 def _good_length(length: float, needed: int) -> float:
@@ -64,7 +62,8 @@ def _absent(recordings: Sequence[Recording], system: System) -> list[str]:
     for channel in system.measurements:
         if not any(channel.name in r.channels for r in recordings):
             texts.append(
-                f"The measurement {channel.name} ({channel.unit}) is missing; map it, if it was recorded."
+                f"The measurement {channel.name} ({channel.unit}) is missing. If it was recorded, map its column in "
+                "the sidecar."
             )
     return texts
 
@@ -74,9 +73,9 @@ def _unmoved(recordings: Sequence[Recording], system: System, noise: Sequence[No
     for command in system.commands[: len(system.command_joints)]:  # the others switch or set modes
         values = [r.channels[command.name].value for r in recordings if command.name in r.channels]
         spans = [float(np.ptp(v)) for v in values if len(v)]
-        if spans and max(spans) < STILL * (command.high - command.low):
+        if spans and max(spans) < CONSTANT_WITHIN * (command.high - command.low):
             texts.append(
-                f"The command {command.name} stays at {float(values[0][0]):.3g} {command.unit} all the time."
+                f"The command {command.name} is constant at {float(values[0][0]):.3g} {command.unit}."
             )
     for channel, own in zip(system.measurements, noise, strict=True):
         spans = [
@@ -84,14 +83,14 @@ def _unmoved(recordings: Sequence[Recording], system: System, noise: Sequence[No
         ]
         if spans and max(spans) < STANDSTILL * own.sd:
             texts.append(
-                f"{channel.name} changes by {max(spans):.2g} {channel.unit} only, less than {STANDSTILL:.0f} times its "
-                f"noise of {own.sd:.2g} {channel.unit}."
+                f"The measurement {channel.name} changes by only {max(spans):.2g} {channel.unit}, less than "
+                f"{STANDSTILL:.0f} times its noise of {own.sd:.2g} {channel.unit}."
             )
     return texts
 
 
 def _remedy(system: System, length: float, needed: int) -> str:
-    """Steps that would move the unit well beyond its noise, by simulation of the nominal system."""
+    """Return the smallest tried steps that move the simulated nominal system in enough windows."""
     seconds = feasible_seconds(system, _good_length(length, needed))
     stage = make_stage(system, seconds)
     points = np.full((1, FAMILIES["steps"].dimension(stage.frame)), 0.0)
@@ -102,11 +101,11 @@ def _remedy(system: System, length: float, needed: int) -> str:
     for share in SHARES:
         played = rehearse(stage, stage.rest + share * (full - stage.rest), [stage.start.values])
         if len(played.windows) >= needed + 2:
-            middle = round(float(stage.rest[0]), 6) + 0.0  # what is left of solving for it is no command
+            middle = round(float(stage.rest[0]), 6) + 0.0  # removes the solver's rounding error
             size = share * min(channel.high - middle, middle - channel.low)
             return (
-                f"Record {seconds:.0f} s of steps of several levels up to {size:.2g} {channel.unit} about "
-                f"{middle:.2g} {channel.unit}, such as: deepkoco record --excitation steps "
+                f"Record {seconds:.0f} s of steps of several levels, up to {size:.2g} {channel.unit} on either side of "
+                f"{middle:.2g} {channel.unit}, for example: deepkoco record --excitation steps "
                 f"--seconds {seconds:.0f} --amplitude {size:.2g}"
             )
-    return f"Record at least {seconds:.0f} s of motion with steps, prbs or a chirp over the whole range of commands."
+    return f"Record at least {seconds:.0f} s of steps, prbs or a chirp over the whole range of commands."

@@ -1,4 +1,4 @@
-"""What remains when nothing in the catalogue explains the residuals: describe it, do not name it."""
+"""Explained share, carry-over to held-out windows, and a description of the residuals that no cause explains."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WORST = {
     "torque": ("theta_rad", "omega_rad_s", "torque_nm"),
     "force": ("position_m", "speed_m_s", "force_n"),
 }
-CARRIED = 0.25  # share of its fall of chi2 that a cause must keep on windows that no fit saw
+MIN_CARRY_OVER = 0.25  # fall of chi2 per held-out window over that per fitted window
 # Terms a missing torque is regressed on: name -> function of (theta, omega, load scale).
 TERMS = {
     "1": lambda theta, omega: np.ones_like(theta),
@@ -31,10 +31,10 @@ TERMS = {
 
 
 def explained_share(before: Fit, after: Fit, windows: Windows, floor: float) -> float:
-    """Share of the excess chi2 that the named causes take away, in the channel where that is most.
+    """Share of the excess chi2 that the causes explain, in the channel where this share is largest.
 
-    A channel that glitches (many speed estimates do) keeps its excess whatever is named, and must not
-    hide what another channel shows.
+    The excess is chi2 per sample above the floor. A channel with glitches (many speed estimates have them) keeps
+    its excess under any cause. The largest share is taken so that such a channel does not hide the others.
     """
     shares = []
     for c in range(windows.valid.shape[1]):
@@ -48,17 +48,17 @@ def explained_share(before: Fit, after: Fit, windows: Windows, floor: float) -> 
 def carries_over(
     before: Fit, after: Fit, held_before: Fit, held_after: Fit, lasting: np.ndarray | None = None
 ) -> bool:
-    """Whether windows that no fit saw gain from the named causes as those that were fitted do.
+    """Return whether the causes improve the held-out windows as they improve the fitted windows.
 
-    What only imitates a cause bends to the windows that are fitted. The falls of chi2 by window are compared as two
-    samples: a cause that shows in few windows (a saturation) scatters widely and passes.
+    A false cause improves only the windows that it was fitted to. The falls of chi2 per window are compared as two
+    samples. A cause that acts in few windows (a saturation) has a large variance between windows and passes.
 
     Args:
         before: Refit on the fitted windows.
-        after: The same with the named causes.
-        held_before: The refit's parameters on windows kept back.
-        held_after: Those of the named causes there.
-        lasting: (W,) fitted windows in which only what lasts acts; None for all.
+        after: Fit with the named causes on the fitted windows.
+        held_before: Parameters of the refit on the held-out windows.
+        held_after: Parameters of the fit with the named causes on the held-out windows.
+        lasting: (W,) fitted windows that no push touches; None for all windows.
     """
     fitted, kept = _fall(before, after), _fall(held_before, held_after)
     fitted = fitted if lasting is None else fitted[lasting]
@@ -66,7 +66,7 @@ def carries_over(
         return True
     spread = float(fitted.std(ddof=1)) * float(np.sqrt(1.0 / len(fitted) + 1.0 / len(kept)))
     short = float(fitted.mean() - kept.mean())
-    return bool(kept.mean() >= CARRIED * fitted.mean() or short <= 3.0 * spread)
+    return bool(kept.mean() >= MIN_CARRY_OVER * fitted.mean() or short <= 3.0 * spread)
 
 
 def _fall(before: Fit, after: Fit) -> np.ndarray:
@@ -75,15 +75,19 @@ def _fall(before: Fit, after: Fit) -> np.ndarray:
 
 
 def describe(missing: Sequence[MissingTorque], spread: Dispersion) -> dict[str, Any]:
-    """Signatures of what remains, for the report.
+    """Describe the remaining residuals for the report.
+
+    Args:
+        missing: Missing load of each joint.
+        spread: Dispersion of the residuals.
 
     Returns:
         ``chi2_per_sample``, ``lag_one`` (correlation of neighbours, 0 if white), ``kurtosis`` of the
-        missing torque (0 if normal; large for a few pushes), ``correlations`` of it with simple terms in
-        angle and speed, and ``worst`` (time, joint, and with their units in their keys the position, the speed and
-        the missing load where it is largest).
+        missing torque (0 if normal; large for a few pushes), its ``correlations`` with simple terms in
+        angle and speed, and ``worst`` (time and joint, position, speed and missing load where that load is
+        largest; keys name their units).
     """
-    # Of several joints the one is described at which most is missing against what is uncertain.
+    # The joint is described whose missing load is largest against its standard deviation.
     loudest = max(missing, key=lambda m: float(((m.torque / m.sd) ** 2).mean()))
     torque = loudest.torque.ravel()
     centred = torque - torque.mean()

@@ -1,4 +1,4 @@
-"""What a selection of causes is worth: named, or called unknown because they only imitate what is there."""
+"""Verdict on the selected causes: name them, or return ``unknown`` where they only imitate the true cause."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from deepkoco.diagnose.verdict.unknown import carries_over, explained_share
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 
-# While structure remains, causes are named if they explain this share of the excess chi2 and take this share off the
-# error on windows that no fit saw: what only imitates them does not get there, and real logs keep some model error.
-EXPLAINED = 0.6
-WORTH_NAMING = 0.5
-# More beside healthy logs, which tell how much model error there is, and where there are no such windows.
-KNOWN = 0.98
-# And pushes alone: one mends any window, and leaves the others as they are.
-PUSHED = 0.9
-PLAIN = 0.1  # fall of chi2 per sample from which windows that no fit saw must show what is named, too
+# Limits that apply while structure remains. Real logs contain model error, so no cause explains all of it. A false
+# cause reaches neither limit: the share of the excess chi2 and the reduction of the held-out error.
+MIN_EXPLAINED = 0.6
+MIN_REDUCTION = 0.5
+# The share is higher where healthy logs give the model error, and where there are no held-out windows.
+MIN_EXPLAINED_STRICT = 0.98
+# The share for pushes alone is higher, because a push can improve any single window.
+MIN_EXPLAINED_PUSHES = 0.9
+CARRY_OVER_FROM = 0.1  # fall of chi2 per sample from which the causes must also improve the held-out windows
 
 
 def verdict_of(
@@ -37,44 +37,46 @@ def verdict_of(
     white: bool,
     doubts: Sequence[str],
 ) -> Verdict:
-    """The verdict on what was selected.
+    """Return the verdict on the selected causes.
 
     Args:
         found: The selection.
         start: The baseline.
         train: Training windows.
         before: The refit.
-        gain: What the selection is worth on windows that no fit saw; None where there are none.
-        white: Whether what it leaves is white.
-        doubts: Sentences that speak against any name.
+        gain: Held-out errors of the refit and of the selection; None without held-out windows.
+        white: Whether the residuals of the selection are white.
+        doubts: Reasons for naming no cause, one sentence each.
     """
     after, causes = found.final, found.accepted
     left = after.chi2 / train.samples > white_limit(train) * start.floor
     if not causes and found.lost is None:
         return "unknown" if before.chi2 / train.samples > white_limit(train) * start.floor else "nothing"
-    # Without windows that no fit saw, only a fit that leaves next to nothing speaks for a name.
-    most = EXPLAINED if start.healthy is None and gain is not None else KNOWN
+    # Without held-out windows, the fit must explain nearly all of the excess chi2.
+    most = MIN_EXPLAINED if start.healthy is None and gain is not None else MIN_EXPLAINED_STRICT
     pushes = sum(c.effect == "event" for c in causes)
     lasting = len(causes) - pushes
-    # A push, a tone and detents together bend to anything.
+    # Three causes that are all pushes, tones or detents can fit nearly any residual.
     if doubts or (only_flexible(found) and len(causes) >= MOST_CAUSES):
         return "unknown"
     if found.lost is not None and (left or (causes and _all_flexible(found))):
-        # Offsets at hundreds of places bend to anything, above all beside pushes and tones; losses leave nothing.
+        # A loss pattern has hundreds of free positions and can fit nearly any residual, above all together with
+        # pushes and tones. Real losses leave no structure.
         return "unknown"
     if found.lost is not None or not lasting:
-        gain = None  # what acts once is worth nothing on other windows, and other windows lose other commands
+        gain = None  # pushes and lost commands do not repeat in the held-out windows
     if left:
         if len(causes) >= MOST_CAUSES * start.system.joints:
-            return "unknown"  # at each joint as many as are looked for, and still they do not say everything
-        # What is named has to account for most of what was seen.
+            return "unknown"  # the search limit is reached at each joint, and structure still remains
         share = explained_share(before, after, train, start.floor)
         worth = 1.0 if gain is None else gain.reduction
-        if share < (most if lasting else max(most, PUSHED)) or worth <= (0.0 if white else WORTH_NAMING):
+        if share < (most if lasting else max(most, MIN_EXPLAINED_PUSHES)) or worth <= (
+            0.0 if white else MIN_REDUCTION
+        ):
             return "unknown"
-    plain = before.chi2 - after.chi2 > PLAIN * train.samples
+    plain = before.chi2 - after.chi2 > CARRY_OVER_FROM * train.samples
     if gain is not None and (left or plain):
-        # Several causes together can imitate what none of them is, on the windows that are fitted.
+        # Several false causes together can fit the training windows; they do not improve the held-out windows.
         fits = gain.fits["refit"], gain.fits["extended"]
         carried = carries_over(before, after, *fits, ~touched(train, after.values))
         if not carried or (lasting > 1 and gain.reduction <= 0.0):
@@ -86,14 +88,15 @@ def verdict_of(
 
 
 def only_flexible(found: Selected) -> bool:
-    """Whether only pushes, tones and detents are named."""
+    """Return whether all selected causes are pushes, tones or detents."""
     return found.lost is None and _all_flexible(found)
 
 
 def rivalled(found: Selected, start: Baseline, train: Windows) -> bool:
-    """Whether a learned load could say as much as what is named.
+    """Return whether the selected causes must be compared with a learned load.
 
-    Where structure remains beside lasting causes, as it does in real logs, it would always say more.
+    They are not compared where lasting causes leave structure, as in real logs: the learned load would always
+    explain more there.
     """
     chi2 = found.final.chi2
     more = chi2 - start.floor * train.samples > FURTHER

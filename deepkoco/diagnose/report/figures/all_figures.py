@@ -1,4 +1,4 @@
-"""The pictures of a report, each with the table behind it; here those that compare models on the log."""
+"""All pictures of a report with their tables; this file draws those that compare the simulations on the log."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from deepkoco.diagnose.report.figures.ranking_figure import candidates
 from deepkoco.diagnose.report.figures.timing_figure import timing
 from deepkoco.output.picture import Picture, house_style
 
-MOST_BARS = 24  # windows of which each gets its bars
+MOST_BARS = 24  # windows up to which each one gets its own bars
 REFIT_WORSE = (
-    "The refit without the cause is worse here than the simulation as given: it bends the simulation's own parameters "
-    "until they imitate the cause on the windows that it is fitted to, and other windows show that they are wrong."
+    "The refit without the cause is worse here than the simulation as given. It moves the simulation's own parameters "
+    "to imitate the cause on the fitted windows, and these parameters are wrong on other windows."
 )
 
 
 def draw_all(diagnosis: Diagnosis, layout: Layout = DESKTOP) -> list[Picture]:
-    """Every picture that the diagnosis has data for, most telling first."""
+    """Return every picture for which the diagnosis has data, most informative first."""
     if diagnosis.details is None:
         return []
     drawings: tuple[Callable[[Diagnosis, Details, Layout], Picture | None], ...] = (
@@ -50,9 +50,9 @@ def replay(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
     """Measured and simulated first channel over a few windows."""
     gain = diagnosis.gain
     if gain is not None:
-        windows, fits, where = gain.replayed, gain.fits, "kept away from every fit"
+        windows, fits, where = gain.replayed, gain.fits, "held-out windows"
     else:
-        windows, where = details.windows, "that were fitted"
+        windows, where = details.windows, "fitted windows"
         fits = {
             "baseline": details.nominal or details.refit,
             "refit": details.refit,
@@ -94,15 +94,15 @@ def replay(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
         markerscale=2,
     )
     caption = (
-        f"Above: what the sensor measured and what each simulation says under the same commands, on stretches of the "
-        f"log {where}. Below: simulated minus measured. A simulation that stays in the grey band of sensor noise "
-        "cannot be told from the real machine here."
+        f"Above: measured and simulated values under the same commands, on {where} of the log. Below: simulated minus "
+        "measured. The grey band is the sensor noise. A simulation inside the band cannot be distinguished from the "
+        "real machine here."
     )
     return Picture("replay", "The log, replayed in simulation", caption, figure, pd.concat(rows))
 
 
 def error_by_horizon(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | None:
-    """Held-out error against the time since the simulation started."""
+    """Held-out error over the time since the start of the simulation."""
     gain = diagnosis.gain
     if gain is None:
         return None
@@ -124,13 +124,13 @@ def error_by_horizon(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
         *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(3, layout.entries)
     )
     caption = (
-        f"How wrong each simulation is (root mean square), the longer it runs without looking at the measurements, "
-        f"over {gain.windows} held-out windows of {gain.horizon:.2g} s. The start state is "
+        f"Root mean square error of each simulation over the time since its start, "
+        f"on {gain.windows} held-out windows of {gain.horizon:.2g} s. The initial state is "
         f"fitted on each window. {diagnosis.gain_note}"
     )
     if gain.channels[0].refit > gain.channels[0].baseline and "extended" in shown_models(diagnosis):
         caption += f" {REFIT_WORSE}"
-    title = "How far ahead the simulation holds"
+    title = "How the error grows with time"
     return Picture("error_by_horizon", title, caption, figure, pd.DataFrame(frame))
 
 
@@ -169,7 +169,7 @@ def before_after(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pict
     axis.set_ylabel(f"error of {gain.channels[0].name} [{gain.channels[0].unit}]")
     figure.legend(loc="outside upper center", ncols=layout.entries)
     caption = (
-        f"{shown}, in the order of the log; mind the logarithmic scale. The dotted line is the sensor's own noise, the "
-        "best that can be."
+        f"{shown}, in the order of the log. The scale is logarithmic. The dotted line is the sensor noise, the "
+        "smallest error that a simulation can have."
     )
     return Picture("before_after", "Before and after, window by window", caption, figure, pd.DataFrame(frame))

@@ -1,4 +1,4 @@
-"""Where in the phase plane the simulation is wrong, before and after."""
+"""Error of the simulation over position and speed, without and with the named causes."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
         {"position": x[seen], "speed": y[seen], **{f"error_{n}": e[seen] for n, e in error.items()}}
     )
     caption = (
-        "Every cell is a region of position and speed that the log visits; its colour says how wrong the simulation is "
-        "there (root mean square). Yellow is wrong, dark blue is right; where there is no colour, the log never was."
+        "Each cell is a region of position and speed. Its colour is the root mean square error of the simulation "
+        "there: yellow is large, dark blue is small. The log has no samples in cells without colour."
     )
     return Picture("error_map", "Where the simulation is wrong", caption, figure, table)
 
 
 def _by_slot(fit: Fit, windows: Windows, channel: int, slots: int) -> np.ndarray:
-    """Root mean square error (W, slots) over each piece of a window, in the channel's unit; NaN without samples."""
+    """Root mean square error (W, slots) in each slot of a window, in the channel's unit; NaN without samples."""
     square = (fit.residual[:, channel] * windows.noise[channel].sd).numpy() ** 2
     valid = windows.valid[:, channel].numpy()
     which = np.clip((windows.t[:, channel].numpy() / windows.length * slots).astype(int), 0, slots - 1)

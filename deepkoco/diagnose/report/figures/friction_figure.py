@@ -1,4 +1,4 @@
-"""The picture of a joint's friction before and after."""
+"""Picture of the friction of a joint over its speed, without and with the named cause."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepkoco.output.picture import Picture
 
 
 def friction_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | None:
-    """Friction before and after, where a cause of the friction family is named."""
+    """Draw the friction without and with the named cause; None unless a cause of the friction family is named."""
     named = [c for c in diagnosis.causes if c.family == "friction"]
     if not named:
         return None
@@ -47,7 +47,7 @@ def friction_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
     axis.set_ylabel(f"friction [{details.missing[joint].unit}]")
     figure.legend(loc="outside upper center", ncols=min(2, layout.entries))
     caption = (
-        "The whole load that opposes the motion, at zero command, with 95 % bands. Different friction laws can draw "
-        "nearly the same curve over the speeds that the log covers: believe the curve before the name of the law."
+        "Total load against the motion at zero command, with 95 % bands. Different friction laws can give "
+        "nearly the same curve over the speeds of the log, so the curve is more certain than the name of the law."
     )
     return Picture("friction_curve", "Friction over speed", caption, figure, pd.DataFrame(frame))

@@ -1,4 +1,4 @@
-"""How the pictures of a report look: two widths, and one colour and name per model in all of them."""
+"""Widths of the pictures of a report, and the colour and the label of each simulation in all of them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ PANEL_INCHES = 2.9  # least width of a panel, so that the labels of neighbours d
 
 
 class Layout(NamedTuple):
-    """Room that the pictures have.
+    """Size of the pictures.
 
     Attributes:
-        width: Of a picture [inch].
-        columns: Panels beside each other, at most.
-        entries: Of a legend beside each other, at most.
+        width: Width of a picture [inch].
+        columns: Largest number of panels in a row.
+        entries: Largest number of legend entries in a row.
     """
 
     width: float
@@ -31,7 +31,7 @@ class Layout(NamedTuple):
     entries: int
 
     def grid(self, panels: int) -> tuple[int, int]:
-        """Rows and columns for so many panels, in rows of equal length where that can be."""
+        """Return rows and columns for this number of panels, in rows of equal length where possible."""
         most = min(self.columns, max(int(self.width / PANEL_INCHES), 1))
         rows = -(-panels // most)
         return rows, -(-panels // rows)
@@ -42,13 +42,13 @@ PHONE = Layout(4.1, 1, 1)
 
 
 def shown_models(diagnosis: Diagnosis) -> dict[str, str]:
-    """Models that the pictures compare on the fitted windows -> label: the extended one where something is named."""
+    """Return the simulations compared on fitted windows -> label; the extended one only where a cause is named."""
     named = bool(diagnosis.names) and diagnosis.verdict != "unknown"
     return {name: label for name, label in LABELS.items() if named or name != "extended"}
 
 
 def held_out_models(diagnosis: Diagnosis) -> dict[str, str]:
-    """Models that are compared on windows kept back -> label: a learned load stands where no cause is named."""
+    """Return the simulations compared on held-out windows -> label; a learned load can take the place of a cause."""
     models = shown_models(diagnosis)
     if learned_load(diagnosis):
         models["extended"] = "simulation with a learned load"
@@ -56,6 +56,6 @@ def held_out_models(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def learned_load(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """The residual model that was added in place of a cause, as in report.json; None where there is none."""
+    """Return the learned load that was added instead of a cause, as in report.json; None where there is none."""
     found = diagnosis.unexplained.get("residual_model")
     return found if diagnosis.verdict == "unknown" and found and found["accepted"] else None

@@ -1,4 +1,4 @@
-"""The load that the refitted simulation misses, against what the joint did."""
+"""Missing load of the refitted simulation against speed, angle, command and time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from deepkoco.output.picture import Picture
 
 
 def missing_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
-    """Load that the refitted baseline misses, against speed, angle, command and time."""
+    """Draw the missing load of the refitted baseline against speed, angle, command and time."""
     missing = details.missing[joint_shown(details)]
     system = details.system
     motion = motion_of(details.windows, missing, system)
@@ -45,7 +45,7 @@ def missing_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> P
         axis.plot(x, torque, ".", color=COLOURS["refit"], markersize=3, alpha=0.3, label=f"missing {load}")
         _binned(axis, x, torque, "-", COLOURS["refit"], "mean of the dots")
         if curve is not None:
-            _binned(axis, x, curve, "--", COLOURS["extended"], "what the named cause would leave")
+            _binned(axis, x, curve, "--", COLOURS["extended"], "expected from the named cause")
         axis.set_xlabel(label)
         axis.set_ylim(-reach, reach)
     for axis in grid[::columns]:
@@ -65,17 +65,19 @@ def missing_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> P
         }
     )
     caption = (
-        f"Each dot is the extra {load}, averaged over a short piece of time, that would make the refitted simulation "
-        "follow the measurement. Shapeless dots around zero mean that nothing is missing."
+        f"Each dot is the extra {load} that would make the refitted simulation follow the measurement, averaged over a "
+        "short time. If the dots scatter around zero without a pattern, nothing is missing."
     )
     if curve is not None:
-        caption += f" The dashed line is what {_title(diagnosis)} alone would leave behind: where it follows the mean "
-        caption += "of the dots, the named cause is the reason."
-    return Picture("missing_torque", "What the refitted simulation misses", caption, figure, table)
+        caption += (
+            f" The dashed line is the pattern expected if {_title(diagnosis)} were the only cause. Where it "
+        )
+        caption += "follows the mean of the dots, the named cause explains them."
+    return Picture("missing_torque", f"Missing {load} of the refitted simulation", caption, figure, table)
 
 
 def joint_shown(details: Details) -> int:
-    """Joint at which the most of what is missing shows."""
+    """Return the joint whose missing load is largest against its standard deviation."""
     changed = [float(((m.torque / m.sd) ** 2).mean()) for m in details.missing]
     return int(np.argmax(changed))
 
@@ -88,7 +90,7 @@ def one_turn(angle: np.ndarray) -> np.ndarray:
 def _binned(
     axis: Axes, x: np.ndarray, y: np.ndarray, style: str, colour: str, label: str, bins: int = 20
 ) -> None:
-    """Mean of y over bins of x that hold equally many points."""
+    """Draw the mean of y over bins of x with equal numbers of points."""
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)))
     which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     parts = [y[which == i] for i in range(len(edges) - 1)]

@@ -1,4 +1,4 @@
-"""Parameters with their intervals: those of the named causes, and the simulation's own."""
+"""Parameters of the named causes and of the simulation itself, with their intervals."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from deepkoco.pages.units import readable
 
 
 def found_parameters(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | None:
-    """Each parameter of the named causes on an axis of its own, with its null value."""
+    """Draw each parameter of the named causes on its own axis, with its null value."""
     declared = {p.name: p for p in details.system.parameters}
     rows = []
     for cause in diagnosis.causes:
         for name, e in cause.parameters.items():
-            if e.low == e.high:  # one of a few shapes that were tried, not a size
+            if e.low == e.high:  # chosen among a few values, not fitted
                 continue
             null = declared[name].value if name in declared else float("nan")
             rows.append((name, null, e.value, e.low, e.high, e.unit))
@@ -42,14 +42,14 @@ def found_parameters(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
         *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(2, layout.entries)
     )
     caption = (
-        "Size of what was found, with the interval that holds the true value in 95 of 100 cases. The mark is the "
-        "value at which the simulation is what it was; the further the interval is from it, the surer the finding."
+        "Parameters of the named causes. The interval contains the true value in 95 of 100 cases. The mark is the "
+        "value at which the cause has no effect. The farther the interval is from it, the more certain the cause."
     )
-    return Picture("found_parameters", "How large it is", caption, figure, table)
+    return Picture("found_parameters", "Size of the named causes", caption, figure, table)
 
 
 def own_parameters(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
-    """Parameters of the model that is written against what the simulation assumed, with intervals."""
+    """Draw the own parameters of model.yaml against their values in the simulation as given, with intervals."""
     rows = []
     for name, e in diagnosis.final.items():
         centre, sd = details.priors[name]
@@ -79,9 +79,9 @@ def own_parameters(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pi
     axis.invert_yaxis()
     axis.set_xlabel("shift [standard deviations]")
     caption = (
-        "How far the parameters of model.yaml are from what the simulation assumed, with 95 % intervals. Zero is the "
-        "value of the simulation as given; the grey band (two standard deviations) is what a data sheet usually leaves "
-        "open. An interval that fills the band means that the log says little about this parameter."
+        "Change of the simulation's own parameters in model.yaml, with 95 % intervals. Zero is the "
+        "value of the simulation as given. The grey band (two standard deviations) is the usual uncertainty of a data "
+        "sheet. If an interval fills the band, the log says little about this parameter."
     )
     if named:
         caption += " They were fitted together with the named cause."

@@ -1,4 +1,4 @@
-"""Which cause explains the log: every candidate, ranked."""
+"""Ranking of all candidates by delta BIC."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OTHERS = "#b9b9b9"
 
 
 def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
-    """Ranked candidates as bars of delta BIC."""
+    """Draw the ranked candidates as bars of delta BIC."""
     names = [c.name for c in diagnosis.candidates]
     score = np.array([c.delta_bic for c in diagnosis.candidates])
     table = pd.DataFrame(
@@ -32,7 +32,7 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     axis.set_yticks(range(shown), spoken_names)
     axis.set_ylim(shown - 0.4, -1.3)
     axis.set_xscale("symlog", linthresh=10.0)
-    # Decades from ten on, and no more than fit side by side.
+    # Ticks at decades from ten on; only as many as fit beside each other.
     top = max(float(score.max(initial=0.0)), 100.0)
     ticks = [0.0, *(10.0**k for k in range(1, int(np.ceil(np.log10(top))) + 1))]
     if score[:shown].min(initial=0.0) < -5.0:
@@ -50,20 +50,20 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     axis.set_xlabel("evidence (fall of the BIC)")
     axis.grid(axis="y", visible=False)
     caption = (
-        "Every cause of the catalogue was tried on the same windows. The longer its bar to the right, the better the "
-        "cause explains the log beyond what its extra parameters cost (mind the logarithmic scale); bars left of zero "
-        "explain nothing. "
+        "Every cause of the catalogue was tried on the same windows. A bar is the fall of the BIC: how much better the "
+        "cause explains the log, minus the charge for its parameters. The scale is logarithmic. Causes left of zero "
+        "are not worth their parameters. "
     )
     if named:
         caption += (
-            "The coloured bar was named: it explains the most. Grey bars beyond the dashed line explain part of the "
-            "same, and nothing more once the named cause is in the simulation."
+            "The coloured bar is the named cause. Grey bars beyond the dashed line explain part of the same error, and "
+            "nothing more once the named cause is in the simulation."
             if len(named) == 1
-            else "Coloured bars are causes that these data do not tell apart. Grey bars beyond the dashed line explain "
-            "part of the same, and less."
+            else "These data cannot distinguish the causes with coloured bars. Grey bars beyond the dashed line "
+            "explain a smaller part of the same error."
         )
     else:
-        caption += "None was named: a cause must pass the dashed line and explain what the refit leaves."
+        caption += "No cause was named: a cause must pass the dashed line and explain the error of the refit."
     if len(names) > shown:
-        caption += f" The {len(names) - shown} weakest are left out here."
+        caption += f" The {len(names) - shown} weakest candidates are not shown."
     return Picture("candidates", "Which cause explains it", caption, figure, table)

@@ -1,4 +1,4 @@
-"""When samples and commands came: histograms of the time between them, with fitted mixtures."""
+"""Histograms of the time between samples and between commands, with fitted mixtures."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from deepkoco.output.picture import Picture
 
 BINS = 60
 MIN_INTERVALS = 50  # intervals that a histogram needs
-REGULAR = 4e-3  # standard deviation, as a share of the median, below which there is nothing to show
+REGULAR = 4e-3  # standard deviation over the median, below which the times count as regular and are not drawn
 COMPONENTS = 4  # of a mixture, at most
 SHOWN = (0.005, 0.995)  # quantiles between which the histogram is drawn
 
 
 def timing(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | None:
-    """Time between successive samples and between successive commands; None where all are regular."""
+    """Draw the time between successive samples and successive commands; None where all are regular."""
     found = {
         name: spacing
         for name, spacing in _spacings(details).items()
@@ -56,15 +56,15 @@ def timing(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | 
     axes[0].set_ylabel("how many")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     caption = (
-        "How regularly the log was written. One narrow peak is a steady clock; several peaks or a long tail come from "
-        "a busy machine or a bus that lets messages wait. The curve is a mixture of simple laws, as the simulation "
-        "could draw delays from. The rarest half per cent on either side is left out."
+        "Time between successive messages of the log. A regular clock gives one narrow peak. A busy computer or a "
+        "loaded bus gives several peaks or a long tail. The curve is a fitted mixture, from which a simulation can "
+        "draw delays. The smallest and the largest half per cent are not shown."
     )
     return Picture("timing", "The timing of the log", caption, figure, pd.concat(tables))
 
 
 def _spacings(details: Details) -> dict[str, np.ndarray]:
-    """Times between neighbours [s]: of the commands, and of the samples of each channel with stamps of its own."""
+    """Times between neighbours [s] of the commands, and of the samples of each channel with its own time stamps."""
     commands = [np.diff(series.t) for series in details.windows.commands]
     found = {"commands": np.concatenate(commands) if commands else np.zeros(0)}
     windows = details.windows
