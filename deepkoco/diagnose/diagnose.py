@@ -21,7 +21,8 @@ from deepkoco.diagnose.causes import Cause, catalogue, causes_named
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere, train_on_pushed
-from deepkoco.diagnose.evidence.forward import Selected, Selection, Step, learned_instead
+from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_bending,
@@ -30,7 +31,8 @@ from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_friction,
     doubts_of_names,
 )
-from deepkoco.diagnose.evidence.selection import DETECTION, FURTHER, Ranking
+from deepkoco.diagnose.evidence.selected import Selected, Step, learned_instead
+from deepkoco.diagnose.evidence.selection import DETECTION, FURTHER
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
 from deepkoco.diagnose.healthy import describe_healthy, extended, learn_baseline
 from deepkoco.diagnose.lost_commands.search import why_not_searched

@@ -20,8 +20,9 @@ from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
+from deepkoco.diagnose.evidence.priors import freed, prior_with
 from deepkoco.diagnose.evidence.refine_ranking import front_settled
-from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, freed, prior_with, rank
+from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, rank
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.lost_commands.report import best_losses
 from deepkoco.diagnose.per_log_refits import run_to_run

@@ -6,8 +6,10 @@ import pytest
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
-from deepkoco.diagnose.evidence.forward import Selected, Selection
-from deepkoco.diagnose.evidence.selection import FURTHER, prior_with, rank
+from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.selected import Selected
+from deepkoco.diagnose.evidence.selection import FURTHER, rank
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial

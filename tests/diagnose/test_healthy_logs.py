@@ -9,9 +9,11 @@ from deepkoco.diagnose import BaselineError, diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence import forward
-from deepkoco.diagnose.evidence.forward import Selected, Selection
+from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
-from deepkoco.diagnose.evidence.selection import Candidate, Ranking, prior_with
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.healthy import extended, learn_baseline
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.fit.data.windows import cut_windows, moving, window_length

@@ -10,7 +10,7 @@ from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import CAUSES, catalogue
 from deepkoco.diagnose.causes.cause import Hint
 from deepkoco.diagnose.evidence.elimination import carried
-from deepkoco.diagnose.evidence.selection import prior_with
+from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial

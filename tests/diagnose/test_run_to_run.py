@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
-from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.per_log_refits import run_to_run
 from deepkoco.diagnose.report.text import noise_of

@@ -5,8 +5,8 @@ import pytest
 
 from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.screening import screen
-from deepkoco.diagnose.evidence.selection import prior_with
 from deepkoco.fit import FitProblem, Trial, cut_windows, moving
 from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log

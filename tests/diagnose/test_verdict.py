@@ -8,7 +8,7 @@ import pytest
 from deepkoco.diagnose.baseline import Healthy, baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
-from deepkoco.diagnose.evidence.forward import Selected
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.verdict.verdict import verdict_of
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import make_system

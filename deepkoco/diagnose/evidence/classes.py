@@ -6,7 +6,8 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.evidence.selection import Candidate, Ranking, penalty, prior_with
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 

@@ -8,7 +8,9 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, kind_of
-from deepkoco.diagnose.evidence.selection import CLOSE, ITERATIONS, penalty, prior_with
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.ranking import penalty
+from deepkoco.diagnose.evidence.selection import CLOSE, ITERATIONS
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial

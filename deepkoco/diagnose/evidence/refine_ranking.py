@@ -8,16 +8,9 @@ from dataclasses import replace
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.classes import NEAR
-from deepkoco.diagnose.evidence.selection import (
-    CLOSE,
-    PATIENCE,
-    SCOUTING,
-    Candidate,
-    Ranking,
-    declared,
-    penalty,
-    prior_with,
-)
+from deepkoco.diagnose.evidence.priors import declared, prior_with
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
+from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
 from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 

@@ -13,7 +13,8 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
 from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, declared, freed, prior_with
+from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
+from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
 from deepkoco.diagnose.run_to_run import within_bounds
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial

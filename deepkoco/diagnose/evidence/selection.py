@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -12,14 +11,13 @@ import torch
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
+from deepkoco.diagnose.evidence.priors import prior_with, strained
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.screening import StartPoint as Promise
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.evidence.start_values import Hints
-from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, dispersion
+from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.fit import Fit, FitProblem, Trial
-from deepkoco.fit.simulate.push import Push
-from deepkoco.fit.solve.prior import Prior
-from deepkoco.systems import Parameter
 
 # Fall of the BIC that the first cause needs, and each further one. Both were calibrated on logs of units in
 # which nothing is wrong (results/diagnose/), with other seeds than the tests use.
@@ -36,97 +34,6 @@ MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
 STARTS = 3  # largest number of starts of one cause
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
-FAR = 25.0  # penalty of the prior from which a refit was probably distorted by a strong cause
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One cause, fitted together with the baseline's parameters.
-
-    Attributes:
-        cause: The cause.
-        fit: Its fit; its cost is never above that of the reference.
-        likelihood_ratio: Fall of the cost against the reference, under white noise.
-        delta_bic: Fall of the BIC against the reference, after deflation.
-    """
-
-    cause: Cause
-    fit: Fit
-    likelihood_ratio: float
-    delta_bic: float
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """Candidates from best to worst, with the reference and the deflation behind their scores."""
-
-    reference: Fit
-    candidates: tuple[Candidate, ...]
-    dispersion: Dispersion
-    deflation: float
-    samples: float  # effective number of samples
-    unfitted: tuple[str, ...] = ()  # causes for which the simulation diverges from every start
-
-    @property
-    def best(self) -> Candidate:
-        """The candidate whose BIC falls most."""
-        return self.candidates[0]
-
-    def probabilities(self) -> dict[str, float]:
-        """Return the weight exp(delta BIC / 2) of each candidate, normalised over all candidates and the reference."""
-        score = np.array([0.0] + [c.delta_bic for c in self.candidates])
-        weight = np.exp(0.5 * (score - score.max()))
-        return dict(zip([c.cause.name for c in self.candidates], weight[1:] / weight.sum(), strict=True))
-
-
-def penalty(cause: Cause, samples: float, places: int) -> float:
-    """Return the charge of the BIC for a cause that was searched for at ``places`` places."""
-    charge = cause.size * math.log(max(samples, 2.0))
-    # The places are charged twice: once because so many were tried, and once more because model error may spoil
-    # any single window. A push can improve that window, and no other window can contradict it.
-    charge += 2.0 * math.log(cause.choices)
-    return charge + (4.0 * math.log(max(places, 1)) if cause.searched else 0.0)
-
-
-def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
-    """Return the declarations of parameters (those of a push included) by their full names."""
-    pushes = Push.declared(problem.system, problem.windows)
-    return [pushes[n] if n in pushes else problem.system.parameter(n) for n in names]
-
-
-def prior_with(
-    problem: FitProblem, start: Baseline, causes: Sequence[Cause], values: Mapping[str, float]
-) -> Prior:
-    """Return the baseline's prior, extended by the free parameters of the causes.
-
-    The standard deviation of a cause's parameter is at least its distance from null. The declared one is meant for
-    small effects and would bias a large estimate towards null; the remaining misfit would look like a further cause.
-    """
-    prior = start.prior
-    for cause in causes:
-        # A frequency, a start or a duration has no null value: its prior is centred where the search found it.
-        shapes = {*Push.NAMES[1:3], f"{cause.effect}.frequency"}
-        centre = {n: values[n] if n in shapes else start.values[n] for n in cause.free}
-        own = [
-            replace(p, prior_sd=max(p.prior_sd, abs(values[p.name] - centre[p.name])))
-            for p in declared(problem, cause.free)
-        ]
-        prior = prior.widened(own, centre)
-    return prior
-
-
-def freed(
-    problem: FitProblem, before: Baseline, causes: Sequence[Cause], fit: Fit, values: Mapping[str, float]
-) -> Trial:
-    """Return a trial with all free parameters of a baseline and of these causes; it starts from a given fit."""
-    prior = prior_with(problem, before, causes, values)
-    return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
-
-
-def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
-    """Return whether a fit is far from its prior, as with a strong cause or a wrong unit."""
-    away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
-    return away > FAR * start.correlation
 
 
 def rank(

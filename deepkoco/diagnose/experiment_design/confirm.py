@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.evidence.selection import prior_with
+from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.experiment_design.doses import Dose
 from deepkoco.diagnose.experiment_design.experiment_setup import Stage
 from deepkoco.diagnose.experiment_design.rehearsal import Rehearsal, measured, rehearse

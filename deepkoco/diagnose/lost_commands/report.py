@@ -13,7 +13,9 @@ from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.elimination import without
 from deepkoco.diagnose.evidence.event_windows import touched
-from deepkoco.diagnose.evidence.selection import PATIENCE, penalty, prior_with
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.ranking import penalty
+from deepkoco.diagnose.evidence.selection import PATIENCE
 from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, missing_torque
 from deepkoco.fit.fit import Fit, FitProblem

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES
-from deepkoco.diagnose.evidence.selection import Ranking
+from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.experiment_design.design import ALIKE, SETTLED, TRAINED, chance_of, smallest_pair
 from deepkoco.diagnose.experiment_design.doses import Dose
 from deepkoco.diagnose.experiment_design.experiment_setup import SHORTEST, Stage, feasible_seconds, make_stage

@@ -8,7 +8,9 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause, Motion
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
-from deepkoco.diagnose.evidence.selection import DETECTION, Candidate, Ranking, declared, penalty
+from deepkoco.diagnose.evidence.priors import declared
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
+from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem

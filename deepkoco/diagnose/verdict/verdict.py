@@ -9,7 +9,8 @@ from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Verdict
 from deepkoco.diagnose.evidence.elimination import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.event_windows import touched
-from deepkoco.diagnose.evidence.forward import MOST_CAUSES, Selected
+from deepkoco.diagnose.evidence.forward import MOST_CAUSES
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.residuals.residuals import white_limit

@@ -1,0 +1,56 @@
+"""Priors of causes that are fitted together with the baseline's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.simulate.push import Push
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.systems import Parameter
+
+FAR = 25.0  # penalty of the prior from which a refit was probably distorted by a strong cause
+
+
+def declared(problem: FitProblem, names: Sequence[str]) -> list[Parameter]:
+    """Return the declarations of parameters (those of a push included) by their full names."""
+    pushes = Push.declared(problem.system, problem.windows)
+    return [pushes[n] if n in pushes else problem.system.parameter(n) for n in names]
+
+
+def prior_with(
+    problem: FitProblem, start: Baseline, causes: Sequence[Cause], values: Mapping[str, float]
+) -> Prior:
+    """Return the baseline's prior, extended by the free parameters of the causes.
+
+    The standard deviation of a cause's parameter is at least its distance from null. The declared one is meant for
+    small effects and would bias a large estimate towards null; the remaining misfit would look like a further cause.
+    """
+    prior = start.prior
+    for cause in causes:
+        # A frequency, a start or a duration has no null value: its prior is centred where the search found it.
+        shapes = {*Push.NAMES[1:3], f"{cause.effect}.frequency"}
+        centre = {n: values[n] if n in shapes else start.values[n] for n in cause.free}
+        own = [
+            replace(p, prior_sd=max(p.prior_sd, abs(values[p.name] - centre[p.name])))
+            for p in declared(problem, cause.free)
+        ]
+        prior = prior.widened(own, centre)
+    return prior
+
+
+def freed(
+    problem: FitProblem, before: Baseline, causes: Sequence[Cause], fit: Fit, values: Mapping[str, float]
+) -> Trial:
+    """Return a trial with all free parameters of a baseline and of these causes; it starts from a given fit."""
+    prior = prior_with(problem, before, causes, values)
+    return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
+
+
+def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
+    """Return whether a fit is far from its prior, as with a strong cause or a wrong unit."""
+    away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
+    return away > FAR * start.correlation

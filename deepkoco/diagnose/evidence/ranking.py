@@ -1,0 +1,61 @@
+"""Candidates of the catalogue, ranked by the fall of the BIC."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.residuals.residuals import Dispersion
+from deepkoco.fit.fit import Fit
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One cause, fitted together with the baseline's parameters.
+
+    Attributes:
+        cause: The cause.
+        fit: Its fit; its cost is never above that of the reference.
+        likelihood_ratio: Fall of the cost against the reference, under white noise.
+        delta_bic: Fall of the BIC against the reference, after deflation.
+    """
+
+    cause: Cause
+    fit: Fit
+    likelihood_ratio: float
+    delta_bic: float
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Candidates from best to worst, with the reference and the deflation behind their scores."""
+
+    reference: Fit
+    candidates: tuple[Candidate, ...]
+    dispersion: Dispersion
+    deflation: float
+    samples: float  # effective number of samples
+    unfitted: tuple[str, ...] = ()  # causes for which the simulation diverges from every start
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate whose BIC falls most."""
+        return self.candidates[0]
+
+    def probabilities(self) -> dict[str, float]:
+        """Return the weight exp(delta BIC / 2) of each candidate, normalised over all candidates and the reference."""
+        score = np.array([0.0] + [c.delta_bic for c in self.candidates])
+        weight = np.exp(0.5 * (score - score.max()))
+        return dict(zip([c.cause.name for c in self.candidates], weight[1:] / weight.sum(), strict=True))
+
+
+def penalty(cause: Cause, samples: float, places: int) -> float:
+    """Return the charge of the BIC for a cause that was searched for at ``places`` places."""
+    charge = cause.size * math.log(max(samples, 2.0))
+    # The places are charged twice: once because so many were tried, and once more because model error may spoil
+    # any single window. A push can improve that window, and no other window can contradict it.
+    charge += 2.0 * math.log(cause.choices)
+    return charge + (4.0 * math.log(max(places, 1)) if cause.searched else 0.0)
