@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from deepkoco.diagnose.report.figures.layout import COLOURS as MODELS
 from deepkoco.output.picture import Picture, house_style
-from experiments.unit_trials import Trial
+from deepkoco.runs.unit_trials import Trial
 
 COLOURS = {name: MODELS[name] for name in ("baseline", "extended")}
 SIMULATORS = {"baseline": "in the simulator as given", "extended": "in the extended simulator"}
