@@ -1,4 +1,4 @@
-"""Estimates at their bounds and commands out of all proportion are doubted."""
+"""Sanity checks of estimates at bounds, driving friction, command sizes and flexible causes."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Experiments that are designed to tell causes apart."""
+"""Design of experiments that distinguish causes."""
 
 import json
 from dataclasses import replace
@@ -131,7 +131,7 @@ def test_design_keeps_or_refuses_narrow_limits_of_speed():
 
 @pytest.fixture
 def refits_by_size(monkeypatch):
-    """Refits whose ratio grows with the sequence, as temptation would have it; the rehearsals are real."""
+    """Fake refits whose ratio grows with the size of the sequence; the simulations are real."""
 
     known = {}
 

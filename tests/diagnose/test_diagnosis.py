@@ -1,4 +1,4 @@
-"""What a diagnosis says, writes and refuses."""
+"""Results, files and errors of a whole diagnosis."""
 
 import io
 import json

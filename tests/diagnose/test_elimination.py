@@ -1,4 +1,4 @@
-"""A cause that others make superfluous is taken out again; causes that are there stay."""
+"""Backward elimination: superfluous causes are removed and true causes stay."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def fitted(log, names):
 
 
 def test_carried_does_not_test_causes_that_mostly_save_prior_penalty():
-    """A longer rod is mended as well by other masses and weights, which were known to one percent."""
+    """Changed masses, known to one percent, can replace a longer rod; only the prior counts against them."""
     log = hidden_log(
         "rod_pendulum", {"length": {"factor": 1.05}, "gain_drift": {"rate": 0.004}}, "steps", 224
     )
@@ -92,7 +92,7 @@ def test_without_kinds_removes_detents_and_tones_beside_other_causes():
 
 
 def looked_at_again(system, hidden, excitation, seed, first, wrong, known):
-    """Two causes, the second one wrong, as a selection has found them one after the other; and its second look."""
+    """Select two causes, the second of them wrong, and compare each again with the other in the model."""
     system = make_system(system)
     log = hidden_log(system.name, hidden, excitation, seed, 20.0)
     windows = cut_windows([log], system, window_length(system))

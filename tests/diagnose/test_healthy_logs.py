@@ -1,4 +1,4 @@
-"""What healthy logs allow is no cause, and what they exclude is one."""
+"""Causes that are consistent with healthy logs join the baseline; others are named."""
 
 from dataclasses import replace
 
@@ -86,7 +86,7 @@ def test_diagnose_does_not_name_an_offset_that_healthy_logs_show(bent):
 
 
 def test_learn_baseline_accepts_an_extended_model():
-    """What an earlier model.yaml brings along is in the baseline; what is new is named."""
+    """The effects of an earlier model.yaml are in the baseline; a new cause is named."""
     unit = {"coulomb": {"torque": 0.1}, "lag": {"time_constant": 0.02}}
     model = ExtendedSystem(SYSTEM, ("coulomb",), {"coulomb.torque": 0.08})
     healthy = hidden_log("rod_pendulum", unit, "chirp", SEED, 15.0)

@@ -1,4 +1,4 @@
-"""What bends to anything (lost commands, detents, tones, pushes) is not named for what it only imitates."""
+"""Flexible causes (lost commands, detents, tones, pushes) are not named where they only imitate another cause."""
 
 from types import SimpleNamespace
 
@@ -22,7 +22,7 @@ TETHER = {"tether": {"stiffness": 0.235}}
 
 
 def test_lost_commands_are_not_named_for_a_tether():
-    """Offsets of known size at hundreds of ticks bend to it, but which ones they take depends on the motion."""
+    """Losses at hundreds of ticks can fit a tether, but the positions of these losses depend on the motion."""
     log = hidden_log("rod_pendulum", TETHER, "closed-loop", 2037)
     result = diagnose([log], "rod_pendulum", only=["lost_commands"])
     assert result.chi2_before > 1.3
@@ -31,7 +31,7 @@ def test_lost_commands_are_not_named_for_a_tether():
 
 
 def test_detents_and_pushes_are_not_named_for_a_tether():
-    """A load that follows the angle says as much as detents; with a push besides they still leave more than noise."""
+    """A learned load explains as much as detents; detents together with a push leave more than noise."""
     for stiffness, seed, doubt in (
         (0.204, 2791, "explains the log nearly as well as cogging"),
         (0.235, 2037, "With cogging and event, more than noise remains"),
@@ -125,7 +125,7 @@ def test_learn_baseline_finds_small_effects_without_a_mixture():
 
 
 def test_saturation_and_gain_share_a_class_under_two_level_commands():
-    """Every command is cut as a whole: a shallow cut has to show the way to a deep one."""
+    """With two levels the limit cuts every command, so the fit must reach a low limit from a start just below them."""
     log = hidden_log("rod_pendulum", {"saturation": {"limit": 1.6}}, "bang-bang", 227, 16.0)
     found = diagnose([log], "rod_pendulum", only=["saturation", "gain", "payload", "lag"])
     assert found.verdict == "cause"

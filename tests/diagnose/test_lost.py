@@ -1,4 +1,4 @@
-"""Which commands never arrived is found tick by tick, and nothing is found where all arrived."""
+"""Search for lost commands tick by tick."""
 
 from dataclasses import replace
 from itertools import product
@@ -44,7 +44,7 @@ def test_lost_commands_recover_the_share_of_losses():
 
 
 def test_single_loss_joins_the_class_of_a_push():
-    """Steps change the command once a second: of all losses one shows."""
+    """Steps change the command once a second, so only one of all losses shows."""
     only = ["event", "lost_commands", "gain", "lag"]
     lossy = hidden_log("rod_pendulum", {"lost_commands": {"share": 0.03}}, "steps", SEED, 20.0)
     result = diagnose([lossy], "rod_pendulum", only=only)
@@ -58,7 +58,7 @@ def test_single_loss_joins_the_class_of_a_push():
 
 
 def test_loss_outside_the_push_does_not_join_its_class():
-    """The loss, 6 s before the push, wins about as much as it does."""
+    """The loss, 6 s before the push, lowers the cost about as much as the push."""
     hidden = {
         "lost_commands": {"share": 0.03},
         "event": {"torque": 0.108, "start": 14.3, "duration": 0.06},

@@ -1,4 +1,4 @@
-"""What the page of a diagnosis shows: both widths, what remains, the timing of a log."""
+"""Report page of a diagnosis: both widths, remaining residuals, timing of a log."""
 
 from dataclasses import replace
 from datetime import date

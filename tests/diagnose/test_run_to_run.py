@@ -1,4 +1,4 @@
-"""Healthy logs of one unit tell how far its parameters vary from run to run, and how large its model error is."""
+"""Run-to-run variance and floor of a unit, estimated from its healthy logs."""
 
 import json
 from dataclasses import replace
@@ -251,7 +251,7 @@ def test_learn_baseline_finds_common_effects_beside_run_to_run_variance():
 
 
 def test_learn_baseline_does_not_count_common_effects_as_variance():
-    """Without it the logs differ: friction is needed more under some commands than under others."""
+    """Without Coulomb friction in the baseline, refits of viscous friction differ between commands."""
     hidden = {"coulomb": {"torque": 0.02}}
     logs = [
         hidden_log("rod_pendulum", hidden, drive, SEED, SECONDS, take=k) for k, drive in enumerate(DRIVES[:3])
@@ -318,7 +318,7 @@ def test_of_another_accepts_parameters_of_very_different_units():
 
 
 def test_within_bounds_moves_correlated_parameters_together():
-    """What is known is the sum: 0.8 ms, though one part of it was estimated below 0."""
+    """The logs determine the sum, 0.8 ms, although one of its parts was estimated below 0."""
     start = baseline_from(
         SYSTEM, cut_windows([hidden_log("rod_pendulum", {}, "chirp", SEED, 5.0)], SYSTEM, LENGTH)
     )

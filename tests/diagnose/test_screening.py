@@ -1,4 +1,4 @@
-"""What the score test promises, against the fits that it stands for."""
+"""Promises of the score test compared with full fits."""
 
 import numpy as np
 import pytest

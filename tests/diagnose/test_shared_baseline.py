@@ -1,4 +1,4 @@
-"""A baseline that several diagnoses share: what it stands for is checked, and it gives what its logs give."""
+"""Learned baseline that several diagnoses share."""
 
 from dataclasses import replace
 
@@ -60,7 +60,7 @@ def test_shared_baseline_gives_the_same_result_as_its_logs(log, healthy):
 
 
 def test_diagnose_counts_the_floor_as_noise(healthy, log):
-    """A likelihood that knows nothing of the floor would drag the refit out of the prior that was learned."""
+    """Without the floor, the likelihood would move the refit away from the learned prior."""
     learned = learn_baseline([healthy], SYSTEM, LENGTH)
     rough = replace(learned, floor=100.0)
     plain, wide = (

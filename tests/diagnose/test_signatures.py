@@ -1,4 +1,4 @@
-"""What sensors and clocks leave in the residuals is told where it is there, and nowhere else."""
+"""Signatures of sensors and clocks in the residuals."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What only imitates a cause of the catalogue is not named; a push in a window kept back is found."""
+"""Verdict `unknown` for imitations of a cause, and pushes in held-out windows."""
 
 import numpy as np
 import pytest

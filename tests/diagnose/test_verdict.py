@@ -1,4 +1,4 @@
-"""What is selected is named only if it accounts for what was seen."""
+"""Verdict on selected causes."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ KNOWN = catalogue(BASE)
 
 @pytest.fixture(scope="module")
 def stage():
-    """Windows, their baseline, and a fit that leaves a given chi2 per sample in every sample alike."""
+    """Windows, their baseline, and fits with a given chi2 that is the same in every sample."""
     windows = cut_data([hidden_log("rod_pendulum", {}, "steps", 172, 12.0)], (), BASE, 1.6).train
     start = baseline_from(BASE, windows)
     fit = FitProblem(start.system, windows).evaluate(start.values)
