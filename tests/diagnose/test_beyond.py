@@ -1,4 +1,4 @@
-"""Estimates at their bounds and commands out of all proportion are doubted."""
+"""Sanity checks of estimates at bounds, driving friction, command sizes and flexible causes."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -35,14 +35,14 @@ def windows():
 @pytest.mark.parametrize(
     ("factor", "doubted"), [(1.0, 0), (1e-3, 0), (1e3, 0), (1e-6, 1), (1e6, 1), (0.0, 0)]
 )
-def test_commands_no_unit_explains_are_doubted(windows, factor, doubted):
+def test_doubts_of_commands_are_raised_for_commands_that_no_unit_explains(windows, factor, doubted):
     scaled = tuple(CommandSeries(c.t, factor * c.value) for c in windows.commands)
     found = doubts_of_commands(replace(windows, commands=scaled), BASE)
     assert len(found) == doubted
     assert all('"torque"' in text and "N m" in text for text in found)
 
 
-def test_an_estimate_at_its_bound_is_doubted_and_null_is_not(windows):
+def test_doubts_of_estimates_are_raised_at_a_bound_but_not_at_null(windows):
     start = baseline_from(BASE, windows)
     problem = FitProblem(start.system, windows)
     null = problem.evaluate(start.values)
@@ -77,7 +77,7 @@ def residuals_like(windows, fit, chi2, colour=0.0):
     return replace(fit, residual=residual, chi2=float((residual**2).sum()))
 
 
-def test_what_bends_to_anything_has_to_leave_noise(windows):
+def test_doubts_of_bending_are_raised_where_flexible_causes_leave_more_than_noise(windows):
     start = baseline_from(BASE, windows)
     null = FitProblem(start.system, windows).evaluate(start.values)
     known, lost = catalogue(BASE), SimpleNamespace(name="lost_commands")
@@ -92,7 +92,7 @@ def test_what_bends_to_anything_has_to_leave_noise(windows):
 
         assert doubts(below) == ()
         assert "chi2 per sample" in doubts(above)[0]
-        assert "correlation of 0.19" in doubts(coloured)[0]
+        assert "correlation of neighbouring residuals is 0.19" in doubts(coloured)[0]
         # A unit in which nothing is wrong leaves as much.
         assert doubts(coloured, start=replace(start, healthy=healthy)) == ()
         assert doubts(above, start=replace(start, floor=1.2)) == ()
@@ -101,7 +101,7 @@ def test_what_bends_to_anything_has_to_leave_noise(windows):
         assert doubts_of_bending(start, [known[n] for n in names], None, windows, coloured) == ()
 
 
-def test_columns_given_for_each_other_are_named(tmp_path):
+def test_read_log_refuses_swapped_columns(tmp_path):
     log = hidden_log("rod_pendulum", {}, "steps", 172, 10.0)
     torque, theta, omega = (log.channels[n] for n in ("torque", "theta", "omega"))
     held = torque.hold(theta.t)
@@ -130,7 +130,7 @@ def test_columns_given_for_each_other_are_named(tmp_path):
         ({"viscous.change": 0.1, "quadratic.drag": -0.001}, False),
     ],
 )
-def test_a_friction_that_drives_the_joint_is_doubted(windows, values, driven):
+def test_doubts_of_friction_are_raised_where_friction_drives_the_joint(windows, values, driven):
     start = baseline_from(BASE, windows)
     problem, known = FitProblem(start.system, windows), catalogue(BASE)
     fit = problem.evaluate({**start.values, **values})

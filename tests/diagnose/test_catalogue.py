@@ -51,7 +51,7 @@ def test_every_cause_has_an_effect_or_is_an_event():
 
 
 @pytest.mark.parametrize("cause", HIDDEN)
-def test_hidden_cause_is_named_in_class(cause):
+def test_diagnose_names_the_class_of_each_hidden_cause(cause):
     system, excitation, values = HIDDEN[cause]
     log = hidden_log(system, {cause: values}, excitation, 120 + list(HIDDEN).index(cause), SECONDS)
     result = diagnose([log], system)
@@ -67,7 +67,7 @@ def test_hidden_cause_is_named_in_class(cause):
     ("system", "excitation"),
     [("two_link_arm", "steps"), ("quadrotor_height", "closed-loop"), ("pendulum", "closed-loop")],
 )
-def test_nothing_is_named_on_a_control_of_the_generator(system, excitation):
+def test_diagnose_names_nothing_on_a_control_of_the_generator(system, excitation):
     result = diagnose([hidden_log(system, {}, excitation, 150, SECONDS)], system)
     assert result.verdict == "nothing"
     assert result.causes == ()

@@ -1,4 +1,4 @@
-"""Experiments that are designed to tell causes apart."""
+"""Design of experiments that distinguish causes."""
 
 import json
 from dataclasses import replace
@@ -37,21 +37,21 @@ def design():
     return design_experiment("rod_pendulum", ["coulomb", "quadratic"], seed=3, **QUICK)
 
 
-def test_design_separates_and_beats_usual_sequences(design):
+def test_design_has_a_higher_ratio_than_usual_sequences(design):
     assert design.smallest > 24.0
     assert design.settles
     assert design.chance > 0.95
     assert design.worst > max(design.typical.values())
 
 
-def test_commands_keep_the_limits(design):
+def test_designed_commands_keep_the_limits(design):
     low, high = design.stage.limits.command[0]
     assert low <= design.sequence.min()
     assert design.sequence.max() <= high
     assert all((played.excess == 0.0).all() for played in design.rehearsals)
 
 
-def test_same_seed_same_sequences():
+def test_design_with_the_same_seed_gives_the_same_sequences():
     stage, doses = staged("rod_pendulum", ["coulomb", "gain"])
     units = [d.on(stage.start.values) for d in doses]
     first, again = (scan(stage, doses, units, np.random.default_rng(4), 2) for _ in range(2))
@@ -59,7 +59,7 @@ def test_same_seed_same_sequences():
     assert all(np.array_equal(a.cost, b.cost) for a, b in zip(first, again, strict=True))
 
 
-def test_files_hold_what_was_designed_and_the_recorder_plays_it(design, tmp_path):
+def test_design_files_contain_the_design_and_the_recorder_plays_them(design, tmp_path):
     commands = write_design(design, tmp_path / "design")
     said = yaml.safe_load((tmp_path / "design" / "design.yaml").read_text())
     assert said["distinguish"] == ["coulomb", "quadratic"]
@@ -88,7 +88,7 @@ def test_files_hold_what_was_designed_and_the_recorder_plays_it(design, tmp_path
 
 
 @pytest.mark.parametrize("pair", [["sensing_delay", "actuation_delay"], ["sensor_bias", "tilt"]])
-def test_exact_twins_are_told_so(pair):
+def test_check_separable_refuses_causes_with_equal_measurements(pair):
     stage, doses = staged("rod_pendulum", pair)
     scans = scan(stage, doses, [d.on(stage.start.values) for d in doses], np.random.default_rng(0), 4)
     with pytest.raises(InseparableError, match="cannot be distinguished by any command") as error:
@@ -105,7 +105,7 @@ def test_exact_twins_are_told_so(pair):
         ("quadrotor_height", ["gain", "quadratic"]),
     ],
 )
-def test_first_order_agrees_with_refits_at_small_doses(system, pair):
+def test_separation_agrees_with_refits_at_small_doses(system, pair):
     stage, doses = staged(system, pair, size=0.2)
     generator = np.random.default_rng(2)
     family = FAMILIES["steps"]
@@ -118,7 +118,7 @@ def test_first_order_agrees_with_refits_at_small_doses(system, pair):
     assert all(len(p.windows) >= 3 for p in played)
 
 
-def test_narrow_limits_of_speed_are_kept_or_refused():
+def test_design_keeps_or_refuses_narrow_limits_of_speed():
     stage, doses = staged("rod_pendulum", ["coulomb", "viscous"], omega=(-2.0, 2.0))
     units = [d.on(stage.start.values) for d in doses]
     scans = scan(stage, doses, units, np.random.default_rng(0), 6)
@@ -131,7 +131,7 @@ def test_narrow_limits_of_speed_are_kept_or_refused():
 
 @pytest.fixture
 def refits_by_size(monkeypatch):
-    """Refits whose ratio grows with the sequence, as temptation would have it; the rehearsals are real."""
+    """Fake refits whose ratio grows with the size of the sequence; the simulations are real."""
 
     known = {}
 
@@ -151,7 +151,7 @@ def pushes(stage, *sizes):
     return tried
 
 
-def test_a_sequence_that_breaks_a_limit_is_never_chosen(refits_by_size):
+def test_choose_never_takes_a_sequence_that_breaks_a_limit(refits_by_size):
     stage, doses = staged("rod_pendulum", ["coulomb", "gain"], omega=(-1.0, 1.0))
     tried = pushes(stage, 2.0, 0.2, 0.05)
     broken = [choosing.Choice(k, *choosing.confirm(stage, tried[k], doses)).excess > 0.0 for k in range(3)]
@@ -162,7 +162,7 @@ def test_a_sequence_that_breaks_a_limit_is_never_chosen(refits_by_size):
         assert choose(stage, tried, order, doses, 1).index == next(k for k in order if k)
 
 
-def test_when_all_break_a_limit_it_is_said_which_and_by_how_much(refits_by_size):
+def test_choose_names_the_limit_and_the_excess_when_all_sequences_break_one(refits_by_size):
     stage, doses = staged("rod_pendulum", ["coulomb", "gain"], omega=(-1.0, 1.0))
     with pytest.raises(
         DesignError, match=r"brings omega to .* where 1 is allowed, .* % too far; widen .* omega"
@@ -181,7 +181,7 @@ def test_when_all_break_a_limit_it_is_said_which_and_by_how_much(refits_by_size)
         (["coulomb", "event"], "no command sequence can test event"),
     ],
 )
-def test_senseless_questions_are_refused(names, message):
+def test_known_causes_refuses_causes_that_no_design_can_test(names, message):
     with pytest.raises(DesignError, match=message):
         known_causes(make_system("rod_pendulum"), names)
 
@@ -196,7 +196,7 @@ def test_signals_stay_in_their_range_for_every_family():
         assert np.ptp(signals, axis=1).min() > 0.0
 
 
-def test_chance_follows_the_scatter_of_the_ratio():
+def test_chance_of_agrees_with_sampled_ratios():
     # N(24, (2 sqrt 24)^2) exceeds 6 with probability Phi(18 / 9.798) = 0.967.
     assert chance_of(24.0) == pytest.approx(0.967, abs=1e-3)
     assert smallest_pair(np.array([[0.0, 3.0], [2.0, 0.0]])) == 2.0
@@ -215,18 +215,18 @@ def test_chance_follows_the_scatter_of_the_ratio():
         (["--duration", "1"], "needs several"),
     ],
 )
-def test_command_line_says_what_is_wrong(arguments, message, tmp_path, capsys):
+def test_design_command_refuses_wrong_arguments_with_their_reason(arguments, message, tmp_path, capsys):
     base = ["design-experiment", "--system", "rod_pendulum", "--distinguish", "coulomb", "gain"]
     assert main([*base, "--out", str(tmp_path / "out"), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_yaml_is_json_too(design):
+def test_described_design_is_valid_json(design):
     assert json.loads(json.dumps(describe(design), allow_nan=False))["family"] == design.family
 
 
-def test_a_family_without_allowed_sequences_and_an_open_limit_are_null(design):
+def test_described_design_has_null_for_missing_families_and_open_limits(design):
     limits = replace(design.stage.limits, position=np.array([[-np.inf, 3.0]]))
     stage = replace(design.stage, limits=limits)
     said = describe(replace(design, stage=stage, typical={**design.typical, "chirp": float("nan")}))

@@ -1,4 +1,4 @@
-"""What a diagnosis says, writes and refuses."""
+"""Results, files and errors of a whole diagnosis."""
 
 import io
 import json
@@ -53,7 +53,7 @@ def report(diagnosis, tmp_path_factory):
     return write_report(diagnosis, tmp_path_factory.mktemp("reports") / "report").parent
 
 
-def test_json_keeps_its_contract(report):
+def test_report_json_has_the_keys_of_the_contract(report):
     content = json.loads((report / "report.json").read_text())
     assert set(content) >= KEYS
     assert content["schema"] == 1
@@ -74,7 +74,7 @@ def test_json_keeps_its_contract(report):
     assert tried == {c["name"] for c in content["candidates"]}
 
 
-def test_gain_is_large_and_its_interval_holds_it(diagnosis):
+def test_gain_is_large_and_inside_its_interval(diagnosis):
     gain = diagnosis.gain
     assert gain.low <= gain.reduction <= gain.high
     assert gain.low > 0.3
@@ -103,7 +103,7 @@ def test_every_picture_has_its_table_and_the_page_needs_no_other_file(report):
     assert "The simulation lacks: coulomb" in page
 
 
-def test_friction_curve_holds_the_hidden_friction(report):
+def test_friction_band_contains_the_hidden_friction(report):
     curve = pd.read_csv(report / "friction_curve.csv")
     fast = curve[curve.speed > 1.0]
     # Coulomb friction of 0.15 N m and little else, drawn within its band.
@@ -120,7 +120,7 @@ def test_model_is_a_system_and_diagnosing_from_it_finds_nothing(report):
     assert diagnose([second], system).verdict == "nothing"
 
 
-def test_same_seed_same_bytes_whoever_watches(log, diagnosis):
+def test_diagnose_with_the_same_seed_gives_the_same_report_with_or_without_progress(log, diagnosis):
     told = []
     again = diagnose([log], "rod_pendulum", seed=5, progress=told.append)
     first, second = (json.dumps(replace(d, seconds=0.0).to_json()) for d in (diagnosis, again))
@@ -129,19 +129,19 @@ def test_same_seed_same_bytes_whoever_watches(log, diagnosis):
     assert told[-1] == "lost commands together with coulomb"
 
 
-def test_report_is_never_written_over(diagnosis, tmp_path):
+def test_write_report_refuses_an_existing_folder(diagnosis, tmp_path):
     (tmp_path / "mine").mkdir()
     with pytest.raises(FolderExistsError, match="mine: exists"):
         write_report(diagnosis, tmp_path / "mine")
     assert list((tmp_path / "mine").iterdir()) == []
 
 
-def test_words_name_the_cause(diagnosis):
+def test_headline_and_lead_name_the_cause(diagnosis):
     assert headline(diagnosis) == "The simulation lacks: coulomb"
     assert "Dry friction" in lead(diagnosis)
 
 
-def test_what_reading_had_to_assume_is_told(diagnosis, tmp_path):
+def test_report_shows_the_warnings_of_reading(diagnosis, tmp_path):
     said = "torque is not known from 2.1 to 2.4 s"
     doubted = replace(
         diagnosis,
@@ -153,7 +153,7 @@ def test_what_reading_had_to_assume_is_told(diagnosis, tmp_path):
     assert f"<li>{said}</li>" in write_report(doubted, tmp_path / "out").read_text()
 
 
-def test_healthy_log_moves_its_own_effects_into_the_baseline():
+def test_healthy_log_adds_its_effects_to_the_baseline():
     worn = {"lag": {"time_constant": 0.006}}
     parameters = 72  # the same unit: same seed, same parameters
     healthy = unit_log("rod_pendulum", worn, "chirp", parameters, 20.0)
@@ -171,7 +171,7 @@ def test_holdout_logs_are_never_fitted(log, diagnosis):
     assert result.windows > diagnosis.windows
 
 
-def test_a_refit_that_makes_held_out_errors_worse_is_not_kept():
+def test_model_keeps_given_parameters_where_the_refit_raises_the_held_out_error():
     mine, other, another = (unit_log("rod_pendulum", {}, "steps", seed, 12.0) for seed in (81, 82, 83))
     given = diagnose([other], "rod_pendulum", only=["lag"]).model
     worse = diagnose([mine], given, holdout=[other], only=["lag"])
@@ -206,7 +206,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize(("stream", "options"), [(Terminal, []), (Terminal, ["--json"]), (io.StringIO, [])])
-def test_a_terminal_is_told_what_is_being_done(log, tmp_path, monkeypatch, stream, options):
+def test_diagnose_command_shows_progress_on_a_terminal_only(log, tmp_path, monkeypatch, stream, options):
     path = write_log(tmp_path / "log.csv", log)
     monkeypatch.setattr("sys.stderr", stream())
     monkeypatch.setattr("deepkoco.diagnose.report.folder.write_report", lambda result, out: out)
@@ -228,7 +228,7 @@ def told(*_, progress):
 
 
 @pytest.mark.parametrize("window", [[], ["--window", "50"]])
-def test_still_joint_is_insufficient(log, tmp_path, capsys, window):
+def test_diagnose_command_says_what_is_missing_where_the_joint_rests(log, tmp_path, capsys, window):
     rng = np.random.default_rng(0)
     t = log.channels["theta"].t
     still = {
@@ -252,7 +252,9 @@ def test_still_joint_is_insufficient(log, tmp_path, capsys, window):
         (["--system", "{folder}/none.yaml"], "none.yaml"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_2(log, tmp_path, capsys, arguments, message):
+def test_diagnose_command_reports_bad_input_in_one_line_with_status_2(
+    log, tmp_path, capsys, arguments, message
+):
     path = write_log(tmp_path / "log.csv", log)
     before = sorted(tmp_path.iterdir())
     given = [a.format(folder=tmp_path) for a in arguments]

@@ -55,7 +55,7 @@ def diagnosis():
     )
 
 
-def test_a_baseline_of_another_build_is_left_out_and_told(diagnosis, tmp_path):
+def test_baseline_of_another_build_is_left_out_and_reported(diagnosis, tmp_path):
     assert diagnosis.verdict != "insufficient"
     (told,) = diagnosis.unexplained["not_fitted"]
     assert "prior of the healthy logs" in told

@@ -1,4 +1,4 @@
-"""A cause that others make superfluous is taken out again; causes that are there stay."""
+"""Backward elimination: superfluous causes are removed and true causes stay."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
 
 
-def test_only_the_cause_that_is_not_there_goes():
+def test_eliminated_removes_only_the_false_cause():
     hidden = {"asymmetry": {"share": 0.03}, "lag": {"time_constant": 0.01}}
     system = make_system("rod_pendulum")
     windows = cut_windows(
@@ -63,8 +63,8 @@ def fitted(log, names):
     return problem, start, causes, fit[0], reference
 
 
-def test_what_only_keeps_the_baseline_in_its_prior_is_not_judged_by_windows():
-    """A longer rod is mended as well by other masses and weights, which were known to one percent."""
+def test_carried_does_not_test_causes_that_mostly_save_prior_penalty():
+    """Changed masses, known to one percent, can replace a longer rod; only the prior counts against them."""
     log = hidden_log(
         "rod_pendulum", {"length": {"factor": 1.05}, "gain_drift": {"rate": 0.004}}, "steps", 224
     )
@@ -75,7 +75,7 @@ def test_what_only_keeps_the_baseline_in_its_prior_is_not_judged_by_windows():
     assert same is fit
 
 
-def test_detents_and_tones_go_where_others_stay():
+def test_without_kinds_removes_detents_and_tones_beside_other_causes():
     problem, start, causes, fit, _ = fitted(
         hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 225, 12.0),
         ["cogging", "coulomb", "periodic"],
@@ -94,7 +94,7 @@ def test_detents_and_tones_go_where_others_stay():
 
 
 def looked_at_again(system, hidden, excitation, seed, first, wrong, known):
-    """Two causes, the second one wrong, as a selection has found them one after the other; and its second look."""
+    """Select two causes, the second of them wrong, and compare each again with the other in the model."""
     system = make_system(system)
     log = hidden_log(system.name, hidden, excitation, seed, 20.0)
     windows = cut_windows([log], system, window_length(system))
@@ -138,7 +138,9 @@ def looked_at_again(system, hidden, excitation, seed, first, wrong, known):
         ),
     ],
 )
-def test_what_does_better_beside_the_others_takes_a_place(system, hidden, first, wrong, right):
+def test_reconsidered_replaces_a_cause_by_one_that_fits_better_with_the_others(
+    system, hidden, first, wrong, right
+):
     known = ("viscous(joint 1)", "coulomb(joint 1)") if system == "two_link_arm" else ()
     fit, better = looked_at_again(system, hidden, "steps", 226, first, wrong, (first, wrong, right, *known))
     # The right one may take either place, and the other one the place that is left.

@@ -39,7 +39,7 @@ def test_reading_and_inspecting_never_ends_in_a_traceback(case):
 
 @pytest.mark.parametrize("fault", sorted(FAULTS))
 @pytest.mark.parametrize("form", ["csv", "mcap"])
-def test_every_fault_is_refused_or_read(fault, form):
+def test_damaged_logs_are_refused_or_read_for_every_fault(fault, form):
     result, recording, _ = read_case(FuzzCase(0, form, (fault,), 3))
     assert result.wrong == "", result
     assert (recording is None) == (result.outcome == "refused")
@@ -65,7 +65,7 @@ def test_a_command_in_another_unit_is_named_as_such(base, form, faults, seed, na
 
 
 @pytest.mark.parametrize("case", [FuzzCase(0, "parquet", ("frozen channel",), 25261)])
-def test_a_frozen_sensor_is_told_and_names_no_cause(case, verdicts):
+def test_frozen_sensor_is_reported_and_names_no_cause(case, verdicts):
     result = run_case(case, verdicts)
     assert result.wrong == "", result
     assert '"theta" repeats one value from 2.66 to 6.2 s (355 samples)' in result.text
@@ -74,7 +74,7 @@ def test_a_frozen_sensor_is_told_and_names_no_cause(case, verdicts):
 @pytest.mark.skipif(DIAGNOSED == 0, reason="DEEPKOCO_FUZZ_CASES is not set")
 @settings(max_examples=max(DIAGNOSED, 1), deadline=None, phases=[Phase.generate], suppress_health_check=QUIET)
 @given(case=case_strategy())
-def test_diagnoses_of_damaged_logs_are_honest(case, verdicts):
+def test_diagnoses_of_damaged_logs_name_no_false_cause(case, verdicts):
     result = run_case(case, verdicts)
     assert result.wrong == "", result
 

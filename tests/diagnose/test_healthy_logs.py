@@ -1,4 +1,4 @@
-"""What healthy logs allow is no cause, and what they exclude is one."""
+"""Causes that are consistent with healthy logs join the baseline; others are named."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def claim(start, hidden, name):
     return problem, Hypothesis(cause, (), problem.fit([trial])[0])
 
 
-def test_what_healthy_logs_show_as_well_is_allowed(bent):
+def test_consistent_with_healthy_holds_for_effects_that_healthy_logs_show(bent):
     start, _ = bent
     assert start.effects == ()  # too small to be learned from this log alone
     problem, same = claim(start, BIAS, "torque_bias")
@@ -58,7 +58,7 @@ def test_what_healthy_logs_show_as_well_is_allowed(bent):
     assert consistent_with_healthy(start, problem, []) == []
 
 
-def test_without_healthy_logs_nothing_is_allowed(bent):
+def test_consistent_with_healthy_is_false_without_healthy_logs(bent):
     start, plain = bent
     problem, same = claim(start, BIAS, "torque_bias")
     assert consistent_with_healthy(plain, problem, [same]) == [False]
@@ -66,7 +66,7 @@ def test_without_healthy_logs_nothing_is_allowed(bent):
         extended(plain, [same.cause])
 
 
-def test_a_baseline_takes_what_its_logs_say_of_a_further_cause(bent):
+def test_extended_baseline_takes_the_estimate_of_its_healthy_logs(bent):
     start, _ = bent
     wider = extended(start, [catalogue(SYSTEM)["torque_bias"]])
     assert wider.effects == ("torque_bias",)
@@ -79,7 +79,7 @@ def test_a_baseline_takes_what_its_logs_say_of_a_further_cause(bent):
     assert again.prior.names == wider.prior.names
 
 
-def test_an_offset_that_was_always_there_is_not_named(bent):
+def test_diagnose_does_not_name_an_offset_that_healthy_logs_show(bent):
     start, _ = bent
     log = hidden_log("rod_pendulum", BIAS, "steps", SEED, 60.0)
     only = ["torque_bias", "coulomb"]
@@ -87,8 +87,8 @@ def test_an_offset_that_was_always_there_is_not_named(bent):
     assert diagnose([log], "rod_pendulum", baseline=start, only=only).verdict == "nothing"
 
 
-def test_a_model_that_was_extended_before_learns_from_healthy_logs_too():
-    """What an earlier model.yaml brings along is in the baseline; what is new is named."""
+def test_learn_baseline_accepts_an_extended_model():
+    """The effects of an earlier model.yaml are in the baseline; a new cause is named."""
     unit = {"coulomb": {"torque": 0.1}, "lag": {"time_constant": 0.02}}
     model = ExtendedSystem(SYSTEM, ("coulomb",), {"coulomb.torque": 0.08})
     healthy = hidden_log("rod_pendulum", unit, "chirp", SEED, 15.0)
@@ -101,7 +101,7 @@ def test_a_model_that_was_extended_before_learns_from_healthy_logs_too():
     assert values["lag.time_constant"] == pytest.approx(0.02, rel=0.1)
 
 
-def test_causes_that_healthy_logs_do_not_tell_apart_are_all_in_the_baseline():
+def test_learn_baseline_adds_all_causes_that_healthy_logs_cannot_distinguish():
     log = hidden_log("rod_pendulum", {"actuation_delay": {"delay": 0.004}}, "chirp", 34, 15.0)
     start = learn_baseline([log], SYSTEM, LENGTH)
     alike = {
@@ -119,7 +119,7 @@ def test_causes_that_healthy_logs_do_not_tell_apart_are_all_in_the_baseline():
     assert covariance.sum() < 0.5 * np.diag(covariance).min()
 
 
-def test_each_cause_is_compared_with_all_others_beside_it_and_fitful_ones_are_not(bent, monkeypatch):
+def test_selection_tests_lasting_causes_against_healthy_logs_with_all_others(bent, monkeypatch):
     start, _ = bent
     known = catalogue(SYSTEM)
     windows = cut_windows([hidden_log("rod_pendulum", {}, "steps", SEED, 12.0)], SYSTEM, LENGTH)

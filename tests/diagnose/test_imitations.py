@@ -1,4 +1,4 @@
-"""What bends to anything (lost commands, detents, tones, pushes) is not named for what it only imitates."""
+"""Flexible causes (lost commands, detents, tones, pushes) are not named where they only imitate another cause."""
 
 from types import SimpleNamespace
 
@@ -21,8 +21,8 @@ from tests.oracle.unit import hidden_log
 TETHER = {"tether": {"stiffness": 0.235}}
 
 
-def test_a_tether_is_no_loss_of_commands():
-    """Offsets of known size at hundreds of ticks bend to it, but which ones they take depends on the motion."""
+def test_lost_commands_are_not_named_for_a_tether():
+    """Losses at hundreds of ticks can fit a tether, but the positions of these losses depend on the motion."""
     log = hidden_log("rod_pendulum", TETHER, "closed-loop", 2037)
     result = diagnose([log], "rod_pendulum", only=["lost_commands"])
     assert result.chi2_before > 1.3
@@ -30,8 +30,8 @@ def test_a_tether_is_no_loss_of_commands():
     assert result.candidates == ()
 
 
-def test_a_tether_is_neither_detents_nor_pushes():
-    """A load that follows the angle says as much as detents; with a push besides they still leave more than noise."""
+def test_detents_and_pushes_are_not_named_for_a_tether():
+    """A learned load explains as much as detents; detents together with a push leave more than noise."""
     for stiffness, seed, doubt in (
         (0.204, 2791, "explains the log nearly as well as cogging"),
         (0.235, 2037, "With cogging and event, more than noise remains"),
@@ -44,14 +44,14 @@ def test_a_tether_is_neither_detents_nor_pushes():
         assert doubt in result.unexplained["doubts"][0]
 
 
-def test_two_causes_are_not_taken_for_lost_commands():
+def test_lost_commands_are_not_named_for_two_other_causes():
     hidden = {"actuation_delay": {"delay": 0.003}, "quadratic": {"drag": 0.0015}}
     log = hidden_log("rod_pendulum", hidden, "chirp", 2025)
     result = diagnose([log], "rod_pendulum", only=["actuation_delay", "quadratic", "lost_commands"])
     assert sorted(result.names) == ["actuation_delay", "quadratic"]
 
 
-def test_losses_are_named_beside_friction():
+def test_lost_commands_are_named_together_with_friction():
     hidden = {"coulomb": {"torque": 0.03}, "lost_commands": {"share": 0.05}}
     log = hidden_log("rod_pendulum", hidden, "chirp", 207)
     result = diagnose([log], "rod_pendulum", only=["coulomb", "lost_commands", "quadratic"])
@@ -61,7 +61,7 @@ def test_losses_are_named_beside_friction():
 
 
 @pytest.mark.parametrize(("turned", "fewest"), [(2.0, 7), (0.5, 26), (0.3, None), (20.0, 2)])
-def test_detents_have_to_be_seen_twice(turned, fewest):
+def test_cogging_starts_need_two_cycles_in_the_log(turned, fewest):
     # The second log counts its turns from elsewhere.
     theta = np.array([[0.0, 0.4 * turned], [0.1, turned], [6.3, 6.4]])
     missing = SimpleNamespace(theta=theta, log=np.array([0, 0, 1]))
@@ -71,7 +71,7 @@ def test_detents_have_to_be_seen_twice(turned, fewest):
     assert tried == ([] if fewest is None else [float(n) for n in range(fewest, 31)])
 
 
-def test_a_cause_that_is_of_no_use_to_windows_kept_back_goes():
+def test_carried_removes_a_cause_that_raises_the_held_out_error():
     system = make_system("rod_pendulum")
     log = hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 223, 24.0)
     windows = cut_windows([log], system, window_length(system))
@@ -101,7 +101,7 @@ def test_a_cause_that_is_of_no_use_to_windows_kept_back_goes():
     assert [c.name for c in carried(problem, start, kept, less, held, 0)[0]] == ["coulomb"]
 
 
-def test_small_effects_of_a_healthy_unit_are_learned_without_a_mixture():
+def test_learn_baseline_finds_small_effects_without_a_mixture():
     system = make_system("rod_pendulum")
     floor = small_effects("rod_pendulum")
     start = learn_baseline([hidden_log("rod_pendulum", floor, "chirp", 1020)], system, window_length(system))
@@ -124,8 +124,8 @@ def test_small_effects_of_a_healthy_unit_are_learned_without_a_mixture():
     assert rate == pytest.approx(floor["gain_drift"]["rate"], rel=0.2)
 
 
-def test_commands_of_two_levels_cannot_tell_a_cut_from_a_lower_gain():
-    """Every command is cut as a whole: a shallow cut has to show the way to a deep one."""
+def test_saturation_and_gain_share_a_class_under_two_level_commands():
+    """With two levels the limit cuts every command, so the fit must reach a low limit from a start just below them."""
     log = hidden_log("rod_pendulum", {"saturation": {"limit": 1.6}}, "bang-bang", 227, 16.0)
     found = diagnose([log], "rod_pendulum", only=["saturation", "gain", "payload", "lag"])
     assert found.verdict == "cause"

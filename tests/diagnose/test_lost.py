@@ -1,4 +1,4 @@
-"""Which commands never arrived is found tick by tick, and nothing is found where all arrived."""
+"""Search for lost commands tick by tick."""
 
 from dataclasses import replace
 from itertools import product
@@ -36,15 +36,15 @@ def search(log: Recording):
     return lost_commands(FitProblem(start.system, train), reference, start.prior, 0)
 
 
-def test_losses_explain_what_the_refit_leaves_and_their_share_is_right():
+def test_lost_commands_recover_the_share_of_losses():
     found = search(unit(0.08))
     assert 0.04 < found.share < 0.12
     assert found.fit.chi2 / found.problem.windows.samples < 1.1
     assert found.found == found.logs[0].lost.sum()
 
 
-def test_a_single_loss_is_told_beside_the_push_that_it_looks_like():
-    """Steps change the command once a second: of all losses one shows."""
+def test_single_loss_joins_the_class_of_a_push():
+    """Steps change the command once a second, so only one of all losses shows."""
     only = ["event", "lost_commands", "gain", "lag"]
     lossy = hidden_log("rod_pendulum", {"lost_commands": {"share": 0.03}}, "steps", SEED, 20.0)
     result = diagnose([lossy], "rod_pendulum", only=only)
@@ -57,8 +57,8 @@ def test_a_single_loss_is_told_beside_the_push_that_it_looks_like():
     assert diagnose([pushed], "rod_pendulum", only=only).causes[0].members == ("event",)
 
 
-def test_a_loss_elsewhere_is_not_the_push():
-    """The loss, 6 s before the push, wins about as much as it does."""
+def test_loss_outside_the_push_does_not_join_its_class():
+    """The loss, 6 s before the push, lowers the cost about as much as the push."""
     hidden = {
         "lost_commands": {"share": 0.03},
         "event": {"torque": 0.108, "start": 14.3, "duration": 0.06},
@@ -94,7 +94,7 @@ def cost(responses, sent, lost, price):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.1, 0.5, 3.0]), st.floats(0.0, 6.0))
-def test_no_pattern_is_better_than_the_one_that_is_found(seed, size, price):
+def test_pattern_is_the_best_of_all_patterns(seed, size, price):
     responses, sent, _, _ = slow(np.random.default_rng(seed), 7, size)
     best = min(cost(responses, sent, np.array(lost), price) for lost in product([False, True], repeat=7))
     found = pattern(responses, sent, np.zeros(7, dtype=bool), price, 0.0)
@@ -102,7 +102,7 @@ def test_no_pattern_is_better_than_the_one_that_is_found(seed, size, price):
 
 
 @pytest.mark.parametrize(("kept", "sizes"), [(256, (0.1, 0.5, 3.0)), (24, (0.5, 3.0))])
-def test_few_patterns_side_by_side_find_the_best_of_all(kept, sizes, monkeypatch):
+def test_pattern_search_with_few_kept_patterns_finds_the_best(kept, sizes, monkeypatch):
     """Of 4,096; only where a loss hardly shows do so few as 24 not suffice."""
     monkeypatch.setattr(loss_pattern, "KEPT", kept)
     every = np.array(list(product([False, True], repeat=12)))
@@ -117,7 +117,7 @@ def test_few_patterns_side_by_side_find_the_best_of_all(kept, sizes, monkeypatch
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.05, 0.5, 30.0]), st.sampled_from([0.0, 2.5, 8.0]))
-def test_no_pattern_is_traded_for_a_worse_one(seed, size, late):
+def test_pattern_is_never_worse_than_the_previous_one(seed, size, late):
     """Neither with few patterns kept nor where commands act late."""
     responses, sent, truth, noise = slow(np.random.default_rng(seed), 50, size, late)
     wrong = np.random.default_rng(seed + 1).random(50) < 0.3
@@ -136,7 +136,7 @@ def test_no_pattern_is_traded_for_a_worse_one(seed, size, late):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.0, 2.5]))
-def test_where_losses_are_plain_every_one_is_found(seed, late):
+def test_pattern_finds_every_clear_loss(seed, late):
     responses, sent, truth, noise = slow(np.random.default_rng(seed), 60, 30.0, late)
     acted = offset_of(sent, truth)
     # From nothing, and from the truth: then the residuals are what it leaves.
@@ -145,13 +145,13 @@ def test_where_losses_are_plain_every_one_is_found(seed, late):
         np.testing.assert_allclose(offset_of(sent, lost)[:-3], acted[:-3])
 
 
-def test_a_state_that_shows_nothing_is_no_obstacle():
+def test_innovations_accept_a_state_without_effect():
     change, residual, t = np.eye(5), np.arange(1.0, 6.0), np.arange(5.0)
     for state in (np.zeros((5, 2)), np.zeros((5, 0))):
         np.testing.assert_allclose(innovations(state, change, residual, t, t).residual, residual)
 
 
-def test_innovations_leave_out_what_an_initial_state_can_do():
+def test_innovations_project_out_the_initial_state():
     rng = np.random.default_rng(3)
     t = rng.permutation(np.linspace(0.0, 2.0, 50))
     state, change, residual = rng.normal(size=(50, 2)), rng.normal(size=(50, 4)), rng.normal(size=50)
@@ -166,11 +166,11 @@ def test_innovations_leave_out_what_an_initial_state_can_do():
     np.testing.assert_allclose(early.residual, responses.residual[:20], atol=1e-3)
 
 
-def test_nothing_is_lost_where_every_command_arrived():
+def test_lost_commands_are_none_where_every_command_arrived():
     assert search(unit(0.0)) is None
 
 
-def test_what_healthy_logs_lose_as_well_is_no_cause():
+def test_lost_commands_are_not_searched_where_healthy_logs_lose_some():
     lossy = {"lost_commands": {"share": 0.08}}
     healthy = hidden_log("rod_pendulum", lossy, "chirp", SEED, SECONDS, take=1)
     result = diagnose([unit(0.08)], "rod_pendulum", healthy=[healthy], only=["lost_commands"])
@@ -180,14 +180,14 @@ def test_what_healthy_logs_lose_as_well_is_no_cause():
     )
 
 
-def test_a_log_that_never_moved_is_no_obstacle():
+def test_lost_commands_accept_a_log_without_motion():
     hanging = Drive([np.pi], [0.0], lambda t, reading: [0.0])
     still = hidden_log("rod_pendulum", {}, hanging, SEED, SECONDS)
     result = diagnose([still, unit(0.08)], "rod_pendulum", only=["lost_commands"])
     assert result.names == ("lost_commands",)
 
 
-def test_without_a_regular_pace_a_lost_tick_has_no_length():
+def test_lost_commands_are_not_searched_at_an_irregular_rate():
     log = unit(0.08)
     sent = log.channels["torque"]
     keep = np.random.default_rng(0).random(len(sent)) < 0.5
@@ -197,7 +197,7 @@ def test_without_a_regular_pace_a_lost_tick_has_no_length():
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))
-def test_a_lost_tick_holds_what_acted_before_it(lost):
+def test_held_over_repeats_the_previous_acting_command(lost):
     sent = np.arange(1.0, len(lost) + 2.0)
     acted = held_over(sent, 1 + np.flatnonzero(lost))
     expected = sent[0]
@@ -206,7 +206,7 @@ def test_a_lost_tick_holds_what_acted_before_it(lost):
         assert acted[k + 1] == expected
 
 
-def test_the_charge_is_the_length_of_the_code():
+def test_charge_of_lost_commands_is_the_description_length():
     # 5 of 50 ticks: 2,118,760 patterns; one parameter at 1000 samples: log(1000) = 6.9. Of all, there is one pattern.
     windows = SimpleNamespace(samples=1000)
     found = LostCommands(0, (), SimpleNamespace(windows=windows), SimpleNamespace(), 5, 50, 50, 5, 4.0)

@@ -1,4 +1,4 @@
-"""What the page of a diagnosis shows: both widths, what remains, the timing of a log."""
+"""Report page of a diagnosis: both widths, remaining residuals, timing of a log."""
 
 from dataclasses import replace
 from datetime import date
@@ -45,7 +45,7 @@ def page_of(diagnosis):
     return render(diagnosis, shown)
 
 
-def test_a_phone_gets_the_same_pictures_in_a_width_that_it_can_show(diagnosis):
+def test_page_has_every_picture_in_a_narrow_version(diagnosis):
     wide, narrow = draw_all(diagnosis, DESKTOP), draw_all(diagnosis, PHONE)
     assert [p.name for p in wide] == [p.name for p in narrow]
     assert {p.figure.get_figwidth() for p in wide} == {9.0}
@@ -72,7 +72,7 @@ def test_the_line_of_least_evidence_is_labelled_above_all_bars_and_grey_bars_bey
     assert "Grey bars beyond the dashed line" in picture.caption
 
 
-def test_the_bias_is_shown_with_its_null_and_its_interval(diagnosis):
+def test_found_parameters_show_null_and_interval(diagnosis):
     (found,) = (p for p in draw_all(diagnosis) if p.name == "found_parameters")
     (row,) = found.table.to_dict("records")
     assert row["parameter"] == "torque_bias.effort"
@@ -115,14 +115,14 @@ def test_the_page_says_what_to_type_next_and_when_and_by_what_it_was_made(diagno
     assert "Made on 2026-03-04 with deepkoco " in page
 
 
-def test_what_remains_is_told_where_no_cause_is_named(unknown):
+def test_remains_describes_residuals_where_no_cause_is_named(unknown):
     said = " ".join(remains(unknown))
     assert f"at {unknown.unexplained['worst']['time_s']:.2f} s" in said
     assert " N m are missing there on joint 1" in said
     assert "What remains unexplained" in page_of(unknown)
 
 
-def test_a_learned_load_stands_in_for_a_cause(unknown):
+def test_learned_load_replaces_the_extended_model_where_it_is_accepted(unknown):
     learned = replace(unknown, unexplained={**unknown.unexplained, "residual_model": LEARNED})
     assert "extended" not in shown_models(learned)
     assert held_out_models(learned)["extended"] == "simulation with a learned load"
@@ -136,7 +136,7 @@ def test_a_learned_load_stands_in_for_a_cause(unknown):
     assert "extended" not in held_out_models(refused_too)
 
 
-def test_errors_are_gathered_by_the_piece_of_the_window_they_fall_into(diagnosis):
+def test_error_map_averages_errors_by_slot(diagnosis):
     details = diagnosis.details
     windows = details.windows
     residual = torch.zeros_like(details.refit.residual)
@@ -149,7 +149,7 @@ def test_errors_are_gathered_by_the_piece_of_the_window_they_fall_into(diagnosis
     np.testing.assert_allclose(found[1:], 0.0, atol=1e-12)
 
 
-def test_timing_is_drawn_where_stamps_scatter_and_its_mixture_holds_all_of_them(diagnosis):
+def test_timing_figure_is_drawn_for_scattered_stamps_with_a_complete_mixture(diagnosis):
     details = diagnosis.details
     assert timing(diagnosis, details, DESKTOP) is None  # virtual time: every period alike
     rng = np.random.default_rng(3)

@@ -26,7 +26,7 @@ def diagnosis():
     return diagnose([hidden_log("rod_pendulum", HIDDEN, "steps", 5, 16.0)], "rod_pendulum", only=FEW)
 
 
-def test_unknown_effect_is_learned_and_cuts_the_held_out_error(diagnosis):
+def test_learned_load_lowers_the_held_out_error_of_an_unknown_effect(diagnosis):
     assert diagnosis.verdict == "unknown"
     learned = diagnosis.unexplained["residual_model"]
     assert learned["accepted"]
@@ -54,13 +54,13 @@ def test_model_file_is_marked_and_round_trips(diagnosis, tmp_path):
     assert torch.equal(*stepped)
 
 
-def test_diagnosing_again_from_it_finds_nothing_on_another_excitation(diagnosis):
+def test_diagnose_from_a_learned_model_finds_nothing_on_another_excitation(diagnosis):
     log = hidden_log("rod_pendulum", HIDDEN, "chirp", 5, 12.0)
     again = diagnose([log], diagnosis.model, only=FEW)
     assert again.verdict == "nothing"
 
 
-def test_weights_of_a_model_file_keep_their_scales_and_their_prior(monkeypatch):
+def test_learned_weights_of_a_model_file_keep_scales_and_prior(monkeypatch):
     monkeypatch.setattr(residual_model, "MOST_TERMS", 2)
     had = {"learned.v_cubed": 0.4, "learned.speed_scale": 5.0, "learned.effort_scale": 3.0}
     system = ExtendedSystem(make_system("rod_pendulum"), ("learned",), had)
@@ -84,7 +84,7 @@ def test_weights_of_a_model_file_keep_their_scales_and_their_prior(monkeypatch):
     }
 
 
-def test_no_spring_is_offered_where_a_joint_rests():
+def test_learn_residual_offers_no_spring_where_a_joint_rests():
     log = hidden_log("rod_pendulum", HIDDEN, "steps", 5, 10.0)
     windows = cut_windows([log], make_system("rod_pendulum"), 1.6)
     start = baseline_from(make_system("rod_pendulum"), windows)
@@ -119,7 +119,7 @@ def test_every_term_acts_where_it_is_declared():
     assert not any(s in terms_at(base, 0) for s in SCALES)
 
 
-def test_load_without_a_law_is_rejected():
+def test_learn_residual_rejects_a_random_load():
     log = hidden_log("rod_pendulum", {"turbulence": {"size": 0.05}}, "steps", 6, 16.0)
     result = diagnose([log], "rod_pendulum", only=["gain"])
     assert result.verdict == "unknown"
@@ -128,7 +128,7 @@ def test_load_without_a_law_is_rejected():
     assert [e.name for e in result.model.effects] == []
 
 
-def test_a_spring_that_begins_somewhere_is_learned_as_one():
+def test_learn_residual_finds_a_spring_that_begins_at_an_angle():
     """A tether that is slack up to 0.15 rad from the start: no cause of the catalogue."""
     log = hidden_log("rod_pendulum", {"tether": {"stiffness": 0.5}}, "steps", 5, 20.0)
     result = diagnose([log], "rod_pendulum", only=FEW)
@@ -144,7 +144,7 @@ def test_a_spring_that_begins_somewhere_is_learned_as_one():
     )
 
 
-def test_springs_begin_where_their_names_say():
+def test_learned_springs_begin_at_the_angles_of_their_names():
     base = make_system("rod_pendulum")
     values = {"learned.angle_middle": 3.0, "learned.angle_scale": 2.0}
     state = torch.tensor([[3.0 + 2.0 * z, 0.0] for z in (-0.8, -0.1, 0.3, 0.9)], dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Healthy logs of one unit tell how far its parameters vary from run to run, and how large its model error is."""
+"""Run-to-run variance and floor of a unit, estimated from its healthy logs."""
 
 import json
 from dataclasses import replace
@@ -48,7 +48,7 @@ def healthy(*hidden) -> Healthy:
     return Healthy(tuple(logs), windows, start, (), fit)
 
 
-def test_what_varies_is_found_and_does_not_count_as_model_error():
+def test_run_to_run_separates_variation_from_the_floor():
     change = [0.0, 0.03, 0.06, 0.09]
     unit = healthy(*({"viscous": {"change": c}} if c else {} for c in change))
     assert unit.fit.chi2 / unit.windows.samples > 10.0  # no single friction explains all four
@@ -64,7 +64,7 @@ def test_what_varies_is_found_and_does_not_count_as_model_error():
     assert sd["gravity"] < 0.05
 
 
-def test_one_unit_that_stays_as_it_is_does_not_vary():
+def test_run_to_run_is_small_for_a_constant_unit():
     unit = healthy({}, {}, {})
     runs = run_to_run(unit, unit.before.prior)
     spread = np.sqrt(np.diag(runs.covariance))
@@ -73,14 +73,14 @@ def test_one_unit_that_stays_as_it_is_does_not_vary():
     assert runs.floor < 1.1
 
 
-def test_a_single_log_says_nothing_of_another_run():
+def test_run_to_run_is_none_for_a_single_log():
     unit = healthy({})
     assert run_to_run(unit, unit.before.prior) is None
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000), st.floats(1.0, 1000.0))
-def test_covariances_are_those_of_linear_least_squares(seed, deflation):
+def test_posterior_and_sampling_variance_agree_with_linear_least_squares(seed, deflation):
     rng = np.random.default_rng(seed)
     names = ("a", "b", "c")
     slopes = rng.normal(size=(8, 3)) * 10.0 ** rng.uniform(-2.0, 2.0, 3)
@@ -111,7 +111,7 @@ def claimed(start, effort: float):
     return problem, Hypothesis(cause, (), problem.fit([trial])[0])
 
 
-def test_what_one_healthy_log_shows_is_allowed_and_nothing_else():
+def test_consistent_with_healthy_holds_for_the_effect_of_one_healthy_log_only():
     unit = [{}, {"torque_bias": {"effort": 0.003}}]
     logs = [
         hidden_log("rod_pendulum", own, drive, SEED, SECONDS)
@@ -126,7 +126,7 @@ def test_what_one_healthy_log_shows_is_allowed_and_nothing_else():
     assert consistent_with_healthy(start, problem, [more]) == [False]
 
 
-def test_what_varies_is_no_cause_and_what_does_not_is():
+def test_diagnose_names_only_changes_beyond_the_run_to_run_variance():
     change = [0.0, 0.06, 0.03]
     logs = [
         hidden_log("rod_pendulum", {"viscous": {"change": c}} if c else {}, drive, SEED, SECONDS)
@@ -156,7 +156,7 @@ def test_what_varies_is_no_cause_and_what_does_not_is():
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10_000), st.booleans())
-def test_several_logs_are_combined_as_random_effects(seed, blind):
+def test_of_another_combines_logs_as_random_effects(seed, blind):
     """Against the dense normal distribution of the mean, every log's own parameters and its data."""
     rng = np.random.default_rng(seed)
     names, logs = ("a", "b"), 3
@@ -205,7 +205,7 @@ def test_several_logs_are_combined_as_random_effects(seed, blind):
     np.testing.assert_allclose(runs.of_another(prior, 1).centre, fewer.of_another(prior).centre)
 
 
-def test_a_spread_of_few_logs_is_doubted():
+def test_doubted_inflates_the_variance_of_few_logs():
     prior = Prior(("a",), np.zeros(1), np.eye(1))
     told = {0: LogInformation(np.eye(1) * 1e9, np.zeros(1)), 1: LogInformation(np.eye(1) * 1e9, np.zeros(1))}
     sd = [
@@ -222,7 +222,7 @@ def test_a_spread_of_few_logs_is_doubted():
         assert runs.doubted[0, 0] == pytest.approx(expected)
 
 
-def test_logs_that_vary_much_hide_nothing_else():
+def test_consistent_with_healthy_is_false_for_a_bias_beside_large_variation():
     change = [0.0, 0.06, 0.12]
     logs = [
         hidden_log("rod_pendulum", {"viscous": {"change": c}} if c else {}, drive, SEED, SECONDS)
@@ -236,7 +236,7 @@ def test_logs_that_vary_much_hide_nothing_else():
     assert consistent_with_healthy(start, problem, [bias]) == [False]
 
 
-def test_what_all_logs_show_is_learned_beside_what_they_differ_by():
+def test_learn_baseline_finds_common_effects_beside_run_to_run_variance():
     hidden = {"torque_bias": {"effort": 0.006}, "load_friction": {"coefficient": 0.025}}
     logs = [
         hidden_log("rod_pendulum", hidden, drive, SEED, 12.0, take=k, varies=0.02)
@@ -250,8 +250,8 @@ def test_what_all_logs_show_is_learned_beside_what_they_differ_by():
     assert start.floor < 1.1
 
 
-def test_what_all_logs_show_is_no_spread():
-    """Without it the logs differ: friction is needed more under some commands than under others."""
+def test_learn_baseline_does_not_count_common_effects_as_variance():
+    """Without Coulomb friction in the baseline, refits of viscous friction differ between commands."""
     hidden = {"coulomb": {"torque": 0.02}}
     logs = [
         hidden_log("rod_pendulum", hidden, drive, SEED, SECONDS, take=k) for k, drive in enumerate(DRIVES[:3])
@@ -265,7 +265,7 @@ def test_what_all_logs_show_is_no_spread():
     assert start.runs.covariance[at, at] < 0.5 * before.covariance[at, at]
 
 
-def test_logs_of_a_unit_that_varies_have_parameters_of_their_own_when_they_are_explained():
+def test_diagnose_fits_own_parameters_for_each_log_of_a_varying_unit():
     def logs(changes, hidden, first):
         return [
             hidden_log("rod_pendulum", {**hidden, "viscous": {"change": c}}, drive, SEED, SECONDS, take=k)
@@ -306,7 +306,7 @@ def shortened(log, seconds: float):
     return replace(log, channels=channels)
 
 
-def test_units_of_very_different_size_are_no_obstacle():
+def test_of_another_accepts_parameters_of_very_different_units():
     prior = Prior(("angle", "speed"), np.zeros(2), np.diag([0.02**2, 3.0**2]))
     fit = SimpleNamespace(
         free=prior.names, covariance=np.diag([1e-18, 9.0]), values={"angle": 0.01, "speed": 0.0}
@@ -317,8 +317,8 @@ def test_units_of_very_different_size_are_no_obstacle():
     np.testing.assert_allclose(np.diag(found.covariance), [1e-18, 9.0], rtol=1e-6)
 
 
-def test_a_delay_that_is_moved_to_its_bound_takes_the_others_along():
-    """What is known is the sum: 0.8 ms, though one part of it was estimated below 0."""
+def test_within_bounds_moves_correlated_parameters_together():
+    """The logs determine the sum, 0.8 ms, although one of its parts was estimated below 0."""
     start = baseline_from(
         SYSTEM, cut_windows([hidden_log("rod_pendulum", {}, "chirp", SEED, 5.0)], SYSTEM, LENGTH)
     )

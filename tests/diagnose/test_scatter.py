@@ -32,26 +32,26 @@ def view(tau: float = 0.0, noise: tuple[float, float] = (0.002, 0.05), step: flo
 
 
 @pytest.mark.parametrize("tau", [0.001, 0.003])
-def test_jitter_is_recovered(tau):
+def test_jitter_recovers_its_standard_deviation(tau):
     verdict = jitter(view(tau), 0)
     assert verdict.likelihood_ratio > 60.0
     assert verdict.low <= tau <= verdict.high
     assert verdict.value == pytest.approx(tau, rel=0.15)
 
 
-def test_noise_of_one_size_has_no_jitter():
+def test_jitter_is_none_for_constant_noise():
     verdict = jitter(view(), 0)
     assert verdict is None or verdict.likelihood_ratio < 12.0
 
 
-def test_noise_is_judged_by_the_data_sheet():
+def test_noise_level_compares_noise_with_the_data_sheet():
     assert noise_level(view(), 0).likelihood_ratio < 1.0 if noise_level(view(), 0) else True
     loud = noise_level(view(noise=(0.008, 0.05)), 0)
     assert loud.value == pytest.approx(4.0)
     assert loud.likelihood_ratio > 60.0
 
 
-def test_a_grid_is_named_from_twice_the_noise():
+def test_quantisation_is_found_from_twice_the_noise():
     assert quantisation(view(step=0.02), 0).value == pytest.approx(0.02)
     assert quantisation(view(step=0.001), 0) is None
     assert quantisation(view(), 0) is None

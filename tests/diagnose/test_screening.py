@@ -1,4 +1,4 @@
-"""What the score test promises, against the fits that it stands for."""
+"""Promises of the score test compared with full fits."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
 
 
-def test_a_promise_is_what_the_fit_wins_whatever_else_is_screened_with_it():
+def test_screen_promises_the_fall_of_a_fit_independent_of_other_starts():
     base = make_system("rod_pendulum")
     log = hidden_log("rod_pendulum", {"load_friction": {"coefficient": 0.003}}, "steps", 130, 10.0)
     windows = cut_windows([log], base, 1.6)

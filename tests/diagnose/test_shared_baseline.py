@@ -1,4 +1,4 @@
-"""A baseline that several diagnoses share: what it stands for is checked, and it gives what its logs give."""
+"""Learned baseline that several diagnoses share."""
 
 from dataclasses import replace
 
@@ -33,24 +33,24 @@ def start(healthy):
     return baseline_from(SYSTEM, cut_windows([healthy], SYSTEM, LENGTH))
 
 
-def test_a_baseline_and_healthy_logs_are_not_taken_together(log, healthy, start):
+def test_diagnose_refuses_a_baseline_together_with_healthy_logs(log, healthy, start):
     with pytest.raises(BaselineError, match="both a baseline and 1 healthy logs are given"):
         diagnose([log], "rod_pendulum", [healthy], baseline=start, only=["coulomb"])
 
 
-def test_a_baseline_of_another_system_is_refused(log, start):
+def test_diagnose_refuses_a_baseline_of_another_system(log, start):
     message = 'learned on "rod_pendulum", the diagnosis is of "torque_pendulum"'
     with pytest.raises(BaselineError, match=message):
         diagnose([log], "torque_pendulum", baseline=start, only=["coulomb"])
 
 
-def test_a_baseline_of_the_system_with_other_values_is_refused(log, start):
+def test_diagnose_refuses_a_baseline_with_other_parameter_values(log, start):
     extended = ExtendedSystem(SYSTEM, ("lag",), {"lag.time_constant": 0.02})
     with pytest.raises(BaselineError, match=r"lag\.time_constant was 0\.0, now 0\.02 s"):
         diagnose([log], extended, baseline=start, only=["coulomb"])
 
 
-def test_a_shared_baseline_gives_what_its_logs_give(log, healthy):
+def test_shared_baseline_gives_the_same_result_as_its_logs(log, healthy):
     with one_thread():
         learned = learn_baseline([healthy], SYSTEM, LENGTH)
     shared = diagnose([log], "rod_pendulum", baseline=learned, only=["coulomb"])
@@ -59,8 +59,8 @@ def test_a_shared_baseline_gives_what_its_logs_give(log, healthy):
     assert (shared.chi2_before, shared.chi2_after) == (own.chi2_before, own.chi2_after)
 
 
-def test_a_floor_counts_as_noise(healthy, log):
-    """A likelihood that knows nothing of the floor would drag the refit out of the prior that was learned."""
+def test_diagnose_counts_the_floor_as_noise(healthy, log):
+    """Without the floor, the likelihood would move the refit away from the learned prior."""
     learned = learn_baseline([healthy], SYSTEM, LENGTH)
     rough = replace(learned, floor=100.0)
     plain, wide = (

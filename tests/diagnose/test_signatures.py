@@ -1,4 +1,4 @@
-"""What sensors and clocks leave in the residuals is told where it is there, and nowhere else."""
+"""Signatures of sensors and clocks in the residuals."""
 
 from dataclasses import replace
 
@@ -27,22 +27,22 @@ def unit(hidden: dict, excitation: str = "steps") -> Recording:
 
 
 @pytest.mark.parametrize("excitation", ["steps", "chirp", "closed-loop"])
-def test_a_healthy_unit_has_none(excitation):
+def test_signatures_are_empty_for_a_healthy_unit(excitation):
     assert told(unit({}, excitation)) == {}
 
 
-def test_jitter_shows_in_the_squares_of_white_residuals():
+def test_scattered_stamps_are_found_for_jitter():
     found = told(unit({"jitter": {"sd": 0.003}}))
     assert set(found) == {"scattered_stamps"}
     assert found["scattered_stamps"] > 1.0
 
 
-def test_a_grid_is_told_with_its_step():
+def test_value_grid_reports_its_step():
     assert told(unit({"quantisation(theta)": {"step": 0.01}})) == {"value_grid": pytest.approx(3.0, rel=0.3)}
     assert told(unit({"quantisation(theta)": {"step": 0.0005}})) == {}
 
 
-def test_readings_that_were_written_again_are_told():
+def test_repeated_readings_are_found():
     log = unit({})
     theta, rng = log.channels["theta"], np.random.default_rng(2)
     value = theta.value.copy()
@@ -53,7 +53,7 @@ def test_readings_that_were_written_again_are_told():
 
 
 @pytest.mark.parametrize("excitation", ["steps", "chirp"])
-def test_readings_of_a_slower_sensor_are_not_taken_for_scattered_stamps(excitation):
+def test_scattered_stamps_are_not_reported_for_a_slow_sensor(excitation):
     log = unit({}, excitation)
     held = {}
     for name, series in log.channels.items():
@@ -62,5 +62,5 @@ def test_readings_of_a_slower_sensor_are_not_taken_for_scattered_stamps(excitati
     assert set(told(replace(log, channels=held))) == {"repeated_readings"}
 
 
-def test_a_wrong_model_is_not_taken_for_jitter():
+def test_scattered_stamps_are_not_reported_for_a_wrong_model():
     assert told(unit({"gain_curve": {"curvature": -0.075}}, "chirp")) == {}

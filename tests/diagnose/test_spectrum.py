@@ -16,7 +16,7 @@ def missing(load) -> tuple[MissingTorque]:
     return (MissingTorque(0, "N m", time, log, torque, zero + 0.1, zero, zero, zero, zero),)
 
 
-def test_a_sine_is_found_at_its_frequency():
+def test_spectrum_finds_the_frequency_of_a_sine():
     noise = np.random.default_rng(0).standard_normal((10, 20))
     found = spectrum_of(missing(lambda t: np.sin(9.0 * t) + 0.3 * noise))
     assert found["peak_rad_s"] == pytest.approx(9.0, abs=0.2)
@@ -25,7 +25,7 @@ def test_a_sine_is_found_at_its_frequency():
 
 
 @pytest.mark.parametrize("windows", [20, 200])
-def test_a_line_is_found_in_logs_of_any_length(windows):
+def test_spectrum_finds_a_line_in_logs_of_any_length(windows):
     slot, slots = 0.1, 15
     time = (slots * slot * np.arange(windows))[:, None] + slot * (np.arange(slots) + 0.5)
     noise = 0.5 * np.random.default_rng(2).standard_normal(time.shape)
@@ -38,7 +38,7 @@ def test_a_line_is_found_in_logs_of_any_length(windows):
         assert found["peak_share"] > 0.55
 
 
-def test_noise_stays_below_the_level_of_chance():
+def test_spectrum_of_noise_stays_below_the_chance_share():
     draws = np.random.default_rng(1).standard_normal((100, 10, 20))
     above = [
         found["peak_share"] > found["chance_share"]

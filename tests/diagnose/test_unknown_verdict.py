@@ -1,4 +1,4 @@
-"""What only imitates a cause of the catalogue is not named; a push in a window kept back is found."""
+"""Verdict `unknown` for imitations of a cause, and pushes in held-out windows."""
 
 import numpy as np
 import pytest
@@ -23,13 +23,13 @@ def fit_with(chi2_by_window):
     )
 
 
-def test_a_cause_that_pays_only_where_it_was_fitted_does_not_carry_over():
+def test_carries_over_is_false_for_a_cause_that_improves_fitted_windows_only():
     before, after = fit_with([200.0] * 12), fit_with([100.0, 110.0, 90.0] * 4)
     assert not carries_over(before, after, fit_with([200.0] * 4), fit_with([201.0, 198.0, 205.0, 200.0]))
     assert carries_over(before, after, fit_with([200.0] * 4), fit_with([120.0, 95.0, 110.0, 100.0]))
 
 
-def test_a_cause_that_shows_in_few_windows_carries_over():
+def test_carries_over_is_true_for_a_cause_in_few_windows():
     before, after = fit_with([200.0] * 12), fit_with([200.0] * 10 + [20.0, 30.0])
     assert carries_over(before, after, fit_with([200.0] * 4), fit_with([200.0] * 4))
 
@@ -41,7 +41,7 @@ def test_a_cause_that_shows_in_few_windows_carries_over():
         ({"gain_curve": {"curvature": -0.0175}}, ["saturation"], 153),
     ],
 )
-def test_what_imitates_a_cause_is_unknown(hidden, imitators, seed):
+def test_diagnose_returns_unknown_for_imitations_of_a_cause(hidden, imitators, seed):
     log = hidden_log("rod_pendulum", hidden, "closed-loop", seed)
     result = diagnose([log], "rod_pendulum", only=imitators)
     assert result.chi2_before > 1.2
@@ -53,7 +53,7 @@ def test_what_imitates_a_cause_is_unknown(hidden, imitators, seed):
 
 
 @pytest.mark.parametrize("start", [6.1, 7.4, 8.7])
-def test_a_push_is_found_in_every_window(start):
+def test_diagnose_finds_a_push_in_every_window(start):
     push = {"event": {"torque": 0.2, "start": start, "duration": 0.2}}
     only = ["event", "lag", "cogging"]
     result = diagnose([hidden_log("rod_pendulum", push, "steps", 133, 15.0)], "rod_pendulum", only=only)
@@ -65,7 +65,7 @@ def test_a_push_is_found_in_every_window(start):
     assert impulse == pytest.approx(0.04, rel=0.1)
 
 
-def test_a_push_mends_no_other_window_and_does_not_hide_what_remains():
+def test_push_does_not_improve_other_windows_and_remaining_structure_is_reported():
     hidden = {
         "event": {"torque": 1.5, "start": 6.1, "duration": 0.2},
         "turbulence": {"size": 0.03},

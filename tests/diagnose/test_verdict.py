@@ -1,4 +1,4 @@
-"""What is selected is named only if it accounts for what was seen."""
+"""Verdict on selected causes."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ KNOWN = catalogue(BASE)
 
 @pytest.fixture(scope="module")
 def stage():
-    """Windows, their baseline, and a fit that leaves a given chi2 per sample in every sample alike."""
+    """Windows, their baseline, and fits with a given chi2 that is the same in every sample."""
     windows = cut_data([hidden_log("rod_pendulum", {}, "steps", 172, 12.0)], (), BASE, 1.6).train
     start = baseline_from(BASE, windows)
     fit = FitProblem(start.system, windows).evaluate(start.values)
@@ -48,12 +48,12 @@ def verdict(
     return verdict_of(found, start, windows, leaving(before), gain, white, doubts)
 
 
-def test_without_causes_what_is_left_decides(stage):
+def test_verdict_without_causes_depends_on_remaining_structure(stage):
     assert verdict(stage, (), 1.0, before=1.0) == "nothing"
     assert verdict(stage, (), 2.0, before=2.0) == "unknown"
 
 
-def test_what_leaves_noise_is_named_and_doubts_are_not_overruled(stage):
+def test_verdict_names_causes_that_leave_noise_unless_there_are_doubts(stage):
     assert verdict(stage, ["coulomb"], 1.0) == "cause"
     assert verdict(stage, ["coulomb"], 1.0, doubts=["its unit is odd"]) == "unknown"
 
@@ -71,29 +71,29 @@ def test_what_leaves_noise_is_named_and_doubts_are_not_overruled(stage):
         (["coulomb", "viscous", "gain"], 1.0, False, "cause"),
     ],
 )
-def test_what_leaves_structure_has_to_explain_enough(stage, names, after, healthy, expected):
+def test_verdict_with_remaining_structure_needs_the_explained_share(stage, names, after, healthy, expected):
     assert verdict(stage, names, after, healthy=healthy, white=after < 2.0) == expected
 
 
-def test_windows_that_no_fit_saw_have_to_agree(stage):
+def test_verdict_needs_the_carry_over_to_held_out_windows(stage):
     assert verdict(stage, ["coulomb"], 1.0, kept=(10.0, 1.0)) == "cause"
     assert verdict(stage, ["coulomb"], 1.0, kept=(10.0, 10.0)) == "unknown"
     assert verdict(stage, ["coulomb"], 1.0, kept=None) == "cause"
 
 
-def test_without_windows_that_no_fit_saw_next_to_nothing_may_be_left(stage):
+def test_verdict_without_held_out_windows_needs_nearly_the_whole_share(stage):
     assert verdict(stage, ["gain"], 3.0, kept=None) == "unknown"
     assert verdict(stage, ["gain"], 30.0, before=1000.0, kept=None) == "unknown"
     assert verdict(stage, ["gain"], 10.0, before=1000.0, kept=None) == "cause"
 
 
-def test_causes_that_bend_to_anything_are_not_believed_together(stage):
+def test_verdict_is_unknown_for_three_flexible_causes(stage):
     assert verdict(stage, ["cogging"], 1.0) == "cause"
     assert verdict(stage, ["cogging", "periodic", "event"], 1.0) == "unknown"
     assert verdict(stage, ["coulomb", "periodic", "event"], 1.0) == "cause"
 
 
-def test_lost_commands_leave_nothing_and_stand_beside_no_pushes(stage):
+def test_verdict_is_unknown_for_lost_commands_with_structure_or_pushes(stage):
     assert verdict(stage, [], 1.0, lost=object()) == "cause"
     assert verdict(stage, [], 2.0, lost=object()) == "unknown"
     assert verdict(stage, ["event"], 1.0, lost=object()) == "unknown"

@@ -196,7 +196,7 @@ def known_causes(system: System, names: Sequence[str]) -> list[Cause]:
     except UnknownCauseError as error:
         raise DesignError(str(error)) from error
     if len(causes) < 2:
-        raise DesignError("give two or more different causes to tell apart")
+        raise DesignError("give two or more different causes to distinguish")
     for cause in causes:
         if cause.scatter is not None:
             raise DesignError(

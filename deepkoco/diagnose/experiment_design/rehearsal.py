@@ -95,7 +95,7 @@ def measured(stage: Stage, played: Rehearsal, values: Mapping[str, float]) -> Wi
 def acting_model(
     system: ExtendedSystem, units: Sequence[Mapping[str, float]]
 ) -> tuple[ExtendedSystem, dict[str, torch.Tensor]]:
-    """Return the system with only the effects that some unit has, and its parameters: scalars, or (U,) if different."""
+    """Return the system with only those effects that some unit has, and its parameters: scalars, or (U,) if unequal."""
     bare = ExtendedSystem(system.base, tuple(e.name for e in system.effects))
     null = {p.name: p.value for p in bare.parameters}
     moved = {n.split(".")[0] for n in null if "." in n and any(unit[n] != null[n] for unit in units)}

@@ -139,8 +139,8 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
         index: Index of the command channel.
 
     Returns:
-        The lost commands. None if there are none, if more than half of the commands would be lost, if offsets of the
-        opposite sign explain more, or if there is no search (:func:`why_not_searched`).
+        The lost commands; None if there are none or if there is no search (:func:`why_not_searched`). Also None if
+        more than half of the commands would be lost, or if offsets of the opposite sign explain more.
     """
     windows = problem.windows
     sent = [c.column(index) for c in windows.commands]

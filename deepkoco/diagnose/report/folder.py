@@ -21,7 +21,7 @@ from deepkoco.pages.figures import show_both
 from deepkoco.pages.links import Link
 from deepkoco.systems import save_model
 
-DPI = 130  # of the pictures that lie beside the page
+DPI = 130  # of the picture files in the folder of the page
 COLOURS_OF_A_PICTURE = 128  # enough for lines and text; the file is a third as large
 
 
@@ -35,9 +35,9 @@ def write_report(
     """Write a diagnosis into a new folder. The folder appears only when it is complete.
 
     Args:
-        diagnosis: What to write.
+        diagnosis: The diagnosis.
         out_dir: Folder that does not exist yet.
-        shown_as: How commands on the page name the folder; None takes ``out_dir`` as it is given.
+        shown_as: Name of the folder in the commands on the page; None takes ``out_dir``.
         links: Ways from the page to others.
         made: Day that the page says; None takes today's, or that of SOURCE_DATE_EPOCH.
 

@@ -1,1 +1,1 @@
-"""What a fitted model leaves unexplained, and how it is described."""
+"""Residuals of a fit: missing load, whiteness, spectrum, signatures and noise tests."""

@@ -90,7 +90,7 @@ class MissingTorque:
 
     @property
     def load(self) -> str:
-        """What acts on the joint: a torque, or a force where it slides."""
+        """Kind of the load: "torque", or "force" for a sliding joint."""
         return "torque" if self.unit == "N m" else "force"
 
     @property

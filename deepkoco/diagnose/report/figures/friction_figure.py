@@ -48,6 +48,6 @@ def friction_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
     figure.legend(loc="outside upper center", ncols=min(2, layout.entries))
     caption = (
         "Total load against the motion at zero command, with 95 % bands. Different friction laws can give "
-        "nearly the same curve over the speeds of the log, so the curve is more certain than the name of the law."
+        "nearly the same curve over the speeds of the log. So the curve is more certain than the name of the law."
     )
     return Picture("friction_curve", "Friction over speed", caption, figure, pd.DataFrame(frame))
