@@ -149,7 +149,7 @@ def test_a_third_lag_in_a_row_is_refused_and_one_of_zero_changes_nothing():
     )
     assert without[0].numpy() == pytest.approx(two[0], abs=1e-12)
     with pytest.raises(
-        TooManyLagsError, match=r'rod_pendulum: the command ".*" goes through 3 lags in a row'
+        TooManyLagsError, match=r'rod_pendulum: the command ".*" has 3 lags in series'
     ):
         step_efforts(system, windows, p | {"lag.time_constant": torch.tensor([0.01], dtype=torch.float64)}, 1)
 

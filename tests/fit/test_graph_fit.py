@@ -101,9 +101,9 @@ def test_mass_and_hidden_delay_are_found_together(unit):
     ("sought", "message"),
     [
         ({}, "no parameter to fit"),
-        ({"mass": (0.0, 1.0)}, "is no node.parameter"),
+        ({"mass": (0.0, 1.0)}, "is not of the form node.parameter"),
         ({"cart.mass": (0.0, 1.0)}, "the nodes are agent, sled"),
-        ({"sled.mass": (2.0, 1.0)}, "the wrong way round"),
+        ({"sled.mass": (2.0, 1.0)}, "give two finite numbers, the lower one first"),
     ],
 )
 def test_mistakes_are_named(unit, sought, message):

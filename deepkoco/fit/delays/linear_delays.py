@@ -1,4 +1,4 @@
-"""Delays of messages whose effect is linear and known: posteriors, marginal likelihood, mixtures."""
+"""Posterior, marginal likelihood and mixture law of delays in which the residuals are linear."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from deepkoco.graph.episodes.fitting.mixture_fit import expectation_maximisation
 
-SMALLEST_SPREAD = 2e-5  # of a component [s]
+SMALLEST_SPREAD = 2e-5  # smallest standard deviation of a component [s]
 SWEEPS, WARM_UP = 400, 100
 
 
 @dataclass(frozen=True)
 class LinearDelays:
-    """Likelihood of the messages' delays, window by window: exp(-eps' A eps / 2 + h' eps)."""
+    """Likelihood of the messages' delays eps in each window: exp(-eps' A eps / 2 + h' eps)."""
 
-    members: Sequence[np.ndarray]  # per window, its messages
+    members: Sequence[np.ndarray]  # per window, indices of its messages
     information: Sequence[np.ndarray]  # A
     pull: Sequence[np.ndarray]  # h
 
@@ -43,7 +43,7 @@ class LinearDelays:
         """Log marginal likelihood of one normal law, up to a constant."""
         total = 0.0
         for a, h in zip(self.information, self.pull, strict=True):
-            # About the mean: eps = mean + sd z with z standard normal.
+            # With eps = mean + sd z, z is standard normal.
             ones = np.full(len(a), mean)
             left = h - a @ ones
             inner = np.eye(len(a)) + sd**2 * a
@@ -55,10 +55,12 @@ class LinearDelays:
 
 @dataclass(frozen=True)
 class MixtureLaw:
-    """A mixture of normals of the delays, and the messages' posterior under it.
+    """Normal mixture of the delays, and the posterior of each message's delay under it.
 
     Attributes:
-        means, spreads, weights: (C,) of the components; means and spreads in seconds.
+        means: (C,) means of the components [s].
+        spreads: (C,) their standard deviations [s].
+        weights: (C,) their shares.
         centre: (K,) posterior means of the messages' delays [s].
         sd: (K,) their posterior standard deviations [s].
     """
@@ -73,17 +75,17 @@ class MixtureLaw:
 def mixture_law(
     linear: LinearDelays, start: np.ndarray | MixtureLaw, components: int, generator: np.random.Generator
 ) -> MixtureLaw:
-    """Law of the delays by stochastic-approximation EM.
+    """Fit a normal mixture to the delays by stochastic-approximation EM.
 
-    A sweep first draws component and delay of each message together, given the delays of the others: with the
-    component drawn given the delay, a message would never leave a narrow component. Then all delays of a window are
-    drawn at once, given the components.
+    A sweep first draws component and delay of each message together, given the delays of the others. If the component
+    were drawn given the delay, a message would not leave a narrow component. The sweep then draws all delays of a
+    window together, given the components.
 
     Args:
-        linear: What the data say of the delays.
-        start: A law to go on from, or (K,) rough delays [s].
+        linear: Likelihood of the delays.
+        start: A law to start from, or (K,) approximate delays [s].
         components: Number of components.
-        generator: Of all draws.
+        generator: Generator of all draws.
 
     Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999).
     """
@@ -94,11 +96,11 @@ def mixture_law(
         weights, means, spreads = expectation_maximisation(order, np.ones(len(order)), components)
         spreads, eps = np.maximum(spreads, 2 * SMALLEST_SPREAD), start.copy()
     least = 0.1 * float(np.min(spreads))
-    one_by_one = _OneByOne(linear)
+    single = _SingleMessageGibbs(linear)
     held: np.ndarray | None = None
     total, square, kept = np.zeros(len(eps)), np.zeros(len(eps)), 0
     for sweep in range(SWEEPS):
-        eps, label = one_by_one.draw(eps, means, spreads, weights, generator)
+        eps, label = single.draw(eps, means, spreads, weights, generator)
         eps = linear.draw(means[label], spreads[label], generator)
         one = np.eye(components)[label]
         now = np.stack([one.sum(0), one.T @ eps, one.T @ eps**2])
@@ -108,7 +110,7 @@ def mixture_law(
         weights = (size + 1.0) / (size + 1.0).sum()
         means = np.where(size > 0.5, held[1] / size, means)
         variance = held[2] / size - means**2
-        # An inverse-gamma prior of weight one on the spread keeps a component from closing on one message.
+        # Without this inverse-gamma prior of weight one, the spread of a component with one message goes to 0.
         spreads = np.sqrt(np.maximum((size * variance + least**2) / (size + 1.0), SMALLEST_SPREAD**2))
         if sweep >= WARM_UP:
             total, square, kept = total + eps, square + eps**2, kept + 1
@@ -116,8 +118,8 @@ def mixture_law(
     return MixtureLaw(means, spreads, weights, centre, np.sqrt((square / kept - centre**2).clip(0.0)))
 
 
-class _OneByOne:
-    """Draws of single messages given the others; the j-th messages of all windows at once."""
+class _SingleMessageGibbs:
+    """Gibbs draws of single messages given the others. The j-th messages of all windows are drawn at once."""
 
     def __init__(self, linear: LinearDelays) -> None:
         most = max(len(own) for own in linear.members)
@@ -136,13 +138,13 @@ class _OneByOne:
         weights: np.ndarray,
         generator: np.random.Generator,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Delays (K,) and components (K,) after each message was drawn once."""
+        """Draw each message once; returns delays (K,) [s] and components (K,)."""
         there = self.index >= 0
         now = np.where(there, eps[self.index], 0.0)
         labels = np.zeros(self.index.shape, dtype=int)
         for j in range(self.index.shape[1]):
             own = self.information[:, j, j]
-            # Of one message: exp(-own eps^2 / 2 + pull eps), times the law.
+            # Density of one message: exp(-own eps^2 / 2 + pull eps), times the law.
             pull = self.pull[:, j] - (self.information[:, j] * now).sum(1) + own * now[:, j]
             precision = own[:, None] + spreads**-2
             centre = (pull[:, None] + means / spreads**2) / precision

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt steps of many trials, simulated in one batch."""
+"""Levenberg-Marquardt for many trials, with one batch of simulations per iteration."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from deepkoco.fit.solve.normal_equations import NormalEquations
 if TYPE_CHECKING:
     from deepkoco.fit.fit import FitProblem
 
-TOLERANCE = 0.02  # a fit has converged when a step lowers chi2 by less
+TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
-PARAMETER_STEP = 1e-5  # finite difference of a parameter, in its scale
+PARAMETER_STEP = 1e-5  # finite difference of a parameter, relative to its scale
 LARGEST_DAMPING = 1e8
 
 
@@ -27,7 +27,7 @@ def state_steps(states: int) -> tuple[float, ...]:
 
 
 def scaled_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric matrix whose rows have units of their own: what is large in one need not be small in another."""
+    """Pseudo-inverse of a symmetric matrix whose rows differ in unit: it is scaled to a unit diagonal first."""
     size = np.sqrt(np.diag(matrix))
     size = np.outer(size, size)
     size[size == 0.0] = 1.0
@@ -78,7 +78,7 @@ class Batch:
                     self.converged[k] = decrease < self.tolerance
                 else:
                     self.damping[k] *= 20.0
-                    # A step that is refused although the model is exact to rounding has nothing to win.
+                    # If the step raises the cost by rounding errors only, the cost is at its minimum.
                     self.converged[k] = np.isfinite(normal.cost) and -decrease < 1e-3 * self.tolerance
                 self.history[k].append(float(self.cost[k]))
                 self.done[k] = (
@@ -94,7 +94,7 @@ class Batch:
     def _linearise(
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
     ) -> list[NormalEquations]:
-        """Simulate base and perturbed lanes of the active trials at once; form their normal equations."""
+        """Simulate the active trials and their finite differences in one batch; form the normal equations."""
         problem = self.problem
         states = initial.shape[-1]
         nudge = state_steps(states)
@@ -153,7 +153,7 @@ class Batch:
         limit = np.zeros(p)
         while True:
             move, states, gain = normal.solve(self.damping[k], held, limit)
-            # What leaves the box stops at its bound, and the others are solved again around it.
+            # Parameters that leave their bounds are set to them, and the step of the others is solved again.
             outside = ((move[:p] < low) | (move[:p] > high)) & ~held
             if not outside.any():
                 break
@@ -166,7 +166,7 @@ class Batch:
     def _result(self, k: int) -> Fit:
         normal, trial = self.normal[k], self.trials[k]
         if normal is None:
-            raise FloatingPointError(f"fit of {trial.name}: the simulation diverges at its start values")
+            raise FloatingPointError(f"trial {trial.name}: the simulation diverges at the start values")
         p = len(self.columns[k])
         full = normal.reduced(0.0)[0].numpy()
         information = full[:p, :p] - self.precision[k, :p, :p].numpy()
