@@ -142,7 +142,7 @@ def test_gaps_resets_bursts_duplicates_and_constants_are_counted(tmp_path, motio
     assert columns["theta"].far == 1
     text = " ".join(doubts_of(found, proposal))
     for part in (
-        "goes back at data row 251",
+        "decreases at data row 251",
         "where: {run: 0}",
         "repeats a stamp 1 times",
         '"dead" never changes',
@@ -196,7 +196,7 @@ def test_json_holds_everything(tmp_path, motion, capsys):
 def test_of_systems_that_fit_alike_one_must_be_chosen(tmp_path, motion, capsys):
     motion.to_csv(tmp_path / "log.csv", index=False)
     assert main(["inspect", str(tmp_path / "log.csv"), "--out", str(tmp_path / "m.yaml")]) == 2
-    assert "alike; choose with --system" in capsys.readouterr().err
+    assert "equally well; give --system" in capsys.readouterr().err
     assert not (tmp_path / "m.yaml").exists()
 
 

@@ -181,9 +181,9 @@ def test_a_missing_topic_field_or_joint_is_told_with_those_there_are(tmp_path):
         ({"topic": "/joint_state"}, 'no topic "/joint_state"'),
         ({"field": "positions"}, r'field "positions\[shoulder\]" is missing; the topic has'),
         ({"joint": "wrist"}, r'field "position\[wrist\]" is missing'),
-        ({"field": "position..x"}, "is no path like joints.position"),
+        ({"field": "position..x"}, "is not a path such as joints.position"),
         ({"time": "header.time"}, r'field "header.time" is missing'),
-        ({"column": "theta"}, "give a column, or a topic and a field"),
+        ({"column": "theta"}, "give either a column, or a topic and a field"),
     ):
         content = mapping()
         content["channels"]["theta"] |= change
@@ -222,8 +222,8 @@ def test_semicolons_with_decimal_commas_are_read(tmp_path):
     ("raw", "message"),
     [
         (b"t,\xb0\n1,2\n", "byte 0xb0 in line 1; save the file as UTF-8"),
-        ("t,x\n1,2\n".encode("utf-16"), "text in UTF-16"),
-        (b"0,1\n1,2\n", "first row holds numbers"),
+        ("t,x\n1,2\n".encode("utf-16"), "in UTF-16; save it as UTF-8"),
+        (b"0,1\n1,2\n", "first row contains numbers"),
         (b"t theta\n1 2\n", "is one column; separate the columns"),
         (b"t,x\n1,\x002\n", "zero byte in line 2"),
     ],

@@ -172,10 +172,10 @@ BAD_TABLES = {
     "too few": (table(10), r'channel "theta" is too short: 10 samples, at least 20'),
     "too short": (
         table(step=0.001),
-        r"too short: the measurements cover 0.099 s .*check the unit of the time",
+        r"too short: all measurements together cover 0.099 s .*check the unit of the time",
     ),
     "constant command": (table().assign(command=0.5), r'command "torque" is constant \(0.5 N m\)'),
-    "no rows": (table(0), r"has no rows"),
+    "no rows": (table(0), r"contains no data rows"),
 }
 
 
@@ -200,12 +200,12 @@ BAD_SIDECARS = {
         channel("omega", unit="deg"),
         r'channel "omega".*measures angle, expected angular velocity',
     ),
-    "time in metres": (sidecar(time={"column": "t", "unit": "m"}), r'unit "m" is no unit of time'),
+    "time in metres": (sidecar(time={"column": "t", "unit": "m"}), r'unit "m" is not a unit of time'),
     "no time": ({k: v for k, v in sidecar().items() if k != "time"}, r'key "time" is missing'),
     "unknown key": (sidecar(sytem="x"), r'unknown key "sytem"'),
     "wrong kind": (channel("theta", kind="sensor"), r'kind "sensor" is none of command, measurement'),
-    "kind of another": (channel("theta", kind="command"), r'"theta".*kind is command, the system has it as'),
-    "mixed units": (channel("theta", column="omega"), r'column "omega" is given mixed units, rad and rad/s'),
+    "kind of another": (channel("theta", kind="command"), r'"theta".*kind is command, but measurement in the system'),
+    "mixed units": (channel("theta", column="omega"), r'column "omega" has mixed units, rad and rad/s'),
     "list of units": (channel("theta", unit=["rad", "deg"]), r"one column has one unit"),
     "wrong system": (sidecar(system="pendulum"), r'of system "pendulum", asked for "rod_pendulum"'),
     "unknown system": (sidecar(system="arm"), r'unknown system "arm"; known: pendulum, rod_pendulum'),

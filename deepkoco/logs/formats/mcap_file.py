@@ -1,4 +1,4 @@
-"""Logs in MCAP: our own recordings, and topics of any writer in JSON or in the encodings of ROS."""
+"""Read logs in MCAP: recordings of our own runtimes, and topics in JSON or in the encodings of ROS."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from deepkoco.logs.formats.wanted import Wanted
 MAGIC = b"\x89MCAP0\r\n"
 Decoder = Callable[[bytes], Any]
 _DAMAGE = (McapError, ZstdError, struct.error, ValueError, OverflowError, RuntimeError, MemoryError)
-_OWN = "deepkoco"  # name of the metadata record that our own recordings begin with
+_OWN = "deepkoco"  # name of the first metadata record of our own recordings
 
 
 def read_mcap(path: Path, wanted: Wanted = None) -> LogFile:
     """Read an MCAP file; a recording of our own runtimes has a topic `/node/NAME` for each node.
 
     Raises:
-        LogError: it is damaged or cut off.
+        LogError: the file is damaged or truncated.
     """
     with path.open("rb") as file:
         magic = file.read(len(MAGIC))
     if magic != MAGIC:
         raise LogError(
-            f"{path}: is no MCAP file; those begin with the letters MCAP{'; it is empty' if not magic else ''}"
+            f"{path}: not an MCAP file: it does not begin with MCAP{'; it is empty' if not magic else ''}"
         )
     if _is_own(path):
         return _own_recording(path)
@@ -54,7 +54,7 @@ def _records(path: Path) -> Iterator[McapRecord]:
             except _DAMAGE as damage:
                 reason = " ".join(str(damage).split()) or type(damage).__name__
                 raise LogError(
-                    f"{path}: is cut off or damaged after {count} messages ({reason[:160]}); copy it again, or "
+                    f"{path}: truncated or damaged after {count} messages ({reason[:160]}); copy it again, or "
                     'repair it with "mcap recover"'
                 ) from damage
             count += isinstance(record, Message)
@@ -99,9 +99,9 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
                 topics.setdefault(topic, TopicColumns(schema.name if schema else "", origin, fields))
             try:
                 content = decoders[channel.id](record.data)
-            except Exception as error:  # a decoder of a foreign library may raise anything on damaged bytes
+            except Exception as error:  # decoders raise errors of many kinds on damaged bytes
                 raise LogError(
-                    f'{path}: topic "{topic}": message {len(topics[topic]) + 1} is no {channel.message_encoding}: '
+                    f'{path}: topic "{topic}": message {len(topics[topic]) + 1} is not {channel.message_encoding}: '
                     f"{' '.join(str(error).split())[:160]}"
                 ) from error
             topics[topic].add(record.log_time, content)
@@ -114,10 +114,10 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decoder:
         return json.loads
     if channel.message_encoding not in ("cdr", "ros1"):
         raise LogError(
-            f'its encoding "{channel.message_encoding}" is not known (json, cdr and ros1 are); convert it'
+            f'its encoding "{channel.message_encoding}" is not known; convert it to json, cdr or ros1'
         )
     if schema is None:
-        raise LogError("its messages have no schema, so nothing says what their bytes mean")
+        raise LogError("its messages have no schema and cannot be decoded")
     from deepkoco.logs.formats.ros_bag import message_decoder
 
     return message_decoder(schema.name, schema.encoding, schema.data.decode(), channel.message_encoding)
@@ -143,7 +143,7 @@ def _own_recording(path: Path) -> LogFile:
             if output is not None and output.dtype.kind in "biuf":
                 flat = output.reshape(len(output), -1)
                 for place in range(flat.shape[1]):
-                    # The supervisor's last step may have no output.
+                    # The last step of the supervisor can lack an output.
                     padded = np.full(len(columns["t_end"]), np.nan)
                     padded[: len(flat)] = flat[:, place]
                     columns[f"output[{place}]"] = padded
