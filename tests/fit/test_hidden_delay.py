@@ -64,7 +64,7 @@ def found(kind: str) -> Identification:
     return fit([rod_log(drawn(kind))], "rod_pendulum", asked, start={"viscous": 0.3})
 
 
-def test_mean_spread_and_single_delays_are_recovered():
+def test_hidden_delays_recover_mean_spread_and_each_message():
     result = hidden_delays(found("gaussian"))
     true = drawn("gaussian")[np.round(result.sent / PERIOD).astype(int)]
     assert result.mean == pytest.approx(true.mean(), abs=0.0003)
@@ -76,14 +76,14 @@ def test_mean_spread_and_single_delays_are_recovered():
     assert isinstance(result.law, Gaussian)
 
 
-def test_a_constant_delay_is_said_to_be_constant():
+def test_hidden_delays_report_no_evidence_for_a_constant_delay():
     result = hidden_delays(found("constant"))
     assert result.mean == pytest.approx(0.02, abs=0.0003)
     assert result.spread < 0.0006
     assert result.evidence < 10.0
 
 
-def test_a_mixture_is_recovered():
+def test_hidden_delays_recover_a_mixture():
     result = hidden_delays(found("mixture"), components=2)
     true = drawn("mixture")[np.round(result.sent / PERIOD).astype(int)]
     short = true < 0.02
@@ -94,6 +94,6 @@ def test_a_mixture_is_recovered():
     assert isinstance(result.law, Mixture)
 
 
-def test_too_few_changes_are_refused():
+def test_hidden_delays_refuse_too_few_changes():
     with pytest.raises(FitError, match="changes often"):
         hidden_delays(found("constant"), components=60)

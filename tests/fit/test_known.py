@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from deepkoco.diagnose.baseline import refit, start_from
+from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.fit.data.per_log_differences import known_of
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.logs.recording import LogError, Recording, Series
@@ -47,11 +47,11 @@ def servo_log(
 def fitted(logs):
     system = make_system("servo_pendulum")
     windows = cut_windows(logs, system, 1.0)
-    fit = refit(start_from(system, windows), windows)
+    fit = refit(baseline_from(system, windows), windows)
     return {n: fit.values[n] for n in fit.free}, fit.chi2 / windows.samples
 
 
-def test_one_fit_spans_logs_with_different_payloads():
+def test_refit_spans_logs_with_known_payloads():
     logs = [servo_log(0.0, off_at=2.0), servo_log(0.4, known=0.4, off_at=2.0)]
     found, left = fitted(logs)
     assert left < 1.2
@@ -64,7 +64,7 @@ def test_one_fit_spans_logs_with_different_payloads():
     assert unaware > 10.0 * left
 
 
-def test_a_switch_that_the_log_does_not_show_is_on():
+def test_cut_windows_uses_the_default_of_an_unlogged_command():
     system = make_system("servo_pendulum")
     windows = cut_windows([servo_log(0.0, seconds=1.5)], system, 1.0)
     assert windows.commands[0].column(1).tolist() == [1.0] * 150
@@ -80,6 +80,6 @@ def test_a_switch_that_the_log_does_not_show_is_on():
         (["payload"], "expected parameters and numbers"),
     ],
 )
-def test_what_cannot_be_known_is_refused(known, message):
+def test_known_of_refuses_wrong_differences(known, message):
     with pytest.raises(LogError, match=message):
         known_of([replace(servo_log(0.0, seconds=0.1), meta={"known": known})], make_system("servo_pendulum"))
