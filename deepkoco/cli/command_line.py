@@ -1,4 +1,4 @@
-"""`deepkoco`: one command with subcommands; the work is done in the packages that own it."""
+"""`deepkoco`: parse the command line and run one subcommand."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from deepkoco import __version__
 from deepkoco.cli.input_error import InputError
 from deepkoco.unit.messages import UnitError
 
-DESCRIPTION = "Record a robot, show what its simulation gets wrong, and list what can be simulated."
+DESCRIPTION = "Record a robot, fit and diagnose its simulation, and show recordings and models."
 EXAMPLE = """\
 example, from a unit to a diagnosis:
   deepkoco record --unit configs/units/rod_pendulum_coulomb.yaml --seconds 30 --out logs/coulomb.csv
   deepkoco inspect logs/coulomb.csv
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out logs/coulomb_report
 
-"deepkoco COMMAND --help" says more about each."""
+"deepkoco COMMAND --help" describes each command."""
 # subcommand: (module with add_arguments, run, DESCRIPTION and EXAMPLE, one line for the list)
 COMMANDS = {
     "record": ("deepkoco.cli.record", "drive a unit with an excitation and write a measured log"),
     "inspect": (
         "deepkoco.cli.inspect",
-        "show what a log holds (CSV, Parquet, MCAP, ROS bags) and propose what its columns mean",
+        "show the contents of a log (CSV, Parquet, MCAP, ROS bags) and propose a mapping of its columns",
     ),
     "identify": (
         "deepkoco.cli.identify",
-        "find parameters and delays of a system from logs, with intervals",
+        "fit parameters and delays of a system to logs, with intervals",
     ),
     "diagnose": (
         "deepkoco.cli.diagnose",
@@ -36,11 +36,11 @@ COMMANDS = {
     ),
     "design-experiment": (
         "deepkoco.cli.design_experiment",
-        "find the commands that tell causes apart best, to be played by record",
+        "design the commands that distinguish causes best; record plays them",
     ),
     "show": (
         "deepkoco.cli.show",
-        "show what a recording of a graph holds, or what a trained model has learned",
+        "show the contents of a recording of a graph, or analyse a trained model",
     ),
     "export": ("deepkoco.cli.export", "write a recording of a graph as CSV or Parquet"),
     "export-model": (
@@ -55,8 +55,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     """Parser of the command line.
 
     Args:
-        command: Subcommand to declare in full; the others are only listed, so that no subcommand waits
-            for another one's imports.
+        command: Subcommand to declare completely. The others are only listed, so that their modules are not imported.
     """
     parser = argparse.ArgumentParser(
         prog="deepkoco",
@@ -87,10 +86,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand.
 
     Args:
-        arguments: Command line without the program's name; None takes the process's.
+        arguments: Command line without the name of the program; None takes that of the process.
 
     Returns:
-        Exit status: 0 done, 1 the unit failed, 2 bad input, 130 interrupted; `diagnose` adds its own.
+        Exit status: 0 done, 1 the unit failed, 2 bad input, 130 interrupted. Some subcommands have others too.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     command = next((a for a in arguments if not a.startswith("-")), None)
