@@ -32,7 +32,7 @@ COMMANDS = {
     ),
     "diagnose": (
         "deepkoco.cli.diagnose",
-        "name what the simulation of a logged robot gets wrong, and extend it",
+        "name the effects that the simulation of a logged robot lacks, and extend it",
     ),
     "design-experiment": (
         "deepkoco.cli.design_experiment",

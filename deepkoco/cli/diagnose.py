@@ -1,4 +1,4 @@
-"""`deepkoco diagnose`: name what the simulation of a logged robot gets wrong, and extend it."""
+"""`deepkoco diagnose`: name the effects that the simulation of a logged robot lacks, and extend it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DESCRIPTION = """\
 Compare logs of a robot with its simulation, and name the effects that the simulation lacks. Writes a report, the
 extended simulation (model.yaml) and its errors on held-out data, which no fit uses.
 
-Exit status: 0 diagnosed (also when nothing is wrong), 2 bad input, 3 the data do not suffice."""
+Exit status: 0 diagnosed (also without any fault), 2 bad input, 3 the data do not suffice."""
 EXAMPLE = """\
 example:
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out coulomb_report

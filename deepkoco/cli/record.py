@@ -165,7 +165,7 @@ def _progress(seconds: float, wanted: bool) -> Iterator[Callable[[float], None] 
         TextColumn("{task.completed:.1f} s"),
         TimeRemainingColumn(),
     )
-    # Drawn from the recorder's own loop: a drawing thread would hold up the time stamps at random.
+    # The loop of the recorder draws the bar, because a thread would delay time stamps at random.
     with Progress(*columns, console=console, auto_refresh=False, transient=True) as bar:
         task = bar.add_task("recording", total=seconds)
         shown = 0.0

@@ -79,7 +79,7 @@ class Identification:
         zeros: Encoder zeros of each log; empty if the sensors' zeros are known.
         of_logs: Values of single logs, for parameters that vary; empty if none varies.
         covariance: (p, p) of the free parameters, in the order of ``estimates``, widened like the intervals.
-        unidentified: Combinations about which the data say less than the prior.
+        unidentified: Combinations about which the data contain less information than the prior.
         dispersion: Size and autocorrelation of the residuals, relative to white sensor noise.
         convergence: Course of the fit.
         request: The request, with the noise that the last stage used.

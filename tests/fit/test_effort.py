@@ -1,4 +1,4 @@
-"""Commands to efforts over the integration steps."""
+"""Efforts over integration steps, computed from commands."""
 
 from dataclasses import replace
 
@@ -107,7 +107,7 @@ def test_held_efforts_of_two_lags_match_the_differential_equation(short, long):
     for begin, end, u in zip(t[:-1], t[1:], command.value[:-1], strict=True):
         for _ in range(fine):
             h = (end - begin) / fine
-            # Each lag follows its input, held at the middle of the substep.
+            # The input of each lag is held at its value in the middle of the substep.
             before = state[0]
             state[0] = u + (before - u) * (np.exp(-h / short) if short else 0.0)
             given = u + (before - u) * np.exp(-0.5 * h / short) if short else u
@@ -132,7 +132,7 @@ def test_command_efforts_of_one_command_are_in_steady_state():
 
 
 class TwiceLagged(RodPendulum):
-    """A pendulum whose motor has two lags of its own."""
+    """A pendulum whose motor has two lags."""
 
     def command_timing(self, index, parameters):
         own = tuple(torch.tensor(lag, dtype=torch.float64) for lag in (0.02, 0.03))

@@ -1,4 +1,4 @@
-"""Forward prediction from late measurements, against exact filters in the right order."""
+"""DelayedEstimator against an exact Kalman filter that gets the measurements in the order of their times."""
 
 import math
 from itertools import pairwise
@@ -41,7 +41,7 @@ def begin(estimator: DelayedEstimator, batch: int = 1) -> Memory:
 
 
 def exact(measurements, commands, stop):
-    """Kalman filter in the order of the instants, with matrix exponentials between them."""
+    """Kalman filter over times in ascending order, with matrix exponentials between them."""
 
     def carry(mean, covariance, t0, t1):
         edges = [t0, *(t for t, _ in commands if t0 < t < t1), t1]

@@ -1,4 +1,4 @@
-"""Fits to windows of a log."""
+"""FitProblem, windows and push, on closed-form motion."""
 
 import math
 
@@ -57,12 +57,12 @@ def problem_of(recording, length=1.0, noise=NOISE) -> tuple[FitProblem, dict[str
 def test_evaluate_reproduces_a_closed_form_swing():
     problem, values = problem_of(free_swing(amplitude=1e-3))
     fit = problem.evaluate(values)
-    # sin(x) differs from x by x^3 / 6 = 2e-10: nothing is left but that and the integrator's error.
+    # The residual is the difference of sin(x) from x, x^3 / 6 = 2e-10, and the error of the integrator.
     assert fit.chi2 / problem.windows.samples < 1e-9
 
 
 def test_fit_recovers_gravity_and_reports_mass_as_unidentified():
-    # A gravity of 11 makes the swing faster by sqrt(1.1); mass does not matter to a free swing.
+    # A gravity of 11 makes the swing faster by sqrt(1.1). The mass does not change a free swing.
     problem, values = problem_of(free_swing(omega=math.sqrt(16.5), amplitude=1e-2))
     declared = [problem.system.parameter(n) for n in ("gravity", "mass")]
     prior = Prior.of(declared)
@@ -112,7 +112,7 @@ def test_predict_ignores_a_saturation_at_its_null_value_in_a_mixed_batch():
 def test_fit_keeps_parameters_within_bounds():
     problem, values = problem_of(free_swing(omega=math.sqrt(14.0)))
     prior = Prior.of([problem.system.parameter("payload.mass")])
-    # The slow swing asks for less weight than there is; a payload cannot be negative.
+    # The best payload for the slow swing is negative, which the bounds exclude.
     fit = problem.fit([Trial("payload", ("payload.mass",), prior, values)])[0]
     assert fit.values["payload.mass"] >= 0.0
 

@@ -1,4 +1,4 @@
-"""Fits of a system with two joints, to motion integrated by SciPy."""
+"""Fit of a system with two joints to motion integrated by SciPy."""
 
 import pytest
 
@@ -35,7 +35,7 @@ def test_fit_recovers_the_second_encoder_zero_of_each_log():
         zero = zeros[f"zero of angle_2 of log {log}"]
         assert zero.value == pytest.approx(true, abs=4.0 * zero.sd)
         assert zero.sd < 0.01
-        # Turning the whole arm in a horizontal plane changes nothing: that zero stays what its prior says.
+        # A rotation of the whole arm in a horizontal plane does not change the motion, so this zero keeps its prior.
         assert zeros[f"zero of angle_1 of log {log}"].sd == pytest.approx(0.1, rel=0.01)
 
 

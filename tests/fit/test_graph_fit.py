@@ -1,4 +1,4 @@
-"""Fits of a graph's nodes to an episode, and delays that a node hides."""
+"""fit_graph and trainable delays on an episode of a graph."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ TRUE = {"mass": 1.3, "late": 0.37}
 
 
 class Sled(Node):
-    """A mass on a rail whose motor takes a hidden time to answer."""
+    """A mass on a rail whose motor responds after a hidden delay."""
 
     inputs = ("agent",)
 
@@ -91,7 +91,7 @@ def test_fit_graph_recovers_mass_and_trainable_delay(unit):
     )
     assert result.estimates["sled.mass"].value == pytest.approx(TRUE["mass"], rel=0.02)
     delay = LOW + result.estimates["sled.late"].value * (HIGH - LOW)
-    # The node runs every 5 ms: an arrival is felt at the next step, so the delay is known to that.
+    # The node runs every 5 ms and uses a message at its next step, so the delay is identified to 5 ms.
     assert delay == pytest.approx(LOW + TRUE["late"] * (HIGH - LOW), abs=0.005)
     assert result.rms["observation"] == pytest.approx(sd, rel=0.1)
     assert result.convergence.stages[0][1][-1] < result.convergence.stages[0][1][0]

@@ -1,4 +1,4 @@
-"""Distributions of delays that no log shows, recovered from motion simulated by an independent integrator."""
+"""hidden_delays on motion simulated by an independent integrator."""
 
 import math
 from functools import lru_cache
@@ -14,11 +14,11 @@ STEP, PERIOD = 0.001, 0.05  # integration, time between commands [s]
 
 
 def rod_log(delays: np.ndarray, seed: int = 0) -> Recording:
-    """A rod pendulum under random torques, each of which acts after a delay of its own."""
+    """A rod pendulum under random torques; each torque acts after its own delay."""
     rng = np.random.default_rng(seed)
     sent = PERIOD * np.arange(len(delays))
     torque = rng.uniform(-2.0, 2.0, len(delays))
-    # Steer away from whirling: push against the side on which the torques have left the rod.
+    # Without half of the recent mean torque, the rod does not rotate.
     torque -= 0.5 * np.convolve(torque, np.ones(8) / 8)[: len(torque)]
     torque = np.clip(torque, -2.0, 2.0)
     acts = np.maximum.accumulate(sent + delays)
@@ -71,7 +71,7 @@ def test_hidden_delays_recover_mean_spread_and_each_message():
     assert result.spread == pytest.approx(true.std(), rel=0.1)
     assert result.spread_interval[0] < true.std() < result.spread_interval[1]
     score = (result.delay - true) / result.delay_sd
-    assert np.sqrt((score**2).mean()) == pytest.approx(1.0, abs=0.2)  # the posterior is as sure as it may be
+    assert np.sqrt((score**2).mean()) == pytest.approx(1.0, abs=0.2)  # the posterior sd is calibrated
     assert result.evidence > 10.0
     assert isinstance(result.law, Gaussian)
 
@@ -89,7 +89,7 @@ def test_hidden_delays_recover_a_mixture():
     short = true < 0.02
     assert result.means == pytest.approx([true[short].mean(), true[~short].mean()], abs=0.0005)
     assert result.weights == pytest.approx([short.mean(), 1.0 - short.mean()], abs=0.04)
-    # 1 ms each, below the standard deviation with which a single delay is known.
+    # The spreads are 1 ms each, less than the posterior sd of a single delay.
     assert result.spreads == pytest.approx([true[short].std(), true[~short].std()], rel=0.35)
     assert isinstance(result.law, Mixture)
 

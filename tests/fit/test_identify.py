@@ -1,4 +1,4 @@
-"""Fits as a user calls them."""
+"""fit() as users call it, on simulated logs."""
 
 import json
 from dataclasses import replace
@@ -68,7 +68,7 @@ def test_loose_in_words_reports_that_only_a_product_is_identified():
     known = {"viscous": VISCOUS, "actuation_delay.delay": DELAY}
     result = fit([log], "pendulum", ["mass", "length"], start=known)
     assert len(result.unidentified) == 1
-    # Only m g l enters: to first order +1 % of one is -1 % of the other.
+    # Only the product m g l enters, so +1 % of one is -1 % of the other to first order.
     assert result.loose_in_words() == (
         "the data cannot distinguish a change of mass by -1.00 % and length by +1.00 % from no change",
     ) or result.loose_in_words() == (
@@ -76,7 +76,7 @@ def test_loose_in_words_reports_that_only_a_product_is_identified():
     )
     product = result.estimates["mass"].value * result.estimates["length"].value
     assert product == pytest.approx(MASS * 0.0415, rel=5e-3)
-    assert result.estimates["mass"].high - result.estimates["mass"].low > 0.1  # the interval says so too
+    assert result.estimates["mass"].high - result.estimates["mass"].low > 0.1  # the interval is wide too
 
 
 def test_prior_identifies_a_combination_that_the_data_do_not():
@@ -126,7 +126,7 @@ def test_varies_recovers_the_value_of_each_log_and_the_mean():
         assert own.unit == "N m s/rad"
         assert abs(own.value - value) < 4.0 * own.sd < 0.01
     mean = result.estimates["viscous"]
-    # The logs are known well: what is left is how much three of them say of the mean.
+    # The value of each log is precise. The uncertainty of the mean comes from the number of logs.
     assert mean.value == pytest.approx(np.mean(true), abs=1e-3)
     assert mean.sd == pytest.approx(0.03 / np.sqrt(3), rel=0.05)
     assert result.estimates["mass"].value == pytest.approx(1.0, rel=0.01)
@@ -140,14 +140,14 @@ def test_varies_accepts_a_parameter_that_is_not_fitted():
     assert list(result.estimates) == ["mass"]
     assert result.system.parameter("viscous").value == 0.03
     assert [e.value for e in result.of_logs] == pytest.approx([0.01, 0.05], abs=1e-3)
-    # Before the fit nobody knew that they differ.
+    # `before` uses one shared value for both logs.
     before, after, _ = result.rms["theta"]
     assert before > 2.0 * after
 
 
 def test_deflation_does_not_widen_the_prior_of_differences():
     logs = [rod_log(seed=k, viscous=v) for k, v in enumerate((0.01, 0.03, 0.05), start=1)]
-    # A length that is wrong leaves far more than noise.
+    # A wrong length gives residuals far above the noise.
     result = fit(logs, "rod_pendulum", ["viscous"], start={"length": 1.1}, varies={"viscous": 0.03})
     assert result.dispersion.deflation > 20.0
     assert result.estimates["viscous"].sd < 1.5 * 0.03 / np.sqrt(3)

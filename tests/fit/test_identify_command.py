@@ -1,4 +1,4 @@
-"""`deepkoco identify` from a log on disk to a folder of results."""
+"""`deepkoco identify`: from a log on disk to a folder of results."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Logs that are known to differ, and commands that a log does not show, on a servo that scipy simulates."""
+"""Known differences of logs, and commands that are not logged, on a servo simulated by SciPy."""
 
 from dataclasses import replace
 
@@ -74,7 +74,7 @@ def test_cut_windows_uses_the_default_of_an_unlogged_command():
     ("known", "message"),
     [
         ({"payload.mas": 1.0}, 'servo_pendulum has no parameter "payload.mas" that may differ'),
-        ({"gain.factor": 1.0}, "gain.factor"),  # it acts on a command, of which all logs share the path
+        ({"gain.factor": 1.0}, "gain.factor"),  # effects on commands cannot differ from log to log
         ({"payload.mass": "1 kg"}, "expected a number in the parameter's unit, got '1 kg'"),
         ({"payload.mass": float("nan")}, "expected a number"),
         (["payload"], "expected parameters and numbers"),

@@ -1,4 +1,4 @@
-"""Mixtures of delays known through a linear response, against scikit-learn's EM and by hand."""
+"""mixture_law against the EM of scikit-learn, and on drawn delays."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from deepkoco.fit.delays.linear_delays import LinearDelays, mixture_law
 
 
 def seen(delays: np.ndarray, noise_sd: float, seed: int = 0, windows: int = 20) -> LinearDelays:
-    """Each message seen once, alone, with noise; the messages shared out over windows."""
+    """Likelihood of delays that are each measured once with noise; messages are distributed over windows."""
     rng = np.random.default_rng(seed)
     values = delays + noise_sd * rng.standard_normal(len(delays))
     members = np.array_split(np.arange(len(delays)), windows)
@@ -41,7 +41,9 @@ def test_mixture_law_is_not_widened_by_noise():
     true, noise_sd = delays(1500), 0.002
     found = mixture_law(seen(true, noise_sd), true, 2, np.random.default_rng(2))
     assert found.means == pytest.approx([0.01, 0.03], abs=3e-4)
-    assert found.spreads == pytest.approx([0.002, 0.002], rel=0.15)  # unmended: 2.8 ms
+    assert found.spreads == pytest.approx(
+        [0.002, 0.002], rel=0.15
+    )  # without the correction for noise: 2.8 ms
 
 
 def test_mixture_law_recovers_from_wrong_initial_components():

@@ -1,4 +1,4 @@
-"""Noise estimated from a series."""
+"""estimate_noise and quantum_of on simulated series."""
 
 import numpy as np
 import pytest
@@ -38,12 +38,12 @@ def test_estimate_noise_uses_fallback_for_short_series():
 
 
 def test_quantum_of_finds_encoder_steps_in_rounded_values():
-    """Few digits in the file, and an unwrapped turn that adds rounding of its own."""
+    """The values have few digits, and unwrapping adds rounding errors."""
     ticks = np.random.default_rng(0).integers(-300, 300, 5000)
     value = np.round(ticks * 2.0 * np.pi / 2048.0, 7)
     value[::7] += 2.0 * np.pi
     value[::7] -= 2.0 * np.pi
     assert quantum_of(value) == pytest.approx(2.0 * np.pi / 2048.0, rel=1e-5)
     assert quantum_of(np.random.default_rng(1).normal(size=5000)) == 0.0
-    # Twice each: as many levels as a grid has, but no step that fits all of them.
+    # Each value occurs twice: as few levels as on a grid, but no common step.
     assert quantum_of(np.repeat(np.random.default_rng(2).normal(size=500), 2)) == 0.0

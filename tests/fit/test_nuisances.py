@@ -1,4 +1,4 @@
-"""Parameters that vary from log to log: every log has its own around a mean of all (random effects)."""
+"""Parameters that vary from log to log around a common mean (random effects)."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def fitted(problem):
 
 
 def test_fit_with_varies_matches_dense_least_squares(windows):
-    """scipy, over the mean, what each log differs by, and all initial states at once."""
+    """SciPy minimises over the mean, the differences of the logs and all initial states together."""
     problem = problem_of(windows, viscous=SPREAD)
     fit = fitted(problem)
     column, logs = problem.names.index("viscous"), len(CHANGES)
@@ -92,7 +92,7 @@ def test_known_in_predicts_the_same_as_fitted_differences(windows):
 
 
 def test_predict_applies_a_varying_lag_to_its_log_only():
-    """The lag of a motor is no part of the equations of motion."""
+    """The lag of a motor acts on the command, not in the equations of motion."""
     system = make_system("quadrotor_height")
     logs = [hidden_log("quadrotor_height", {}, "steps", seed, 5.0) for seed in (1, 2)]
     windows = cut_windows(logs, system, 1.0)
@@ -113,7 +113,7 @@ def test_predict_applies_a_varying_lag_to_its_log_only():
 
 @pytest.mark.parametrize("free", [(), ("mass_1",), ("viscous_1", "mass_1", "viscous_2")])
 def test_fit_minimises_over_zeros_and_differences_of_two_joints(free):
-    """Two joints, two logs, encoder zeros, one difference that is known; by central differences of the cost."""
+    """Two joints, two logs, encoder zeros, one known difference; checked by central differences of the cost."""
     system = make_system("two_link_arm")
     logs = [hidden_log("two_link_arm", {}, drive, 3, 4.0) for drive in ("chirp", "steps")]
     windows = cut_windows(logs, system, 1.0)
@@ -136,7 +136,7 @@ def test_fit_minimises_over_zeros_and_differences_of_two_joints(free):
         step[k] = 1e-3 * sd
         down, up = cost(fit.nuisance - step), cost(fit.nuisance + step)
         curvature = (down + up - 2.0 * fit.chi2 - 2.0 * problem.nuisances.penalty(fit.nuisance)) / 1e-6
-        # What a step of Newton's would still win.
+        # Decrease of the cost that a Newton step would give.
         assert ((up - down) / 2e-3) ** 2 / (2.0 * curvature) < 1e-2
     known, held = problem.as_fitted(fit)
     assert held.nuisance.shape == (2 * 2,)
@@ -160,7 +160,7 @@ def test_elsewhere_sets_fitted_differences_in_held_out_windows(windows):
     assert problem.values_in(fit, 1)["viscous"] == pytest.approx(
         fit.values["viscous"] + float(fit.nuisance[1])
     )
-    # Those of other logs have parameters that nobody knows.
+    # Windows with parameters that vary are returned unchanged.
     others = replace(held, varies={"viscous": SPREAD})
     assert problem.elsewhere(others, fit) is others
     told, not_told = (FitProblem(problem.system, w).evaluate(fit.values) for w in (own, held))

@@ -1,4 +1,4 @@
-"""CMA-ES against its library's own reference problems, and as a method of the fit."""
+"""cma_es and Box against the package `cma`, and CMA-ES as a method of the fit."""
 
 import builtins
 import importlib
@@ -82,7 +82,7 @@ def test_box_with_one_bound_folds_one_side_only():
     box = Box(np.array([0.0, -np.inf]), np.array([np.inf, np.inf]))
     points = np.array([[-3.0, -3.0], [0.0, 1e6], [7.0, 2.0]])
     assert (box.fold(points)[:, 1] == points[:, 1]).all()
-    # 3 below a bound at 0 with its margin of 0.05: 0.05 + (3 - 0.05) beyond where the map turns round, less 0.05.
+    # 3 below a bound at 0 with its margin of 0.05: 0.05 + (3 - 0.05) beyond the reflection point, less 0.05.
     assert box.fold(points)[:, 0] == pytest.approx([2.9, 0.0125, 7.0])
 
 

@@ -1,4 +1,4 @@
-"""The filter of the sensors against its closed form."""
+"""Sensor filter against its closed form."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The number of threads is restored, whatever happens."""
+"""one_thread restores the number of threads, also after an error."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""The unscented filter against filterpy and the exact Kalman filter, and what keeps it from breaking."""
+"""Unscented filter against filterpy and the exact Kalman filter, and its numerical limits."""
 
 import math
 
@@ -117,7 +117,7 @@ def test_update_wraps_the_innovation_of_an_angle():
     found, _ = update(
         belief, lambda x: x[..., :1], measured, torch.tensor([0.1], dtype=F64), SigmaPoints(), angle
     )
-    # Prior and sensor are equally sure and 0.02 rad apart: half way.
+    # Prior and sensor have equal variance and differ by 0.02 rad, so the mean is half way.
     assert float(found.mean[0, 0]) == pytest.approx(math.pi, abs=1e-9)
 
 

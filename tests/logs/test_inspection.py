@@ -1,4 +1,4 @@
-"""`deepkoco inspect`: what it sees in a log, what it proposes, and how it says so."""
+"""`deepkoco inspect`: survey of a log, proposed mapping, and possible mistakes."""
 
 import json
 import sys
@@ -84,7 +84,7 @@ def test_propose_derives_units_from_the_ratio_of_angle_and_speed(tmp_path, motio
     frame = motion.assign(theta=2 * motion["theta"], omega=2 * motion["omega"])
     frame = frame.assign(**{name: frame[name] * factor for name, factor in factors.items()})
     found, proposal, choices = proposed(tmp_path / "log.csv", frame)
-    if len(factors) < 2:  # both in degrees is the same as both in radians but for the range
+    if len(factors) < 2:  # only the range distinguishes both in degrees from both in radians
         assert {name: choices[name].unit for name in units} == units
     assert proposal.time == ("ms" if "t" in factors else "s")
     text = " ".join(doubts_of(found, proposal))

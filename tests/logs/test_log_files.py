@@ -1,4 +1,4 @@
-"""Logs in MCAP files and bags: topics, fields, joints, clocks; and what a bad one is told."""
+"""Logs in MCAP files and bags: topics, fields, joints, clocks and errors."""
 
 import shutil
 import sys
@@ -191,7 +191,7 @@ def test_read_log_names_a_missing_topic_field_or_joint(tmp_path):
             read_log(path, content)
 
 
-def test_open_log_names_the_extra_of_a_missing_library(tmp_path, monkeypatch):
+def test_read_log_names_the_extra_of_a_missing_library(tmp_path, monkeypatch):
     pytest.importorskip("rosbags")
     bag = write_ros1_bag(tmp_path / "a.bag", signals())
     mcap = write_ros_mcap(tmp_path / "a.mcap", signals())

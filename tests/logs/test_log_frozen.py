@@ -1,4 +1,4 @@
-"""Frozen sensors are found wherever they show, and a joint that rests is not taken for one."""
+"""Detection of frozen sensors, and of working sensors that repeat values."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_frozen_stretches_find_channel_and_times(seed, name, first, count, step)
     damaged = {**channels, name: freeze(channels[name], first, count)}
     found = frozen_stretches(damaged, PAIRS)
     assert [f.channel for f in found] == [name]
-    # A sample beside it may have the same value by chance, where values are rounded.
+    # With rounding, the next sample can have the same value by chance.
     assert abs(found[0].start - 0.01 * first) < 0.035
     assert abs(found[0].stop - 0.01 * (first + count - 1)) < 0.035
     kept = without_frozen(damaged[name], found)
@@ -108,7 +108,7 @@ def test_read_log_warns_and_leaves_frozen_samples_out(tmp_path, name):
 
 
 def motion(omega: np.ndarray, rate: float, steps: tuple[float, float]) -> dict[str, Series]:
-    """A joint with this speed, by an encoder and a tachometer of these resolutions."""
+    """Position and speed of a joint, rounded to the resolutions of an encoder and a tachometer."""
     t = np.arange(len(omega)) / rate
     theta = np.append(0.0, np.cumsum(0.5 * (omega[1:] + omega[:-1]) / rate))
     theta, omega = (step * np.round(value / step) for step, value in zip(steps, (theta, omega), strict=True))
@@ -119,7 +119,7 @@ def motion(omega: np.ndarray, rate: float, steps: tuple[float, float]) -> dict[s
 
 
 def driven(time_constant: float) -> np.ndarray:
-    """20 s of a motor that is told 0, 3, 0 and -3 rad/s in turn."""
+    """20 s of a motor with the set speeds 0, 3, 0 and -3 rad/s in turn."""
     omega, told = np.zeros(2000), np.repeat([0.0, 3.0, 0.0, -3.0] * 5, 100)
     for k in range(1, 2000):
         omega[k] = told[k] + (omega[k - 1] - told[k]) * np.exp(-0.01 / time_constant)
@@ -127,7 +127,7 @@ def driven(time_constant: float) -> np.ndarray:
 
 
 def knocked() -> np.ndarray:
-    """At rest but for three knocks."""
+    """Speed of a joint at rest that is hit three times."""
     t = np.arange(2000) / 100.0
     return np.sum(
         [2.0 * np.exp(-(t - at) / 0.5) * (t >= at) * ((t - at) < 4.0) for at in (3.0, 9.0, 15.0)], axis=0

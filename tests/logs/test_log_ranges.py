@@ -1,4 +1,4 @@
-"""Angles whose range no machine has are refused, also where their steps look like turns."""
+"""check_units on angles with an implausible range, also if unwrapping takes their steps for turns."""
 
 import math
 from pathlib import Path

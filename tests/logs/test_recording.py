@@ -1,4 +1,4 @@
-"""Reading and writing of measured logs, and what a bad log is told."""
+"""Reading and writing of measured logs, and errors for bad logs."""
 
 from pathlib import Path
 
@@ -294,7 +294,7 @@ def test_read_log_refuses_a_folder(tmp_path):
 
 
 def test_write_log_leaves_no_files_after_a_failure(tmp_path):
-    """The disk takes the small sidecar, then no more than the first 4 kB of the log."""
+    """The limit of the file size allows the small sidecar, but only the first 4 kB of the log."""
     resource = pytest.importorskip("resource")
     t = np.arange(2000) / 7
     recording = Recording({"theta": Series(t, np.sin(t), "rad", "measurement")})

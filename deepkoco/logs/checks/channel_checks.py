@@ -184,7 +184,7 @@ def _noise(value: np.ndarray) -> float:
 
 
 def unknown_stretches(channels: Mapping[str, Series]) -> tuple[Span, ...]:
-    """Stretches [s] in which a command is unknown or a measurement is filled in; fits do not use them."""
+    """Stretches [s] in which a command is unknown or a measurement is filled in; fits leave them out."""
     spans: list[Span] = []
     for series in channels.values():
         if series.unknown is not None:

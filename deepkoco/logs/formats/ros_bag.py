@@ -89,7 +89,7 @@ def _read(path: Path, reader: Any, wanted: Wanted) -> LogFile:
     origin = reader.start_time
     if not connections or reader.message_count == 0:
         there = sorted({c.topic for c in reader.connections})
-        wrong = "" if wanted is None else f"; the mapping asks for {', '.join(wanted)}"
+        wrong = "" if wanted is None else f"; the mapping requests {', '.join(wanted)}"
         raise LogError(
             f"{path}: has no message of a requested topic; it has {', '.join(there) or 'none'}{wrong}"
         )

@@ -45,7 +45,9 @@ def propose(survey: Survey, system: str | None = None) -> Fitting:
                 "named t, time or stamp"
             )
         missing = [c.channel.name for c in proposals[0].choices if c.column is None]
-        what = f"nothing fits the channel {', '.join(missing)} of {system}" if system else "it fits no system"
+        what = (
+            f"no column fits the channel {', '.join(missing)} of {system}" if system else "no system fits it"
+        )
         raise NoProposalError(
             f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; write the sidecar by "
             'hand, or choose another system ("deepkoco systems" lists them)'

@@ -206,15 +206,15 @@ class Proposer:
             # A log can lack a channel with a default. Its column needs its own name and admissible values.
             inside = channel.low <= (column.low or 0.0) and (column.high or 0.0) <= channel.high
             named = bool({channel.name, f"{channel.name}d"} & set(hints.words))
-            return (6.0, [f'its name says "{channel.name}"']) if inside and named else (-6.0, [])
+            return (6.0, [f'its name contains "{channel.name}"']) if inside and named else (-6.0, [])
         score = hints.speaks_for(quantity)
         if score > 0:
-            why.append(f"its name says {quantity}")
+            why.append(f"its name means {quantity}")
         if hints.unit is not None:
             fits = parse_unit(hints.unit).quantity == quantity
             score += 3.0 if fits else -6.0
             if fits:
-                why.append(f"its name says {hints.unit}")
+                why.append(f"its name contains {hints.unit}")
         if column.name == channel.name:
             score += 4.0
             why.append("it has the name of the channel")
@@ -224,7 +224,7 @@ class Proposer:
             # A command that is an angle is a goal, so its name must differ from that of the measured angle.
             score += (2.0 * named - 2.0 * (not named)) * (quantity in POSITIONS)
             if named:
-                why.append("its name says that it is a command")
+                why.append("its name means a command")
             score -= 2.0 * ("feedforward" in hints.words or "ff" in hints.words)
         else:
             score += -5.0 * (hints.commanded or hints.wanted) + 1.0 * hints.measured
