@@ -73,8 +73,8 @@ def load_commands(path: str | Path, system: JointSystem) -> PlayedCommands:
     """Read a CSV of commands: a column ``t`` [s] and one with the name of the command, in its unit.
 
     Raises:
-        CommandFileError: The file cannot be read, lacks a column, contains other things than finite numbers, its stamps
-            do not increase, or a command is outside the limits of the system.
+        CommandFileError: The file cannot be read, lacks a column or contains a cell that is not a finite number. Stamps
+            do not increase, or a command exceeds the limits of the system.
     """
     path, channel = Path(path), system.commands[0]
     try:

@@ -61,7 +61,7 @@ def fit(
         progress: Called with stage, iteration, largest number of iterations and cost.
 
     Raises:
-        FitError: A parameter is unknown or cannot vary, its bounds or start value are wrong, the joint moves too
+        FitError: A parameter is unknown or cannot vary, or its bounds or start value are wrong. The joint moves too
             little, or the simulation diverges at the start values.
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.

@@ -19,7 +19,7 @@ from deepkoco.fit.identification import Estimate, Identification
 from deepkoco.output.new_folder import new_folder
 from deepkoco.systems import save_model
 
-CLEAR_EVIDENCE = 10.0  # evidence above which the data show that a delay varies
+SURE = 10.0  # evidence above which the data show that a delay varies
 
 
 def write_identification(found: Identification, out: str | Path, hidden: HiddenDelays | None = None) -> Path:
@@ -100,10 +100,10 @@ def _delay_notes(hidden: HiddenDelays) -> list[str]:
         f"delay of the commands, message by message: mean {1e3 * hidden.mean:.3g} ms ({low:.3g} to {high:.3g}), "
         f"standard deviation {1e3 * hidden.spread:.3g} ms, from {len(hidden.sent)} messages"
     ]
-    if hidden.evidence < CLEAR_EVIDENCE:
+    if hidden.evidence < SURE:
         lines.append(
             f"the data do not show that the delay varies: evidence {hidden.evidence:.3g}, "
-            f"clear above {CLEAR_EVIDENCE:g}"
+            f"clear above {SURE:g}"
         )
     if len(hidden.means) > 1:
         each = zip(hidden.weights, hidden.means, hidden.spreads, strict=True)

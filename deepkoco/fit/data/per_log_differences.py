@@ -24,8 +24,7 @@ def known_of(recordings: Sequence[Recording], system: System) -> Known:
     """Read the known differences of each log (key ``known``): parameter -> amount that is added to it.
 
     Raises:
-        LogError: A name is not a parameter of the system or of an effect on its body or joints, or a value is not a
-            finite number.
+        LogError: A name is not a parameter that can differ (:func:`may_differ`), or a value is not a finite number.
     """
     names = may_differ(system)
     return tuple(

@@ -87,7 +87,7 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
 
     A command that acts eps later than usual gives the joint a known impulse, to first order. The residuals r of a
     window are therefore linear in the delays of its messages: r = G eps + J x + noise. A projection P removes the
-    initial states x, so that A = G' P G and h = G' P r contain all information about the delays. For a normal law of
+    initial states x. Then A = G' P G and h = G' P r contain all information about the delays. For a normal law of
     eps, the marginal likelihood has a closed form, which is maximised. A mixture adds one unknown component per
     message and is fitted by stochastic-approximation EM with Gibbs draws of components and delays. After each
     estimate of the delays, the parameters are fitted again at the posterior mean delays, and the residuals are

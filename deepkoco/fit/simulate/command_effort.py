@@ -40,8 +40,8 @@ def command_efforts(
     inside a step. The line a + b s over the step has the same integral and double integral as the true effort. Speed
     and angle after the step then have the order of the integrator, and they depend smoothly on the delay. A sensing
     delay is added to the delay of the command; the window's state is then the state that the sensor shows. If the
-    clock of the measurements is faster than that of the commands, the delay grows in proportion to the time since
-    the log's first command. Within a window it is constant.
+    clock of the measurements is faster than that of the commands, the delay grows with the time since the log's
+    first command. Within a window it is constant.
 
     Args:
         system: Gives ``shape_command`` and ``command_timing``.
@@ -145,10 +145,14 @@ class _HeldEfforts:
             rows = np.flatnonzero((self.short == short) & (self.long == long))
             own = jump[rows].T
             if short > 0.0:
-                self.first[rows] = _remaining(np.exp(-gap / short), own).T
+                self.first[rows] = _lag_deviation(np.exp(-gap / short), own).T
             if long > 0.0:
-                passed = _passed(gap, short, long)[:, None] * self.first[rows, :-1].T if short > 0.0 else 0.0
-                self.second[rows] = _remaining(np.exp(-gap / long), own + passed).T
+                passed = (
+                    _long_lag_response(gap, short, long)[:, None] * self.first[rows, :-1].T
+                    if short > 0.0
+                    else 0.0
+                )
+                self.second[rows] = _lag_deviation(np.exp(-gap / long), own + passed).T
 
     def steps(
         self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
@@ -169,7 +173,7 @@ class _HeldEfforts:
             start = self.effort[own, 0][:, None, None]
             one = self.first[lane, piece] * _decay(since, short)
             two = self.second[lane, piece] * _decay(since, long)
-            two = two + self.first[lane, piece] * _passed(since, short, long)
+            two = two + self.first[lane, piece] * _long_lag_response(since, short, long)
             for constant, left in ((short, one), (long, two)):
                 shown = np.where(constant > 0.0, effort[slow] + left - start, 0.0)
                 once[slow] -= constant * shown
@@ -177,7 +181,7 @@ class _HeldEfforts:
         return _line(once, twice, step)
 
 
-def _remaining(keep: np.ndarray, jump: np.ndarray) -> np.ndarray:
+def _lag_deviation(keep: np.ndarray, jump: np.ndarray) -> np.ndarray:
     """(n + 1, U) output minus input of a lag: x[0] = 0, x[i + 1] = keep[i] x[i] + jump[i]."""
     band = np.ones((2, len(keep) + 1))
     band[1, :-1], band[1, -1] = -keep, 0.0
@@ -190,7 +194,7 @@ def _decay(since: np.ndarray, constant: np.ndarray) -> np.ndarray:
     return np.where(constant > 0.0, np.exp(-since / np.where(constant > 0.0, constant, 1.0)), 0.0)
 
 
-def _passed(since: np.ndarray, short: np.ndarray | float, long: np.ndarray | float) -> np.ndarray:
+def _long_lag_response(since: np.ndarray, short: np.ndarray | float, long: np.ndarray | float) -> np.ndarray:
     """Response of the longer lag after a time to a unit deviation of the shorter lag from its input."""
     acts = np.asarray(short) > 0.0
     quick, slow = np.where(acts, short, 1.0), np.where(acts, long, 1.0)

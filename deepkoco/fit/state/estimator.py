@@ -180,7 +180,7 @@ class DelayedEstimator:
             again, there = stale[:, k], torch.isfinite(times[:, k])
             kept = Belief(means[:, k], roots[:, k])
             if bool(again.any()):
-                moved = self._carry(memory, belief, at, torch.where(again, times[:, k], at))
+                moved = self._predict_until(memory, belief, at, torch.where(again, times[:, k], at))
                 stepped, _ = update(moved, self.measure, values[:, k], noises[:, k], self.points, self.angle)
                 kept = stepped.where(again, kept)
             belief = kept.where(there, belief)
@@ -209,9 +209,9 @@ class DelayedEstimator:
             actuation_delay: tau_a [s], scalar or (B,); 0 for the state now.
         """
         belief, at = memory.newest()
-        return self._carry(memory, belief, at, torch.maximum(time + actuation_delay, at))
+        return self._predict_until(memory, belief, at, torch.maximum(time + actuation_delay, at))
 
-    def _carry(self, memory: Memory, belief: Belief, start: Tensor, stop: Tensor) -> Belief:
+    def _predict_until(self, memory: Memory, belief: Belief, start: Tensor, stop: Tensor) -> Belief:
         """Predict a belief from ``start`` to ``stop`` (B,) [s], in one piece per command that acts in between."""
         edges = torch.cat([start[:, None], memory.acts, stop[:, None]], 1)
         edges = torch.minimum(torch.maximum(edges, start[:, None]), stop[:, None])

@@ -55,8 +55,10 @@ def derivatives(
     """Compute the relations of all pairs (position, speed) that their names do not exclude."""
     moving = [c for c in columns if c.kind == "number" and len(samples[c.label][0]) > 10]
     few = len(moving) <= MOST_COLUMNS
-    firsts = [c for c in moving if _may(c, ("angle", "length", "angular velocity"), few)]
-    seconds = [c for c in moving if _may(c, ("angular velocity", "velocity", "angular acceleration"), few)]
+    firsts = [c for c in moving if _may_measure(c, ("angle", "length", "angular velocity"), few)]
+    seconds = [
+        c for c in moving if _may_measure(c, ("angular velocity", "velocity", "angular acceleration"), few)
+    ]
     found = {}
     for first, second in product(firsts, seconds):
         if first.label == second.label:
@@ -70,8 +72,8 @@ def derivatives(
 def drives(angle: Samples, speed: Samples | None, inputs: Mapping[str, Samples]) -> dict[str, float]:
     """Share of a joint's changes of speed that each input explains, beyond gravity and friction.
 
-    Changes of the speed over 0.2 s are regressed on the integrals of sin and cos of the angle, the speed, its smoothed
-    sign and a constant, without and with the input. The input holds from its stamp to the next. The share is the
+    Changes of the speed over 0.2 s are regressed on the integrals of five terms, without and with the input. The terms
+    are sin and cos of the angle, the speed, its smoothed sign and a constant. The input holds from its stamp to the next. The share is the
     relative decrease of the sum of squared residuals.
 
     Args:
@@ -161,7 +163,7 @@ def factor_of(unit: str) -> tuple[str, float]:
     return found.quantity, found.factor
 
 
-def _may(column: ColumnSurvey, quantities: tuple[str, ...], unknown: bool) -> bool:
+def _may_measure(column: ColumnSurvey, quantities: tuple[str, ...], unknown: bool) -> bool:
     if column.hints.unit is not None:
         return factor_of(column.hints.unit)[0] in quantities
     says = [column.hints.speaks_for(q) for q in quantities]

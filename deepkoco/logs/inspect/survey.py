@@ -127,7 +127,7 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
         kind = "empty"
     elif kind == "number" and np.ptp(good) == 0:
         kind = "constant"
-    elif kind == "number" and _counts(good, hints, name):
+    elif kind == "number" and _is_counter(good, hints, name):
         kind = "counter"
     return ColumnSurvey(
         topic=topic,
@@ -147,7 +147,7 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
     )
 
 
-def _counts(values: np.ndarray, hints: NameHints, name: str) -> bool:
+def _is_counter(values: np.ndarray, hints: NameHints, name: str) -> bool:
     step = np.diff(values)
     whole = bool(np.all(values == np.round(values)))
     by_ones = (
