@@ -73,7 +73,8 @@ def drives(angle: Samples, speed: Samples | None, inputs: Mapping[str, Samples])
     """Share of a joint's changes of speed that each input explains, beyond gravity and friction.
 
     Changes of the speed over 0.2 s are regressed on the integrals of five terms, without and with the input. The terms
-    are sin and cos of the angle, the speed, its smoothed sign and a constant. The input holds from its stamp to the next. The share is the
+    are sin and cos of the angle, the speed, its smoothed sign and a constant. The input holds from its
+    stamp to the next. The share is the
     relative decrease of the sum of squared residuals.
 
     Args:
