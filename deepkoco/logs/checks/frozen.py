@@ -58,8 +58,7 @@ def frozen_stretches(channels: Mapping[str, Series], pairs: list[tuple[str, str]
     A sensor with coarse steps also repeats values at rest, and a joint can start quickly. A stretch is therefore frozen
     in two cases only. Position minus integrated speed drifts in it much more than elsewhere. Or it is a stretch of
     a position and ends in a jump that is larger than any other change. Commands are not tested, because they can be
-    constant. Channels that hold
-    the readings of a slower sensor are not tested either.
+    constant. Channels that hold the readings of a slower sensor are not tested either.
 
     Args:
         channels: Channels of a log.

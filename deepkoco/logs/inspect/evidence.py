@@ -74,8 +74,7 @@ def drives(angle: Samples, speed: Samples | None, inputs: Mapping[str, Samples])
 
     Changes of the speed over 0.2 s are regressed on the integrals of five terms, without and with the input. The terms
     are sin and cos of the angle, the speed, its smoothed sign and a constant. The input holds from its
-    stamp to the next. The share is the
-    relative decrease of the sum of squared residuals.
+    stamp to the next. The share is the relative decrease of the sum of squared residuals.
 
     Args:
         angle: stamps [s] and angles [rad].
