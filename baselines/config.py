@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from deepkoco.agent.config import TrainingConfigError
+
 TRANSITIONS = ("deterministic", "probabilistic", "ensemble")
 VARIANTS = ("code", "paper")
 DECODERS = ("pixel", "identity")
 
 
-class BaselineConfigError(ValueError):
+class BaselineConfigError(TrainingConfigError):
     """A hyper-parameter of a baseline is out of range."""
 
 

@@ -25,12 +25,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from deepkoco.output.whole_file import write_whole_text
+from deepkoco.runs.evaluate import run_episodes
+from deepkoco.runs.hydra_command import BAD_INPUT, CONFIGS
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError
+from deepkoco.runs.train import is_finished
 from experiments.ablation_differences import differences, draw
-from experiments.commands import BAD_INPUT, CONFIGS
-from experiments.evaluate import run_episodes
 from experiments.provenance import as_markdown
-from experiments.settings import EvaluateConfig, ExperimentError
-from experiments.train import is_finished
 
 DEFAULT = "default"
 COMPARED_WITH = {"sparse_discounted": "sparse", "sparse": None}
@@ -137,9 +138,7 @@ def train_and_evaluate(run: Run, episodes: int, overrides: Sequence[str]) -> str
         "failures": measured.failures,
     }
     run.evaluation.parent.mkdir(parents=True, exist_ok=True)
-    partial = run.evaluation.with_suffix(".partial")
-    partial.write_text(json.dumps(result) + "\n", encoding="utf-8")
-    os.replace(partial, run.evaluation)
+    write_whole_text(run.evaluation, json.dumps(result) + "\n")
     return ""
 
 

@@ -20,8 +20,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from deepkoco.runs.sweep import LAUNCHERS
 from experiments.provenance import as_markdown
-from experiments.sweep import LAUNCHERS
 
 SEEDS = (0, 1, 2, 3)
 TRAINING = (

@@ -20,8 +20,8 @@ from deepkoco.agent.collection import BatchController, box_sizes, collect_episod
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
 from deepkoco.agent.learner import Learner
 from deepkoco.koopman.export import export_model
-from experiments.environments import make_environments
-from experiments.settings import TrainRunConfig
+from deepkoco.runs.environments import make_environments
+from deepkoco.runs.settings import TrainRunConfig
 from experiments.training_benchmark import updates_of_a_run
 
 UPDATES_A_CALL = 10

@@ -21,12 +21,12 @@ import numpy as np
 import torch
 from hydra.errors import HydraException
 
+from deepkoco.runs.agents import trainer_class
+from deepkoco.runs.environments import make_environments
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from experiments.agent_work import PARTS, Part, count_steps
-from experiments.agents import trainer_class
-from experiments.commands import BAD_INPUT
-from experiments.environments import make_environments
 from experiments.provenance import provenance
-from experiments.settings import ExperimentError, TrainRunConfig
 from experiments.training_benchmark import read_settings, spread
 
 CASES = {"states": ("observation=states",), "images": ("observation=images",)}

@@ -11,7 +11,6 @@ SAC without an encoder sees the observation itself, which is what the others are
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -33,13 +32,15 @@ from deepkoco.envs.distractors.registry import PIXEL, make_distractors
 from deepkoco.envs.distractors.state_wrapper import Mixer
 from deepkoco.envs.frames import FrameMaker, PaintedFrames, find_painter
 from deepkoco.envs.pixels import FRAME_SIZE
-from experiments.aggregate import mean_with_band
-from experiments.commands import BAD_INPUT
+from deepkoco.output.new_folder import new_folder
+from deepkoco.output.whole_file import whole_file
+from deepkoco.runs.aggregate import mean_with_band
+from deepkoco.runs.environments import make_factory
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.train import check_finished, load_run_config
 from experiments.comparison.style import STYLE, method_rank, method_style
-from experiments.environments import make_factory
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError, TrainRunConfig
-from experiments.train import check_finished, load_run_config
 
 INDEX = 2_000  # of the start states: none that an agent was trained or evaluated from
 FIRST_DISTRACTORS, OTHER_DISTRACTORS = 1, 2
@@ -260,10 +261,9 @@ def draw(table: pd.DataFrame, path: Path) -> None:
                 title=f"{task}, {observation}, {distractors}", ylabel="latent distance, distractors / task"
             )
             axis.legend()
-        partial = path.with_name(f".{path.name}")
-        figure.savefig(partial, format="png")
+        with whole_file(path) as partial:
+            figure.savefig(partial, format="png")
         plt.close(figure)
-    os.replace(partial, path)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -293,12 +293,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     table = pd.DataFrame(rows)
-    partial = args.out.with_name(f"{args.out.name}.partial")
-    partial.mkdir(parents=True)
-    table.to_csv(partial / "latent_distances.csv", index=False, float_format="%.6g")
-    draw(table, partial / "latent_distances.png")
-    (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
-    os.replace(partial, args.out)
+    with new_folder(args.out) as partial:
+        table.to_csv(partial / "latent_distances.csv", index=False, float_format="%.6g")
+        draw(table, partial / "latent_distances.png")
+        (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
     return 0
 
 

@@ -7,7 +7,6 @@ learning curves and where it all comes from are written. The weights stay in the
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import sys
 from collections.abc import Sequence
@@ -17,12 +16,13 @@ from typing import Any
 import pandas as pd
 import torch
 
-from experiments.aggregate import finished_runs, write_aggregate
-from experiments.commands import BAD_INPUT
-from experiments.evaluate import measure
+from deepkoco.output.new_folder import new_folder
+from deepkoco.runs.aggregate import finished_runs, write_aggregate
+from deepkoco.runs.evaluate import measure
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError
+from deepkoco.runs.train import load_run_config
 from experiments.provenance import as_markdown
-from experiments.settings import EvaluateConfig, ExperimentError
-from experiments.train import load_run_config
 
 
 def evaluate_run(run: Path, episodes: int) -> dict[str, Any]:
@@ -63,15 +63,8 @@ def collect(runs: Path, out: Path, episodes: int) -> pd.DataFrame:
     if episodes < 1:
         raise ExperimentError(f"--episodes {episodes}: give at least 1")
     folders = finished_runs(runs)
-    partial = out.with_name(f"{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    try:
-        table = _write(runs, folders, partial, episodes)
-        os.replace(partial, out)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-    return table
+    with new_folder(out) as partial:
+        return _write(runs, folders, partial, episodes)
 
 
 def _write(runs: Path, folders: Sequence[Path], partial: Path, episodes: int) -> pd.DataFrame:

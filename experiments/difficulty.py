@@ -8,7 +8,6 @@ With `--runs` it trains nothing and evaluates runs that are there. Start it agai
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -17,12 +16,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.aggregate import conditions, finished_runs
-from experiments.commands import BAD_INPUT
+from deepkoco.output.whole_file import whole_file
+from deepkoco.runs.aggregate import conditions, finished_runs
+from deepkoco.runs.evaluate import measure
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError
+from deepkoco.runs.train import load_run_config
 from experiments.difficulty_figure import curves, draw
-from experiments.evaluate import measure
-from experiments.settings import EvaluateConfig, ExperimentError
-from experiments.train import load_run_config
 
 EVALUATIONS = "evaluations.csv"
 KEY = ["method", "trained_at", "evaluated_at", "seed", "n"]
@@ -114,9 +114,8 @@ def evaluate_all(
             )
             kept = {column: result[column] for column in ("mean", "sd", "median", "upright")}
             rows.append({**dict(zip(KEY, key, strict=True)), **kept})
-            partial = path.with_name(f"{path.name}.partial")
-            pd.DataFrame(rows).to_csv(partial, index=False)
-            os.replace(partial, path)
+            with whole_file(path) as partial:
+                pd.DataFrame(rows).to_csv(partial, index=False)
             print(
                 f"{name}, trained at {trained_at:g}, at {intensity:g}, seed {seed}: {result['mean']:.1f}",
                 flush=True,
@@ -181,9 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             table = evaluate_all(runs, args.out, args.distractors, intensities, args.episodes)
             chosen = args.trained_at or sorted(table["trained_at"].unique())
         summary = curves(table, chosen)
-        partial = args.out / "curves.csv.partial"
-        summary.to_csv(partial, index=False)
-        os.replace(partial, args.out / "curves.csv")
+        with whole_file(args.out / "curves.csv") as partial:
+            summary.to_csv(partial, index=False)
         draw(summary, args.out / "difficulty.png")
     except BAD_INPUT as error:
         print(f"error: {error}", file=sys.stderr)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -14,7 +13,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from experiments.aggregate import mean_with_band
+from deepkoco.output.whole_file import whole_file
+from deepkoco.runs.aggregate import mean_with_band
 
 STYLE = str(files("deepkoco.output").joinpath("figures.mplstyle"))
 SAME = "trained at each intensity"
@@ -69,7 +69,6 @@ def draw(summary: pd.DataFrame, path: Path) -> None:
         axis.set_ylabel("cost per noise-free episode, mean and 95 % band")
         axis.set_ylim(bottom=0)
         axis.legend(fontsize=7.5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        partial = path.with_suffix(".partial.png")
-        figure.savefig(partial, dpi=150)
-        plt.close(figure)
-    os.replace(partial, path)
+        with whole_file(path) as partial:
+            figure.savefig(partial, dpi=150)
+            plt.close(figure)

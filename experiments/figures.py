@@ -7,9 +7,7 @@ draws, every evaluation of every seed, tables of final costs and of sample effic
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
-import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +15,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.commands import BAD_INPUT
+from deepkoco.output.new_folder import new_folder
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.settings import ExperimentError
 from experiments.comparison.curves import learning_curves
 from experiments.comparison.drawing import draw, panel_title
 from experiments.comparison.efficiency import sample_efficiency, times_to_target
@@ -26,7 +26,6 @@ from experiments.comparison.references import REFERENCES, References, load_refer
 from experiments.comparison.runs import ComparedRun, evaluations, find_runs, settings_table
 from experiments.comparison.tables import final_costs
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError
 
 
 @dataclass(frozen=True)
@@ -132,18 +131,15 @@ def write_figure(
     efficiency = sample_efficiency(times)
     there = {run.panel for run in runs}
     missing = [panel_title(*panel) for panel in figure.panels if panel not in there]
-    partial = out.with_name(f"{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    tables = {"curves": curves, "raw": table, "final": final, "times": times, "efficiency": efficiency}
-    tables["settings"] = settings_table(runs)
-    for name, content in tables.items():
-        content.to_csv(partial / f"{name}.csv", index=False, float_format="%.6g")
-    draw(curves, known, partial / "learning_curves.png")
-    text = page(figure.title, command, Path("learning_curves.png"), final, efficiency, known, missing)
-    (partial / "README.md").write_text(text, encoding="utf-8")
-    (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
-    os.replace(partial, out)
+    with new_folder(out) as partial:
+        tables = {"curves": curves, "raw": table, "final": final, "times": times, "efficiency": efficiency}
+        tables["settings"] = settings_table(runs)
+        for name, content in tables.items():
+            content.to_csv(partial / f"{name}.csv", index=False, float_format="%.6g")
+        draw(curves, known, partial / "learning_curves.png")
+        text = page(figure.title, command, Path("learning_curves.png"), final, efficiency, known, missing)
+        (partial / "README.md").write_text(text, encoding="utf-8")
+        (partial / "PROVENANCE.md").write_text(as_markdown() + "\n", encoding="utf-8")
     return final
 
 

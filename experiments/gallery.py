@@ -117,7 +117,7 @@ def make(exhibit: Exhibit, data: Path, out: Path) -> None:
     console = Console(width=WIDTH, record=True, file=io.StringIO())
     console.print(terminal_table(diagnosis))
     with new_folder(out / exhibit.name) as folder:
-        report = write_report(diagnosis, folder / "report").parent
+        report = write_report(diagnosis, folder / "report", shown_as=exhibit.name).parent
         for path in sorted(report.iterdir()):
             if path.suffix != ".png":  # the page holds them
                 path.rename(folder / path.name)

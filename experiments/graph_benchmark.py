@@ -19,6 +19,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from rich.console import Console
 
+from deepkoco.output.whole_file import whole_file, write_whole_text
 from experiments.provenance import as_markdown
 
 WIDE = 140  # characters of a line of the tables
@@ -83,10 +84,9 @@ def draw_rollouts(table: Path) -> None:
     axis.set(xscale="log", yscale="log", xlabel="environments", ylabel="agent steps per CPU second")
     axis.grid(alpha=0.3)
     axis.legend(title="median and quartiles")
-    partial = table.with_name(f".{table.stem}.png")
-    figure.savefig(partial, dpi=150, format="png")
+    with whole_file(table.with_suffix(".png")) as partial:
+        figure.savefig(partial, dpi=150, format="png")
     plt.close(figure)
-    os.replace(partial, table.with_suffix(".png"))
 
 
 def write_readme(folder: Path) -> None:
@@ -102,9 +102,7 @@ def write_readme(folder: Path) -> None:
         draw_rollouts(folder / "rollout.csv")
         parts += ["![agent steps per CPU second against the number of environments](rollout.png)", ""]
     parts += ["## Made with", "", as_markdown(), ""]
-    partial = folder / ".README.md.partial"
-    partial.write_text("\n".join(parts), encoding="utf-8")
-    os.replace(partial, folder / "BENCHMARK.md")
+    write_whole_text(folder / "BENCHMARK.md", "\n".join(parts))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import argparse
 import csv
-import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from deepkoco.output.whole_file import whole_file, write_whole_text
 from experiments.hidden.goals import GOALS, bounds, reached, value_of
 from experiments.hidden.measures import measures
 from experiments.hidden.pictures import draw_confusion, draw_power
@@ -146,18 +146,14 @@ def write_results(rows: Sequence[Row], out: Path) -> None:
 
 
 def _csv(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None:
-    partial = path.with_suffix(".partial")
-    with partial.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    os.replace(partial, path)
 
 
 def _replace(path: Path, text: str) -> None:
-    partial = path.with_suffix(".partial")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    write_whole_text(path, text)
 
 
 def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] = sys.stdout.write) -> int:

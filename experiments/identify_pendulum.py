@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from dataclasses import replace
@@ -39,6 +38,7 @@ from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.output.picture import house_style
+from deepkoco.output.whole_file import whole_file
 from deepkoco.systems import make_system
 from deepkoco.unit.unit_file import make_unit
 
@@ -172,9 +172,8 @@ def summary(table: pd.DataFrame) -> dict:
 def write_table(table: pd.DataFrame, path: Path) -> None:
     """Write the units found so far, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial")
-    table.to_csv(partial, index=False, lineterminator="\n", float_format="%.8g")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        table.to_csv(partial, index=False, lineterminator="\n", float_format="%.8g")
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from deepkoco.graph import Connection, Graph, Input, Node, Supervisor
 from deepkoco.graph.model.node import Parameters, State
+from deepkoco.output.new_folder import new_folder
 from deepkoco.systems import make_system, rk4_step
 from experiments.provenance import as_markdown
 
@@ -125,10 +126,9 @@ def run_study(
         return 2
     before = load()
     pictures, text = study(arguments)
-    partial = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-    for picture in pictures:
-        picture.save(partial)
-    machine = f"| load average before, after | {before:.2f}, {load():.2f} |"
-    (partial / "README.md").write_text(f"{text}\n\n{as_markdown()}\n{machine}\n")
-    os.replace(partial, out)
+    with new_folder(out) as partial:
+        for picture in pictures:
+            picture.save(partial)
+        machine = f"| load average before, after | {before:.2f}, {load():.2f} |"
+        (partial / "README.md").write_text(f"{text}\n\n{as_markdown()}\n{machine}\n")
     return 0

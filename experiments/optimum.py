@@ -1,7 +1,7 @@
 """How far from the best possible: `python -m experiments.optimum --task pendulum --run RUN --out FOLDER`.
 
 Value iteration, MPC on the true model, no action and random actions from the start states of
-`experiments.evaluate`, with and without DeepKoCo's one step of input delay; and trained runs from the same ones.
+`deepkoco evaluate`, with and without DeepKoCo's one step of input delay; and trained runs from the same ones.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from deepkoco.optimal import (
     start_states,
     true_curvature,
 )
-from experiments.agents import register
-from experiments.commands import BAD_INPUT, CONFIGS
-from experiments.environments import make_environments, make_factory
-from experiments.optimal_cost import episode_steps, paired_difference
+from deepkoco.runs.agents import register
+from deepkoco.runs.environments import make_environments, make_factory
+from deepkoco.runs.hydra_command import BAD_INPUT, CONFIGS
+from deepkoco.runs.optimal_cost import episode_steps, paired_difference
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.train import check_finished, load_run_config
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError, TrainRunConfig
-from experiments.train import check_finished, load_run_config
 
 GRIDS = ((201, 21), (401, 41))  # points for angle and speed, actions
 PLANS = {

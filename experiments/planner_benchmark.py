@@ -28,8 +28,8 @@ from deepkoco.koopman.model.model import KoopmanModel, ModelConfig
 from deepkoco.planning.condensed import CondensedProgram
 from deepkoco.planning.config import PlannerConfig, PlanningProblem
 from deepkoco.planning.solvers import solver_names
+from deepkoco.runs.settings import ExperimentError
 from experiments.planner_costs import closed_loop_costs, observed_sequence
-from experiments.settings import ExperimentError
 
 HORIZON = 15  # as published
 FRESH = "qpsolvers.solve_problem, osqp, anew each step"

@@ -14,9 +14,9 @@ from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.koopman.exported import Array
 from deepkoco.koopman.latent_model import LatentModel
 from deepkoco.planning.config import PlannerConfig
-from experiments.environments import make_environments
-from experiments.settings import TrainRunConfig
-from experiments.train import check_finished, load_run_config
+from deepkoco.runs.environments import make_environments
+from deepkoco.runs.settings import TrainRunConfig
+from deepkoco.runs.train import check_finished, load_run_config
 
 INDEX = 1_000  # of the start states: neither those of training nor those of `evaluate`
 

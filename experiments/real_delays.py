@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
@@ -22,6 +21,7 @@ from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timi
 from deepkoco.graph.episodes.fitting import DelayModel, find_stalls, fit_delays
 from deepkoco.graph.episodes.fitting.mixture_fit import fit_mixture
 from deepkoco.graph.episodes.fitting.model import normal_scores
+from deepkoco.output.new_folder import new_folder
 from experiments.real_delays_report import draw_distances, draw_distributions, draw_stalls, report
 
 WARM_UP = 1.0  # [s]; the first samples of most channels are several times as long
@@ -86,20 +86,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ]
         figures[name] = first, second, half, delays, simulated, rates
         print(f"{name}: {len(delays)} channels", file=sys.stderr)
-    partial = options.out.with_name(f".{options.out.name}.{os.getpid()}.tmp")
-    partial.mkdir(parents=True)
-    for file, rows in (("channels.csv", channels), ("stalls.csv", stalls), ("rank_correlations.csv", ranks)):
-        with (partial / file).open("w", newline="") as stream:
-            writer = csv.DictWriter(stream, rows[0])
-            writer.writeheader()
-            writer.writerows(rows)
-    draw_distributions(figures["pendulum_real_20hz"], partial / "distributions.png")
-    draw_distances(channels, partial / "distances.png")
-    draw_stalls(figures["vx300s_real_3hz"], partial / "stalls.png")
-    (partial / "README.md").write_text(
-        report(channels, stalls, ranks, options.seed, SIMULATED, WARM_UP, STRETCH)
-    )
-    os.replace(partial, options.out)
+    with new_folder(options.out) as partial:
+        for file, rows in (
+            ("channels.csv", channels),
+            ("stalls.csv", stalls),
+            ("rank_correlations.csv", ranks),
+        ):
+            with (partial / file).open("w", newline="") as stream:
+                writer = csv.DictWriter(stream, rows[0])
+                writer.writeheader()
+                writer.writerows(rows)
+        draw_distributions(figures["pendulum_real_20hz"], partial / "distributions.png")
+        draw_distances(channels, partial / "distances.png")
+        draw_stalls(figures["vx300s_real_3hz"], partial / "stalls.png")
+        (partial / "README.md").write_text(
+            report(channels, stalls, ranks, options.seed, SIMULATED, WARM_UP, STRETCH)
+        )
     return 0
 
 

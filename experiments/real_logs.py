@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import sys
 import time
@@ -21,6 +20,7 @@ from pathlib import Path
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
 from deepkoco.logs.recording import LogError
+from deepkoco.output.whole_file import write_whole_text
 from experiments.real_log_studies import FitRequest, Study, parse_piece, study_of
 
 
@@ -123,9 +123,7 @@ def _file_name(question: str) -> str:
 
 def _keep(path: Path, figures: dict) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(figures, indent=1) + "\n")
-    os.replace(partial, path)
+    write_whole_text(path, json.dumps(figures, indent=1) + "\n")
 
 
 def _line(name: str, figures: dict) -> str:

@@ -7,7 +7,6 @@ reached, not a bound. `experiments.figures` draws both and counts episodes to a 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,13 +17,14 @@ import torch
 
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.optimal import TrueModelError, start_states
-from experiments.commands import BAD_INPUT
+from deepkoco.output.whole_file import whole_file
+from deepkoco.runs.environments import make_factory
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.optimal_cost import episode_steps
+from deepkoco.runs.settings import ExperimentError
 from experiments.comparison.references import COLUMNS, REFERENCES
-from experiments.environments import make_factory
-from experiments.optimal_cost import episode_steps
 from experiments.optimum import controllers, load_task
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError
 
 PURPOSES = {"evaluation": Purpose.EVALUATION, "final": Purpose.FINAL_EVALUATION}
 
@@ -104,9 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     args.out.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.partial")
-    table.to_csv(partial, index=False, float_format="%.6g")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        table.to_csv(partial, index=False, float_format="%.6g")
     (args.out / f"{args.task}_PROVENANCE.md").write_text(f"{name}\n\n{as_markdown()}\n", encoding="utf-8")
     means = table[list(COLUMNS[3:])].mean()
     print(

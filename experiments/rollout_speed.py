@@ -23,6 +23,7 @@ import torch
 
 from deepkoco.graph import BatchedRuntime, draw_timing
 from deepkoco.graph.execution.runtime import EXECUTORS
+from deepkoco.output.whole_file import whole_file
 from experiments import rollout_work
 
 STEPS = 200
@@ -334,12 +335,10 @@ def table(result: dict[str, Any]) -> str:
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     """Write the rows, whole or not at all."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with partial.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(rows)
-    os.replace(partial, path)
 
 
 if __name__ == "__main__":

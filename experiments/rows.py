@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import deepkoco
+from deepkoco.output.whole_file import writing
 from experiments.provenance import provenance
 
 
@@ -48,8 +49,9 @@ def append_row(path: Path | None, row: Mapping[str, Any]) -> None:
     """Add a row; what a kill left of a line before it is taken off first."""
     if path is None:
         return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("ab+") as file:
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with writing(path), path.open("ab+") as file:
         file.seek(0)
         whole = file.read()
         file.truncate(whole.rfind(b"\n") + 1)

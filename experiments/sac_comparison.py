@@ -26,9 +26,9 @@ from baselines.config import BaselineConfigError, SacConfig
 from baselines.training import BaselineTrainer
 from deepkoco.agent.collection import collect_episodes, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
-from experiments.aggregate import mean_with_band
+from deepkoco.runs.aggregate import mean_with_band
+from deepkoco.runs.settings import ExperimentError
 from experiments.provenance import provenance
-from experiments.settings import ExperimentError
 
 TASK = "Pendulum-v1"
 EPISODE_STEPS = 200

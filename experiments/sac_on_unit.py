@@ -8,7 +8,6 @@ not done again.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import textwrap
 import time
@@ -25,11 +24,12 @@ import torch
 
 import deepkoco.envs  # noqa: F401 - registers the ids
 from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.output.whole_file import whole_file, write_whole_text
+from deepkoco.runs.aggregate import mean_with_band
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.unit_trials import UPRIGHT_ANGLE
 from deepkoco.unit import make_unit
-from experiments.aggregate import mean_with_band
 from experiments.provenance import as_markdown
-from experiments.settings import ExperimentError
-from experiments.unit_trials import UPRIGHT_ANGLE
 
 PLACES = {"simulator": "its own simulator", "unit": "unit", "unit_wall": "unit, wall clock"}
 NETWORK = (64, 64)
@@ -179,9 +179,7 @@ def _claim(study: Study, out: Path, settings: Mapping[str, Any]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    write_whole_text(path, text)
 
 
 def _write_table(path: Path, table: pd.DataFrame) -> None:
@@ -236,9 +234,8 @@ def _train(study: Study, run: Run, folder: Path, steps: int) -> None:
     returns = [(round(i["l"]), i["r"]) for i in agent.ep_info_buffer]
     learning = pd.DataFrame({"steps": np.cumsum([n for n, _ in returns]), "cost": [-r for _, r in returns]})
     _write_table(folder / "learning.csv", learning)
-    partial = folder / ".policy.tmp"
-    torch.save(agent.policy.state_dict(), partial)
-    os.replace(partial, folder / "policy.pt")
+    with whole_file(folder / "policy.pt") as partial, partial.open("wb") as file:
+        torch.save(agent.policy.state_dict(), file)
 
 
 def _trained(study: Study, run: Run, folder: Path, env: gymnasium.Env) -> Any:
@@ -305,10 +302,9 @@ def _draw(study: Study, summary: Any, by_seed: Any, path: Path) -> None:
         *axes[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=8, title="trained"
     )
     figure.suptitle(textwrap.fill(study.title, 14 + 34 * len(systems)))
-    partial = path.with_name(f".{path.name}")
-    figure.savefig(partial, dpi=150, format="png")
-    plt.close(figure)
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=150, format="png")
+        plt.close(figure)
 
 
 def main(study: Study, description: str, arguments: Sequence[str] | None = None) -> int:

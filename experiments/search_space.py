@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from scipy.stats import qmc
 from yaml import YAMLError
 
-from experiments.settings import ExperimentError
+from deepkoco.runs.settings import ExperimentError
 
 DIGITS = 3
 KINDS = ("uniform", "log_uniform", "integer", "choice")
@@ -135,7 +135,7 @@ def load_search_space(path: Path) -> SearchSpace:
 
 
 def as_overrides(values: dict[str, Any]) -> list[str]:
-    """Settings of an agent as arguments of `experiments.train`.
+    """Settings of an agent as arguments of `deepkoco train`.
 
     Args:
         values: Dotted name to value.

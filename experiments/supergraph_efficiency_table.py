@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from deepkoco.graph.drawing.style import figure_style, write_whole
+from deepkoco.output.whole_file import write_whole_text
 from experiments.provenance import as_markdown
 from experiments.supergraph_efficiency import Cell, measure_ours, measure_peer
 
@@ -203,6 +203,4 @@ def readme(rows: Any, table: Any) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    partial.write_text(text)
-    os.replace(partial, path)
+    write_whole_text(path, text)

@@ -28,10 +28,10 @@ from deepkoco.agent.learner import Learner
 from deepkoco.agent.training import Trainer
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.losses import ChunkBatch
-from experiments.agents import register
-from experiments.commands import CONFIGS
-from experiments.environments import make_factory
-from experiments.settings import TrainRunConfig
+from deepkoco.runs.agents import register
+from deepkoco.runs.environments import make_factory
+from deepkoco.runs.hydra_command import CONFIGS
+from deepkoco.runs.settings import TrainRunConfig
 
 CASES = {
     "pendulum, states (P = 10, M = 1)": ("task=pendulum",),

@@ -29,11 +29,11 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.agents import agent_kind
-from experiments.commands import BAD_INPUT, CONFIGS
+from deepkoco.runs.agents import agent_kind
+from deepkoco.runs.hydra_command import BAD_INPUT, CONFIGS
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.train import is_finished, prepare_folder
 from experiments.search_space import SearchSpace, as_overrides, load_search_space
-from experiments.settings import ExperimentError
-from experiments.train import is_finished, prepare_folder
 from experiments.training_benchmark import read_settings
 from experiments.tuning_report import write_report
 

@@ -25,7 +25,7 @@ class ReportingSweeper(BasicSweeper):
             SweepFailed: A run failed, or the launcher broke off.
         """
         # Hydra imports this module to look for plugins; what it needs would make every start slower.
-        from experiments.sweep import conclude
+        from deepkoco.runs.sweep import conclude
 
         outcomes, stopped = None, None
         try:
@@ -40,7 +40,7 @@ class ReportingSweeper(BasicSweeper):
         return outcomes
 
     def _finished(self, job: Sequence[str]) -> bool:
-        from experiments.train import is_finished
+        from deepkoco.runs.train import is_finished
 
         assert self.hydra_context is not None
         assert self.config is not None

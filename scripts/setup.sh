@@ -12,7 +12,7 @@ if [ ! -x .venv/bin/python ]; then
     "$python" -m venv .venv
 fi
 stamp=.venv/.installed-$extras
-digest=$(cat pyproject.toml constraints.txt | sha256sum)
+digest=$(cat pyproject.toml setup.py constraints.txt | sha256sum)
 if [ ! -f "$stamp" ] || [ "$(cat "$stamp")" != "$digest" ]; then
     echo "setup: installing deepkoco[$extras] into .venv (a few minutes the first time)"
     # torch by its pinned version first: then no other requirement can pull a second, larger build.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+import pickletools
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,14 @@ from typing import Any
 import torch
 
 from deepkoco.agent.config import flatten
+from deepkoco.output.whole_file import whole_file
 
 FORMAT_VERSION = 2
+_KNOWN = re.compile(
+    r"collections (OrderedDict|Counter)|__builtin__ (set|complex)|_codecs encode|"
+    r"torch\._utils _rebuild_(tensor_v2|parameter)|torch (\w+Storage|Size|bool|\w+\d)"
+)
+"""What the pickle in a checkpoint may ask for: plain values and tensors, no more than is stored."""
 
 
 class CheckpointError(ValueError):
@@ -24,13 +31,12 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Args:
         path: Target file.
         state: Tensors and plain values; generator states as byte tensors.
+
+    Raises:
+        WriteError: The disk is full, or the place cannot be written.
     """
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
+    with whole_file(path) as partial, partial.open("wb") as file:
         torch.save({"version": FORMAT_VERSION, **state}, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
@@ -50,9 +56,11 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     try:
         # torch does not compare the checksums that it writes: a flipped bit of a weight would go unnoticed.
         with zipfile.ZipFile(path) as archive:
+            _check_bounds(path, archive)
             if (entry := archive.testzip()) is not None:
                 raise zipfile.BadZipFile(f"the checksum of {entry} does not fit")
         state = torch.load(path, weights_only=True, map_location="cpu")
+        _check_tensors(state)
     # A damaged archive or pickle fails with whatever its bytes happen to ask for.
     except Exception as error:
         raise damaged(path, error) from error
@@ -65,6 +73,47 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
             f"{path}: written by another version of the format; this release reads {FORMAT_VERSION}"
         )
     return state
+
+
+def _check_bounds(path: Path, archive: zipfile.ZipFile) -> None:
+    """Refuse an archive that would take more memory than its file has bytes, before anything is unpacked."""
+    entries = archive.infolist()
+    # torch.save does not compress.
+    packed = next((entry.filename for entry in entries if entry.compress_type != zipfile.ZIP_STORED), None)
+    if packed is not None:
+        raise zipfile.BadZipFile(f"{packed[:80]} is compressed, which no checkpoint is")
+    total, size = sum(entry.file_size for entry in entries), path.stat().st_size
+    if total > size:
+        raise zipfile.BadZipFile(f"its entries have {total} bytes, the file {size}")
+    for entry in entries:
+        if entry.filename.endswith("data.pkl"):
+            _check_pickle(archive.read(entry))
+
+
+def _check_pickle(content: bytes) -> None:
+    """Refuse what a checkpoint does not need: a call such as bytearray(10**11) would reserve memory."""
+    for opcode, argument, _ in pickletools.genops(content):
+        if opcode.name == "GLOBAL" and not _KNOWN.fullmatch(str(argument)):
+            raise zipfile.BadZipFile(f"it asks for {str(argument)[:80]!r}, which no checkpoint holds")
+
+
+def _check_tensors(state: Any) -> None:
+    """Refuse tensors that repeat what is stored, as a view with step 0 does, to any size."""
+    left, seen = [state], set()
+    while left:
+        value = left.pop()
+        if id(value) in seen:
+            continue
+        seen.add(id(value))
+        if isinstance(value, torch.Tensor):
+            if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+                raise zipfile.BadZipFile(
+                    f"a tensor of shape {tuple(value.shape)} has more numbers than are stored"
+                )
+        elif isinstance(value, dict):
+            left += value.values()
+        elif isinstance(value, list | tuple):
+            left += value
 
 
 def damaged(path: Path, error: Exception) -> CheckpointError:

@@ -51,7 +51,10 @@ def box_sizes(envs: VectorEnv) -> tuple[tuple[int, ...], Array, Array]:
     """
     observation, action = envs.single_observation_space, envs.single_action_space
     if not isinstance(action, spaces.Box) or len(action.shape) != 1:
-        raise SpaceError(f"action space is {action}; DeepKoCo needs a one-dimensional Box")
+        raise SpaceError(
+            f"action space is {action}; DeepKoCo needs a one-dimensional Box: wrap the environment so that its actions "
+            "are numbers between limits"
+        )
     if not isinstance(observation, spaces.Box) or not (
         len(observation.shape) == 1 or _has_frames(observation)
     ):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
+
+from deepkoco.output.whole_file import write_whole_text, writing
 
 Row = dict[str, float]
 
@@ -18,14 +19,15 @@ def write_rows(path: Path, rows: list[Row]) -> None:
     Args:
         path: Target file.
         rows: At least one; all have the keys of the first.
+
+    Raises:
+        WriteError: The disk is full, or the place cannot be written.
     """
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text.getvalue())
-    os.replace(partial, path)
+    write_whole_text(path, text.getvalue())
 
 
 class MetricsLog:
@@ -44,10 +46,11 @@ class MetricsLog:
         """
         self.rows = list(rows)
         self._path = folder / "metrics.csv"
-        events = folder / "tensorboard"
-        for old in events.glob("events.out.tfevents.*"):
+        self._events = folder / "tensorboard"
+        for old in self._events.glob("events.out.tfevents.*"):
             old.unlink()
-        self._writer = SummaryWriter(str(events))
+        with writing(self._events):
+            self._writer = SummaryWriter(str(self._events))
         for row in self.rows:
             self._write_events(row)
         if self.rows:
@@ -69,6 +72,7 @@ class MetricsLog:
         self._writer.close()
 
     def _write_events(self, row: Row) -> None:
-        for name, value in row.items():
-            self._writer.add_scalar(name, value, global_step=int(row["episodes"]))
-        self._writer.flush()
+        with writing(self._events):
+            for name, value in row.items():
+                self._writer.add_scalar(name, value, global_step=int(row["episodes"]))
+            self._writer.flush()

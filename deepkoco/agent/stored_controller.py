@@ -93,6 +93,11 @@ def read_controller(
     root = root or folder
     if (folder / MODEL_FOLDER).is_dir():
         folder = folder / MODEL_FOLDER
+    elif (folder / "metrics.csv").is_file() and not (folder / CONFIG_FILE).is_file():
+        raise ModelFolderError(
+            f"{folder}: this training run is not finished, it has no model yet; continue it with "
+            f"deepkoco train resume={folder}"
+        )
     model, config = read_model_folder(folder, root)
     try:
         planner = _planner(config["planner"])

@@ -6,16 +6,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from deepkoco.agent.stored_controller import StoredController, read_controller
 from deepkoco.envs.distractors import DistractorOptions
 from deepkoco.envs.task_factory import TaskConfig
+from deepkoco.envs.task_files import find_files
 from deepkoco.koopman.files.folder_files import ModelFolderError
 from deepkoco.koopman.latent_model import Array, LatentModel
 from deepkoco.planning.config import PlannerConfig
+from deepkoco.yaml_file import YamlFileError, read_yaml
 
 SETTINGS_FILE = "config.yaml"
 
@@ -87,12 +88,13 @@ def read_trained(path: Path, task: str | None = None) -> TrainedRun:
     try:
         stored = read_controller(path)
     except ModelFolderError as error:
-        raise RunFolderError(str(error)) from error
+        raise RunFolderError(f"{path.parent}: not the settings of a run: {error}") from error
     details = _read_settings(path / SETTINGS_FILE) if is_run else _as_settings(stored)
     if task is not None:
         settings = TaskSettings(TaskConfig(name=task, id=task))
     elif isinstance(details.get("task"), dict) and details["task"].get("id"):
         settings = _task_settings(details, path)
+        settings.task.kwargs = find_files(settings.task.kwargs, path)
     else:
         raise RunFolderError(
             f"{path}: does not say which task it belongs to; give --task with a Gymnasium id"
@@ -116,9 +118,9 @@ def _as_settings(stored: StoredController) -> dict[str, Any]:
 
 def _read_settings(path: Path) -> dict[str, Any]:
     try:
-        settings = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise RunFolderError(f"{path}: not the settings of a run: {' '.join(str(error).split())}") from error
+        settings = read_yaml(path)
+    except YamlFileError as error:
+        raise RunFolderError(f"{path.parent}: not the settings of a run: {error}") from error
     if not isinstance(settings, dict):
         raise RunFolderError(f"{path}: not the settings of a run: it holds no named entries")
     return settings

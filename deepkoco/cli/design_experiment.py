@@ -84,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.diagnose.experiment_design.experiment_setup import DesignError
     from deepkoco.logs.recording import LogError
     from deepkoco.output.new_folder import FolderExistsError, check_new
+    from deepkoco.output.whole_file import system_error
 
     if args.model is not None and args.system is not None and args.system.endswith((".yaml", ".yml")):
         raise InputError("--model and --system: both are files; give only one of them")
@@ -115,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     except (LogError, DesignError, FolderExistsError) as error:
         raise InputError(str(error)) from error
     except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
+        raise InputError(system_error(error)) from error
     if args.json:
         sys.stdout.write(json.dumps(describe(found), indent=2, allow_nan=False) + "\n")
     else:

@@ -84,8 +84,10 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.diagnose.diagnose import diagnose
     from deepkoco.diagnose.report.folder import write_report
     from deepkoco.diagnose.report.text import terminal_table
+    from deepkoco.fit.solve.scaled_inverse import NotFiniteError
     from deepkoco.logs.recording import LogError
     from deepkoco.output.new_folder import FolderExistsError, check_new
+    from deepkoco.output.whole_file import system_error
 
     first = args.recording[0]
     out = args.out or first.with_name(f"{first.stem}_diagnosis")
@@ -102,8 +104,12 @@ def run(args: argparse.Namespace) -> int:
             page = write_report(result, out)
     except (LogError, FolderExistsError) as error:
         raise InputError(str(error)) from error
+    except NotFiniteError as error:
+        raise InputError(
+            f"{first}: cannot be fitted: {error}; check that the log is of this system, or give a shorter --window"
+        ) from error
     except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
+        raise InputError(system_error(error)) from error
     if args.json:
         sys.stdout.write(json.dumps(result.to_json(), indent=2) + "\n")
     else:

@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     try:
         export(load(arguments.model), arguments.to, arguments.out)
-    except (ModelFolderError, HubError, ExportError, OSError) as error:
+    except (ModelFolderError, HubError, ExportError) as error:
         raise InputError(str(error)) from error
     print(f"wrote {arguments.out}")
     return 0

@@ -112,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.fit.solve.cma import MissingExtraError
     from deepkoco.logs.recording import LogError
     from deepkoco.output.new_folder import FolderExistsError, check_new
+    from deepkoco.output.whole_file import system_error
 
     first = args.recording[0]
     out = args.out or first.with_name(f"{first.stem}_identified")
@@ -143,7 +144,7 @@ def run(args: argparse.Namespace) -> int:
     except (LogError, FitError, FolderExistsError, MissingExtraError) as error:
         raise InputError(str(error)) from error
     except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
+        raise InputError(system_error(error)) from error
     if args.json:
         sys.stdout.write(json.dumps(as_json(found, hidden), indent=2) + "\n")
     else:

@@ -132,9 +132,9 @@ def _read(args: argparse.Namespace) -> tuple[Recording | None, str | None]:
 
 
 def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | None) -> None:
-    from deepkoco.graph.drawing.style import write_whole
     from deepkoco.logs.inspect.proposal import mapping_of
     from deepkoco.logs.sidecar import dump_sidecar
+    from deepkoco.output.whole_file import system_error, write_whole_text
 
     if fitting.alike and system is None:
         raise InputError(
@@ -144,17 +144,18 @@ def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | No
     meta = {"proposed by": "deepkoco inspect", "how sure": sure}
     text = dump_sidecar(fitting.proposal.system, mapping_of(found, fitting.proposal), meta, found.where)
     try:
-        write_whole(path, lambda file: file.write(text.encode()))
+        write_whole_text(path, text)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise InputError(system_error(error)) from error
 
 
 def _plot(path: Path, found: Survey, proposal: Proposal | None) -> None:
     from deepkoco.logs.inspect.picture import draw_overview, save_picture
+    from deepkoco.output.whole_file import WriteError
 
     try:
         save_picture(draw_overview(found, proposal), path)
-    except FileExistsError as error:
+    except (FileExistsError, WriteError) as error:
         raise InputError(str(error)) from error
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be drawn: {' '.join(str(error).split())}") from error

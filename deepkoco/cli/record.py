@@ -6,7 +6,6 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
@@ -87,6 +86,8 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.excitation.record import RecordError, record
     from deepkoco.excitation.signal import ExcitationError
     from deepkoco.logs.recording import LogError, write_log
+    from deepkoco.output.new_folder import check_writable
+    from deepkoco.output.whole_file import system_error, writing
     from deepkoco.systems import one_joint
     from deepkoco.unit.unit_file import UnitSpecError, load_unit
 
@@ -103,7 +104,10 @@ def run(args: argparse.Namespace) -> int:
         elif args.policy is not None:
             excitation, trained_rate = load_policy_excitation(args.policy, spec.system)
             rate = trained_rate if rate is None else rate
-        _probe(out)
+        # Before the recording, so that none is made in vain.
+        with writing(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
+        check_writable(out)
         with _progress(seconds, wanted=clock == "wall") as progress:
             recording = record(
                 spec,
@@ -122,20 +126,9 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt as interrupt:
         raise KeyboardInterrupt(f"{out} is written" if out.exists() else "nothing is written") from interrupt
     except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from error
+        raise InputError(system_error(error)) from error
     _report(out, recording)
     return 0
-
-
-def _probe(out: Path) -> None:
-    """Check before the recording that the log can be written: write and remove a file in its folder.
-
-    Raises:
-        OSError: The folder or a file in it cannot be created.
-    """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}."):
-        pass
 
 
 def _report(out: Path, recording: Recording) -> None:

@@ -148,7 +148,16 @@ def show_recording(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
-    from deepkoco.graph.drawing import DrawingError, draw_delays, draw_graph, draw_timeline, write_page
+    from deepkoco.graph.drawing import (
+        DrawingError,
+        draw_delays,
+        draw_graph,
+        draw_signals,
+        draw_timeline,
+        write_page,
+    )
+    from deepkoco.output.new_folder import new_folder
+    from deepkoco.output.whole_file import writing
 
     if not 0 <= args.episode < len(recorded.episodes):
         raise InputError(f"{args.path}: there is no episode {args.episode}; it has {len(recorded.episodes)}")
@@ -157,10 +166,14 @@ def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
         pictures = [draw_graph(graph), draw_timeline(graph, episode, args.start, args.stop)]
         with contextlib.suppress(DrawingError):  # no delay is above 0
             pictures.append(draw_delays(graph, recorded.episodes))
-        for picture in pictures:
-            picture.save(args.pictures)
+        with contextlib.suppress(DrawingError):  # no output is a few numbers
+            pictures.append(draw_signals(graph, episode, args.start, args.stop))
+        with new_folder(args.pictures) as folder:
+            for picture in pictures:
+                picture.save(folder)
     if args.html is not None:
-        args.html.parent.mkdir(parents=True, exist_ok=True)
+        with writing(args.html):
+            args.html.parent.mkdir(parents=True, exist_ok=True)
         write_page(args.html, graph, episode, args.path.name)
 
 

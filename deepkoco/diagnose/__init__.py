@@ -1,7 +1,7 @@
 """Show what a simulation gets wrong about a unit, name the cause, and measure what it is worth."""
 
 from deepkoco.diagnose.baseline import BaselineError
-from deepkoco.diagnose.causes import CAUSES, Cause
+from deepkoco.diagnose.causes import CAUSES, Cause, UnknownCauseError
 from deepkoco.diagnose.diagnose import diagnose
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Evidence, Finding
 from deepkoco.diagnose.report.folder import write_report
@@ -16,6 +16,7 @@ __all__ = [
     "Evidence",
     "Finding",
     "FolderExistsError",
+    "UnknownCauseError",
     "diagnose",
     "write_report",
 ]

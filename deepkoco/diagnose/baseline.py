@@ -147,11 +147,11 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
     halves = halved(windows)
     short = FitProblem(start.system, halves)
     state, _ = short.fit_states(start.values, halves.state)
-    first = short.fit([Trial("half windows", names, start.prior, start.values, state)])[0]
+    first = short.fit_one(Trial("half windows", names, start.prior, start.values, state))
     problem = FitProblem(start.system, windows)
     guess = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
-    return problem.fit([Trial("refit", names, start.prior, first.values, state, first.nuisance)])[0]
+    return problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
 
 
 def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
@@ -160,7 +160,7 @@ def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     windows = replace(windows, noise=sharpen_noise(windows, rough))
     problem = FitProblem(start.system, windows)
     trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.nuisance)
-    return windows, problem.fit([trial])[0]
+    return windows, problem.fit_one(trial)
 
 
 def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:
@@ -180,7 +180,7 @@ def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Wi
     start = replace(start, floor=1.0, prior=tempered(start.prior, start.correlation))
     first = refit(start, windows)
     trial = Trial("refit", first.free, start.prior, first.values, first.state, first.nuisance)
-    return start, windows, FitProblem(start.system, windows).fit([trial])[0]
+    return start, windows, FitProblem(start.system, windows).fit_one(trial)
 
 
 def prior_of_mean(start: Baseline) -> tuple[Baseline, dict[str, float]]:

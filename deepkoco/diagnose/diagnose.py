@@ -17,9 +17,9 @@ from deepkoco.diagnose.baseline import (
     refit_sharply,
     with_floor_as_noise,
 )
-from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes import Cause, catalogue, causes_named
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data, describe_data
-from deepkoco.diagnose.diagnosis import Details, Diagnosis, Finding
+from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere, train_on_pushed
 from deepkoco.diagnose.evidence.forward import Selected, Selection, Step, learned_instead
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
@@ -45,7 +45,7 @@ from deepkoco.diagnose.residuals.residuals import (
 )
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
-from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice
+from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
 from deepkoco.diagnose.verdict.findings import estimates, evidence_for, finding, localise, motion_of
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
@@ -54,6 +54,7 @@ from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_o
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.identifiability import Direction, unidentified
+from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
 from deepkoco.output.versions import versions
@@ -90,7 +91,8 @@ def diagnose(
         seed: Seed of the bootstrap.
         window: Length of a window [s]; None takes about one period of the system.
         detection: Fall of the BIC from which a cause is named.
-        only: Causes to try, by their names at this system; None tries the whole catalogue.
+        only: Causes to try, by their names at this system; a name without a place (``coulomb``) stands for every
+            joint, command or channel. None tries the whole catalogue.
         baseline: What :func:`learn_baseline` made of the healthy logs, where several diagnoses share it, in the
             place of ``healthy``; None learns it.
         progress: Told what begins, in a few words; ``print`` will do.
@@ -99,9 +101,13 @@ def diagnose(
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
         BaselineError: ``healthy`` and ``baseline`` are both given, or the baseline was learned on another system.
+        UnknownCauseError: ``only`` names a cause that the system does not have.
+        NotFiniteError: The simulation of the system as given diverges on these logs.
     """
     began = time.perf_counter()
     base = any_system(system)
+    plain = base.base if isinstance(base, ExtendedSystem) else base
+    causes = None if only is None else causes_named(catalogue(plain), only, plain.name)
     if baseline is not None:
         if healthy:
             raise BaselineError(
@@ -114,14 +120,21 @@ def diagnose(
         data = cut_data(recordings, holdout, base, length)
         if len(data.train) < MIN_TRAINING_WINDOWS:
             return _insufficient(data, base, recordings, length, seed, began)
-        start = baseline
-        if start is None:
-            start = (
-                learn_baseline(healthy, base, length, progress)
-                if healthy
-                else baseline_from(base, data.train)
-            )
-        return _Study(base, start, data, detection, only, progress).run(recordings, length, seed, began)
+        start, unfitted = baseline, ()
+        if start is None and healthy:
+            try:
+                start = learn_baseline(healthy, base, length, progress)
+            except NotFiniteError as error:
+                unfitted = (f"the healthy logs, which are left out ({error})",)
+        if start is not None:
+            try:
+                study = _Study(base, start, data, detection, causes, progress)
+                return study.run(recordings, length, seed, began)
+            except NotFiniteError as error:
+                # What the healthy logs say need not suit these: they may be of another unit.
+                unfitted = (f"the logs from what the healthy ones say, which are left out ({error})",)
+        study = _Study(base, baseline_from(base, data.train), data, detection, causes, progress, unfitted)
+        return study.run(recordings, length, seed, began)
 
 
 class _Study:
@@ -133,15 +146,15 @@ class _Study:
         start: Baseline,
         data: Data,
         detection: float,
-        only: Sequence[str] | None,
+        causes: Sequence[Cause] | None,
         progress: Progress,
+        unfitted: Sequence[str] = (),
     ) -> None:
-        self.progress = progress
-        known = catalogue(start.system.base)
-        self.causes = None if only is None else [known[name] for name in only]
+        self.progress, self.unfitted = progress, tuple(unfitted)
+        self.causes = causes
         self.system, self.detection = system, detection
         self.data, self.given = data, data
-        self._take(start)
+        self.start = start
         self.lost: Finding | None = None
         self.accepted: tuple[Cause, ...] = ()
         self.steps: tuple[Step, ...] = ()
@@ -186,7 +199,9 @@ class _Study:
             self._take(extended(self.start, causes))
 
     def run(self, recordings: Sequence[Recording], length: float, seed: int, began: float) -> Diagnosis:
+        self._take(self.start)
         first, found = self._selected()
+        self.unfitted = (*self.unfitted, *first.unfitted)
         problem, start, data = self.problem, self.start, self.data
         # Reports and models are about these logs, not about all that there could be.
         plain, self.reference = found.final is self.reference, problem.recentred(self.reference)
@@ -212,7 +227,7 @@ class _Study:
         rival = verdict in ("cause", "ambiguous") and rivalled(found, start, data.train)
         if verdict == "unknown" or rival:
             self.progress("a learned load")
-            learned = learn_residual(start, data.train, data.held, reference, missing, seed)
+            learned = self._learned_load(missing, seed)
         if rival and learned is not None:
             least = -FURTHER if only_flexible(found) else FURTHER
             smooth = learned_instead(found, reference, learned, start, data.train, least)
@@ -267,13 +282,26 @@ class _Study:
                 "spectrum": spectrum_of(remaining),
                 "doubts": list(self.doubts),
                 "allowed_by_healthy_logs": list(self.joined),
+                "not_fitted": list(self.unfitted),
                 "lost_commands_not_searched": why_not_searched(data.train, start.losing),
                 "signatures": [vars(e) for e in signatures(self.system, data.train, final)],
                 **({} if learned is None else {"residual_model": learned.to_json()}),
             },
             detection=self.detection,
             details=self._details(reference, final, missing),
+            final=self._written(final, kept, gain, after.deflation),
         )
+
+    def _written(
+        self, final: Fit, learned: ResidualModel | None, gain: Gain | None, deflation: float
+    ) -> dict[str, Estimate]:
+        """The system's own parameters as `_model` writes them; those kept as given have no width."""
+        fit = final if learned is None else self.problem.recentred(learned.fit)
+        own = estimates(self.problem, fit, self.reference.free, deflation)
+        if gain is None or not gain.as_given:
+            return own
+        given = {name: self.start.values[name] for name in own}
+        return {name: Estimate(given[name], given[name], given[name], e.unit) for name, e in own.items()}
 
     def _unidentified(self) -> tuple[Direction, ...]:
         reference, prior = self.reference, self.start.prior
@@ -281,7 +309,7 @@ class _Study:
             # What these logs have in common has the prior of a log; the data say what is known beyond it.
             prior = self.learned.prior
             order = [reference.free.index(n) for n in prior.names]
-            known = np.linalg.inv(reference.covariance[np.ix_(order, order)]) - prior.precision(prior.names)
+            known = scaled_inverse(reference.covariance[np.ix_(order, order)]) - prior.precision(prior.names)
             back = np.argsort(order)
             reference = replace(reference, information=known[np.ix_(back, back)])
         return unidentified(reference, prior)
@@ -298,12 +326,19 @@ class _Study:
                 n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)
             },
             windows=self.data.train,
-            nominal=None if held else self.problem.evaluate(self.start.values, "baseline", reference.state),
+            nominal=None if held else self._as_given(reference),
             refit=reference,
             final=final,
             missing=tuple(missing),
             inflation=dispersion(final, self.data.train).deflation,
         )
+
+    def _as_given(self, reference: Fit) -> Fit | None:
+        """The simulation before the refit; None where it diverges."""
+        try:
+            return self.problem.evaluate(self.start.values, "baseline", reference.state)
+        except NotFiniteError:
+            return None
 
     def _advice(
         self, named: Sequence[Finding], recordings: Sequence[Recording], seed: int
@@ -313,7 +348,20 @@ class _Study:
         if any(len(found.members) > 1 for found in named):
             start = replace(self.start, prior=self.learned.prior)
             classes = class_advice(self.system, start, train, self.steps, logs, seed)
-        return (*always_there(self.joined), *classes, *level_advice(train, self.system))
+        return (
+            *not_fitted(self.unfitted),
+            *always_there(self.joined),
+            *classes,
+            *level_advice(train, self.system),
+        )
+
+    def _learned_load(self, missing: Sequence[MissingTorque], seed: int) -> ResidualModel | None:
+        data = self.data
+        try:
+            return learn_residual(self.start, data.train, data.held, self.reference, missing, seed)
+        except NotFiniteError as error:
+            self.unfitted = (*self.unfitted, f"a learned load ({error})")
+            return None
 
     def _named(self, missing: Sequence[MissingTorque], final: Fit) -> tuple[Finding, ...]:
         places = SLOTS * len(self.data.train)
@@ -344,7 +392,11 @@ class _Study:
             "refit": problem.elsewhere(held, refit),
             "extended": problem.elsewhere(held, final),
         }
-        return held_out_gain(self.start.system, windows, models, seed)
+        gain = held_out_gain(self.start.system, windows, models, seed)
+        said = "the windows kept back, so that no gain is told"
+        if gain is None and said not in self.unfitted:
+            self.unfitted = (*self.unfitted, said)
+        return gain
 
     def _model(self, final: Fit, learned: ResidualModel | None, gain: Gain | None) -> ExtendedSystem:
         had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()

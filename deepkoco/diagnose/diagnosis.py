@@ -129,6 +129,7 @@ class Diagnosis:
         detection: Fall of the BIC from which a cause is named.
         unexplained: Signatures of what remains, and what the log cannot identify.
         details: Arrays behind the figures; None when the data do not suffice.
+        final: Baseline parameters of `model`, with intervals; one that was kept as given has no width.
     """
 
     verdict: Verdict
@@ -151,6 +152,7 @@ class Diagnosis:
     detection: float
     unexplained: dict[str, Any] = field(default_factory=dict)
     details: Details | None = None
+    final: dict[str, Estimate] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -183,6 +185,7 @@ class Diagnosis:
                     "windows": self.windows,
                     "window_s": self.window_s,
                     "refit": {n: vars(e) for n, e in self.refit.items()},
+                    "final": {n: vars(e) for n, e in self.final.items()},
                 },
                 "localisation": [vars(place) for place in self.localisation],
                 "excitation_advice": list(self.advice),

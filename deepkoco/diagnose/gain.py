@@ -68,8 +68,8 @@ def held_out_gain(
     windows: Windows | Mapping[str, Windows],
     models: Mapping[str, Mapping[str, float]],
     seed: int,
-) -> Gain:
-    """Simulate held-out windows with each model.
+) -> Gain | None:
+    """Simulate held-out windows with each model; None where the simulation of one of them diverges there.
 
     Args:
         system: The system with every effect.
@@ -90,6 +90,8 @@ def held_out_gain(
         trials = [Trial(n, (), Prior.empty(), models[n], states[k]) for k, n in enumerate(distinct)]
         found = dict(zip(distinct, problem.fit(trials, 12 if problem.nuisances.count else 1), strict=True))
         fits |= {n: next(fit for m, fit in found.items() if models[m] == models[n]) for n in alike}
+    if any(fit.diverged for fit in fits.values()):
+        return None
     return _measured(system, told["baseline"], fits, seed)
 
 

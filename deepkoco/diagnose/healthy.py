@@ -116,9 +116,7 @@ def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
     problem = FitProblem(start.system, healthy.windows)
     known = {c.name for c in healthy.causes}
     together = (*healthy.causes, *(c for c in causes if c.name not in known))
-    fit = problem.fit([freed(problem, healthy.before, together, healthy.fit, healthy.fit.values)], PATIENCE)[
-        0
-    ]
+    fit = problem.fit_one(freed(problem, healthy.before, together, healthy.fit, healthy.fit.values), PATIENCE)
     return replace(_learned(*with_spread(replace(healthy, causes=together, fit=fit))), losing=start.losing)
 
 
@@ -174,7 +172,7 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
     again = FitProblem(before.system, windows)
     nuisance = again.nuisances.none()
     nuisance[: again.zeros.count] = fit.nuisance[: again.zeros.count]
-    return replace(healthy, windows=windows, fit=again.fit([replace(trial, nuisance=nuisance)])[0]), runs
+    return replace(healthy, windows=windows, fit=again.fit_one(replace(trial, nuisance=nuisance))), runs
 
 
 def describe_healthy(start: Baseline) -> dict[str, Any] | None:

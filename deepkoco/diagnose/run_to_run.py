@@ -14,6 +14,7 @@ import scipy.stats
 
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 from deepkoco.systems import System
 
 
@@ -157,7 +158,6 @@ def _covariance(fit: Fit, prior: Prior) -> np.ndarray:
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric matrix whose rows have units of their own."""
-    scale = np.sqrt(np.diag(matrix))
-    inverse = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    """Scaled inverse, symmetric to the last bit."""
+    inverse = scaled_inverse(matrix)
     return 0.5 * (inverse + inverse.T)

@@ -13,6 +13,7 @@ from deepkoco.engines.engine import EngineError
 from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.mjcf import HingedBody, model_xml
 from deepkoco.engines.start import start_state
+from deepkoco.extras import install_command
 from deepkoco.graph import Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters
@@ -96,6 +97,12 @@ class _Simulator:
         self.model = self._mujoco.MjModel.from_xml_string(xml)
         self.data = self._mujoco.MjData(self.model)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_mujoco": None}  # a module does not travel
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _mujoco=import_mujoco())
+
     def advance(self, state: list[float], effort: float, steps: int) -> tuple[float, float]:
         """Motion of (angle [rad], speed [rad/s]) under a constant effort.
 
@@ -127,5 +134,5 @@ def import_mujoco() -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise EngineError("the mujoco engine needs MuJoCo: pip install 'deepkoco[mujoco]'") from error
+        raise EngineError(f"the mujoco engine needs MuJoCo: {install_command('mujoco')}") from error
     return mujoco

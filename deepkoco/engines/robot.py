@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from deepkoco.engines.engine import EngineError
 from deepkoco.engines.mjcf import HingedBody
@@ -60,10 +61,6 @@ def _rod(p: Values) -> HingedBody:
 def _disk(p: Values) -> HingedBody:
     # The disk with the mass on it, about their common joint; what is not the mass's is taken about its place.
     drive = p["motor_constant"] / p["resistance"]
-
-    def dry_friction(omega: float) -> float:
-        return -p["coulomb"] * math.tanh(omega / COULOMB_SMOOTHING)
-
     return HingedBody(
         mass=p["mass"],
         reach=p["length"],
@@ -71,8 +68,12 @@ def _disk(p: Values) -> HingedBody:
         damping=p["viscous"] + drive * p["motor_constant"],
         gear=drive,
         gravity=STANDARD_GRAVITY,
-        resistance=dry_friction,
+        resistance=partial(_dry_friction, p["coulomb"]),
     )
+
+
+def _dry_friction(coulomb: float, omega: float) -> float:
+    return -coulomb * math.tanh(omega / COULOMB_SMOOTHING)
 
 
 def _point_on_rod(p: Values) -> HingedBody:

@@ -173,10 +173,14 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         parameters |= {name: value for name, value in drawn.items() if name not in DELAYS}
         return {node.name: parameters for node in self.graph.nodes}
 
-    def _initial(self, options: Mapping[str, Any], generator: torch.Generator) -> Mapping[str, State]:
-        start = self.task.start(self.system, self.num_envs, generator)
-        if options.get("initial_state") is not None:
-            start = torch.as_tensor(options["initial_state"], dtype=torch.float64)
+    def _start(self, batch: int, generator: torch.Generator) -> dict[str, State]:
+        start = self.task.start(self.system, batch, generator)
+        return {"world": {"state": start}, "sensor": {"start": start.clone()}}
+
+    def _given(self, options: Mapping[str, Any]) -> Mapping[str, State]:
+        if options.get("initial_state") is None:
+            return {}
+        start = torch.as_tensor(options["initial_state"], dtype=torch.float64)
         return {"world": {"state": start}, "sensor": {"start": start}}
 
     def _command(self, actions: Any) -> np.ndarray:

@@ -65,12 +65,25 @@ class DelayLine:
         self._sample = np.zeros((len(self.terms), batch, 0), np.int64)
         self.held, self.kept = 1, 1
 
-    def restart(self, generator: np.random.Generator, mask: np.ndarray | None = None) -> None:
-        """Draw delays for the environments in ``mask`` (B,) bool, by default for all, which begin a step 0."""
+    def restart(
+        self,
+        generator: np.random.Generator,
+        mask: np.ndarray | None = None,
+        own: Mapping[int, np.random.Generator] | None = None,
+    ) -> None:
+        """Draw delays for environments that begin a step 0.
+
+        Args:
+            generator: Where they come from.
+            mask: (B,) bool, who starts; None: all.
+            own: By place in the batch, generators of those that draw alone.
+        """
         starting = np.arange(self.batch) if mask is None else np.flatnonzero(mask)
         self._group[starting, 0] = generator.integers(2**62)
         self._group[starting, 1] = len(starting)
         self._group[starting, 2] = np.arange(len(starting))
+        for place, alone in (own or {}).items():
+            self._group[place] = alone.integers(2**62), 1, 0
         self.step[starting] = 0
         self._draw(starting)
 
@@ -141,9 +154,6 @@ class DelayLine:
 
 class _Clock(Node):
     """Ticks, and does nothing else: only its timing is wanted."""
-
-    def init(self, parameters: Any, generator: torch.Generator, batch: int) -> State:
-        return {}
 
     def initial_output(self, parameters: Any, state: State, batch: int) -> Tensor:
         return torch.zeros(batch, 1)

@@ -12,6 +12,7 @@ from torch import Tensor
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import ComputationGraph, Graph, draw_timing, make_delay
 from deepkoco.graph.delay import RecordedDelays
+from deepkoco.graph.timing.computation_graph import concatenate
 
 Ranges = Mapping[str, tuple[float, float]]
 Delays = Mapping[str, Any]
@@ -52,6 +53,7 @@ class DelayTraces:
         self._delays = delays
         self._recorded = recorded
         self.constant = not self.ranges and recorded is None and graph.constant
+        self.most = most
         self.rows = 1 if self.constant else min(most, max(batch, MIN_TRACES))
         self.draws: dict[str, Tensor] = {}
         self._unused: np.ndarray | None = None
@@ -90,20 +92,54 @@ class DelayTraces:
             rows[starting] = np.sort(chosen)
         return timing, rows
 
+    def take_own(
+        self, seeds: Mapping[int, int], generator: torch.Generator, mask: np.ndarray | None
+    ) -> tuple[ComputationGraph | None, np.ndarray]:
+        """Give some environments a trace that follows from a seed of their own.
+
+        It is that of a batch of one whose traces are drawn with this seed. Where more environments are seeded than
+        traces may be held, or only a part of them starts, they share traces: the same seed has the same trace.
+
+        Args:
+            seeds: By place in the batch.
+            generator: Where the draws of the others come from.
+            mask: (B,) bool, who starts; None: all.
+
+        Returns:
+            As :meth:`take`.
+        """
+        timing, rows = self.take(generator, mask, fresh=mask is None)
+        if self.constant:
+            return timing, rows
+        if timing is None:
+            rows[list(seeds)] = [seed % self.rows for seed in seeds.values()]
+            return timing, rows
+        if len(set(seeds.values())) > self.most:
+            seeds = {place: seed % self.most for place, seed in seeds.items()}
+        different = sorted(set(seeds.values()))
+        parts, draws = [timing], [self.draws]
+        for seed in different:
+            drawn, own = self._drawn(torch.Generator().manual_seed(seed), min(self.most, MIN_TRACES))
+            parts.append(own.take(np.array([0])))
+            draws.append({name: value[:1] for name, value in drawn.items()})
+        self.draws = {name: torch.cat([own[name] for own in draws]) for name in self.ranges}
+        rows[list(seeds)] = [self.rows + different.index(seed) for seed in seeds.values()]
+        return concatenate(self.graph, parts), rows
+
     def _draw(self, generator: torch.Generator) -> ComputationGraph:
-        self.draws = {
-            name: low + (high - low) * torch.rand(self.rows, generator=generator, dtype=torch.float64)
+        self.draws, timing = self._drawn(generator, self.rows)
+        self._unused = np.arange(self.rows)
+        return timing
+
+    def _drawn(self, generator: torch.Generator, rows: int) -> tuple[dict[str, Tensor], ComputationGraph]:
+        """Draws from the ranges, (R,) each, and R traces."""
+        draws = {
+            name: low + (high - low) * torch.rand(rows, generator=generator, dtype=torch.float64)
             for name, (low, high) in self.ranges.items()
         }
-        delays = (
-            {k: v.numpy() for k, v in self.draws.items()}
-            if self._delays is None
-            else self._delays(self.draws)
-        )
-        self._unused = np.arange(self.rows)
-        return draw_timing(
-            self.graph, generator, self.steps, self.rows, delays, self.rows, traces=self._recorded
-        )
+        delays = {k: v.numpy() for k, v in draws.items()} if self._delays is None else self._delays(draws)
+        timing = draw_timing(self.graph, generator, self.steps, rows, delays, rows, traces=self._recorded)
+        return draws, timing
 
 
 def law_ranges(name: str, law: Mapping[str, Any], known: set[str]) -> dict[str, tuple[float, float]]:

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
+from deepkoco.envs.actions import check_finite_action, check_shape
 from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
@@ -20,7 +21,6 @@ from deepkoco.envs.delay_arguments import (
     step_rate,
 )
 from deepkoco.envs.delay_line import DelayLine
-from deepkoco.envs.finite_actions import check_finite_action
 from deepkoco.graph.delay import exact_fraction
 
 
@@ -106,6 +106,7 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         """Send an action and go on to the next tick; ``info["applied_action"]`` is what acted."""
         if self._generator is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        check_shape(action, self.action_space.shape)
         if isinstance(self.action_space, spaces.Box):
             check_finite_action(np.asarray(action))
         line = self._line

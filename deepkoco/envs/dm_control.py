@@ -10,7 +10,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from deepkoco.envs.finite_actions import check_finite_action
+from deepkoco.envs.actions import check_finite_action
+from deepkoco.extras import install_command
 
 
 class DmControlError(ValueError):
@@ -83,8 +84,12 @@ def make_dm_control(
     flat: Any = gymnasium.wrappers.FlattenObservation(env)
     shape = flat.observation_space.shape
     space = spaces.Box(-np.inf, np.inf, shape, np.float32)
-    flat = gymnasium.wrappers.TransformObservation(flat, lambda o: np.asarray(o, np.float32), space)
+    flat = gymnasium.wrappers.TransformObservation(flat, _as_float32, space)
     return CostOfReward(flat, action_repeat, period)
+
+
+def _as_float32(observation: Any) -> np.ndarray:
+    return np.asarray(observation, np.float32)
 
 
 def _import_suite() -> tuple[Any, Any]:
@@ -97,6 +102,6 @@ def _import_suite() -> tuple[Any, Any]:
     except ImportError as error:
         raise DmControlError(
             "tasks of the DeepMind Control Suite need the extra dm_control; run: "
-            f'pip install "deepkoco[dm_control]" ({error})'
+            f"{install_command('dm_control')} ({error})"
         ) from error
     return suite, DmControlCompatibilityV0

@@ -10,7 +10,7 @@ import torch
 from gymnasium import spaces
 
 from deepkoco.engines import Engine, MujocoEngine, OdeEngine, find_engine, find_object, make_graph
-from deepkoco.envs.finite_actions import check_finite_action
+from deepkoco.envs.actions import check_finite_action
 from deepkoco.envs.nodes import TaskAgent
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import SWING_UPS
@@ -80,7 +80,9 @@ class EngineEnv(gymnasium.Env):
         if self.engine.real_time:
             self._runtime = WallClockRuntime(self.graph, record=False)
         else:
-            self._runtime = SimulatedRuntime(self.graph, record=False)
+            # Each reset draws a timing of its own; without any the runtime would want constant delays.
+            first = draw_timing(self.graph, torch.Generator(), 1, 1)
+            self._runtime = SimulatedRuntime(self.graph, first, record=False)
         self._state: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):

@@ -11,6 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from deepkoco.output.whole_file import whole_file
+
 
 class FilmError(OSError):
     """The clip could not be written."""
@@ -34,16 +36,16 @@ def write_clip(path: str | Path, frames: Sequence[np.ndarray], fps: float) -> No
     if not frames:
         raise FilmError(f"{path}: no frames to write")
     height, width = frames[0].shape[:2]
-    partial = path.with_suffix(".partial.webm")
     code = cv2.VideoWriter.fourcc(*"VP90")
-    with _quiet_stderr():
-        writer = cv2.VideoWriter(str(partial), code, fps, (width, height))
-    if not writer.isOpened():
-        raise FilmError(f"{path}: this build of OpenCV has no VP9 encoder")
-    for frame in frames:
-        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-    writer.release()
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        partial.touch()  # OpenCV does not say why it cannot write, the system does
+        with _quiet_stderr():
+            writer = cv2.VideoWriter(str(partial), code, fps, (width, height))
+        if not writer.isOpened():
+            raise FilmError(f"{path}: this build of OpenCV has no VP9 encoder")
+        for frame in frames:
+            writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+        writer.release()
 
 
 @contextmanager

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
+from deepkoco.envs.seeds import Seeds, without_gaps
 from deepkoco.envs.tasks import Task
 from deepkoco.systems import System, drawing
 
@@ -92,7 +94,7 @@ def find_painter(env: Any) -> Painter | None:
         return painter
     task, system = getattr(inner, "task", None), getattr(inner, "system", None)
     if isinstance(task, Task) and isinstance(system, System):
-        return lambda observation, canvas: task.draw_observation(system, observation, canvas)
+        return partial(task.draw_observation, system)
     return None
 
 
@@ -111,8 +113,9 @@ class FrameMaker:
         self._blank = drawing.canvas(size)
         self._seeded = False
 
-    def reset(self, seed: int | Sequence[int] | None, where: np.ndarray | None = None) -> None:
+    def reset(self, seed: Seeds, where: np.ndarray | None = None) -> None:
         """Seed the layers, where there is a seed, and start new episodes in ``where`` (B,), or all."""
+        seed = without_gaps(seed)
         if seed is None and not self._seeded:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
         for layer in self._layers:

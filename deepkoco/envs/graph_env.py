@@ -42,6 +42,7 @@ class GraphEnv(gymnasium.Env):
 
     def _use(self, batch: GraphVectorEnv, longest_episode: int | None) -> None:
         self.batch = batch
+        batch.take_single_actions()
         # A machine cannot go through an episode again: for it, delays are drawn ahead.
         self._grows = longest_episode is None and all(node.pure for node in batch.graph.nodes)
         if longest_episode is None and not self._grows:

@@ -11,12 +11,14 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from deepkoco.envs.actions import check_finite_action, check_shape
 from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
-from deepkoco.envs.finite_actions import check_finite_action
+from deepkoco.envs.seeds import Seeds, split_seeds
 from deepkoco.envs.settings import SettingsError, check_range
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
 from deepkoco.graph.delay import RecordedDelays
@@ -112,6 +114,7 @@ class GraphVectorEnv(VectorEnv):
             {name: span for name, span in self._ranges.items() if name in timed}, self._delays, recorded_delays,
         )  # fmt: skip
         self.plan_episodes(max_episode_steps)
+        self._single, self._given_shape = False, self.action_space.shape
         self._action_shape = (num_envs, *supervisor.initial_action.shape)
         self._action_type = supervisor.initial_action.numpy().dtype
         self._generator = torch.Generator()
@@ -150,31 +153,57 @@ class GraphVectorEnv(VectorEnv):
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
         return self._state
 
-    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
+    def reset(self, *, seed: Seeds = None, options: Mapping[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
         """Start new episodes.
 
         Args:
-            seed: Seed of every draw; None goes on with the draws of before.
+            seed: Seed of every draw; None goes on with the draws of before. A list has one for each environment:
+                its episode is that of a single environment with this seed, whatever the others are. None in it
+                goes on with the draws of before. Later episodes follow from all seeds together. Random delays
+                of those in a `reset_mask` are a schedule of the pool, chosen by the seed.
             options: ``reset_mask`` (B,) bool: who starts anew, by default all; ``initial``: by node name,
                 states (B, ...) that replace those of the nodes' `init`.
-        """
-        new_traces = seed is not None
-        if seed is None and self._np_random is None:
-            seed = int(np.random.SeedSequence().generate_state(1)[0])
-        return self.begin(seed, options or {}, new_traces)
 
-    def begin(self, seed: int | None, options: Mapping[str, Any], new_traces: bool):
-        """:meth:`reset`, with a say in whether its seed also draws the pool of delay traces anew."""
+        Raises:
+            ValueError: A list of seeds has another length than there are environments.
+        """
+        mask = _mask((options or {}).get("reset_mask"), self.num_envs)
+        joint, own = split_seeds(seed, self.num_envs, mask)
+        new_traces = joint is not None
+        if joint is None and self._np_random is None:
+            joint = int(np.random.SeedSequence().generate_state(1)[0])
+        return self.begin(joint, options or {}, new_traces, own)
+
+    def begin(
+        self,
+        seed: int | None,
+        options: Mapping[str, Any],
+        new_traces: bool,
+        own_seeds: Mapping[int, int] | None = None,
+    ):
+        """:meth:`reset`, with a say in whether its seed also draws the pool of delay traces anew.
+
+        Args:
+            seed: Of all draws but those of `own_seeds`.
+            options: As for `reset`.
+            new_traces: Draw the pool anew.
+            own_seeds: By place in the batch, seeds of those that have one of their own.
+        """
         if seed is not None:
             super().reset(seed=seed)
         mask = _mask(options.get("reset_mask"), self.num_envs)
         if mask is not None and self._state is None:
             raise gymnasium.error.ResetNeeded("reset_mask: the first reset starts all environments")
-        self._restart(mask, options, new_traces and mask is None)
+        self._restart(mask, options, new_traces and mask is None, own_seeds)
         return self._observation(), self._info()
 
     def step(self, actions: Any):
-        """Give the actions (B, ...) and go on to the agent's next step."""
+        """Give the actions (B, ...) and go on to the agent's next step.
+
+        Raises:
+            ValueError: The actions have another shape than the action space.
+            ResetNeeded: Before the first reset, or without autoreset after an end.
+        """
         state, waiting = self.state, self._ended
         if waiting.any() and self._mode == AutoresetMode.DISABLED:
             raise gymnasium.error.ResetNeeded(
@@ -213,6 +242,10 @@ class GraphVectorEnv(VectorEnv):
         self._state, _ = self._runtime.step(self.state, self._command(action))
         return {name: value.cpu().numpy()[0] for name, value in self._state.readings.items()}
 
+    def take_single_actions(self) -> None:
+        """Take the actions of the only environment without the batch."""
+        self._single, self._given_shape = True, self.single_action_space.shape
+
     def plan_episodes(self, steps: int) -> None:
         """Set how many steps the episodes to come have."""
         self.max_episode_steps = steps
@@ -235,18 +268,27 @@ class GraphVectorEnv(VectorEnv):
             self._state, _ = self._runtime.step(self._state, self._command(action))
 
     def _restart(
-        self, mask: np.ndarray | None, options: Mapping[str, Any] | None = None, new_traces: bool = False
+        self,
+        mask: np.ndarray | None,
+        options: Mapping[str, Any] | None = None,
+        new_traces: bool = False,
+        own_seeds: Mapping[int, int] | None = None,
     ) -> None:
-        """Start the environments in ``mask``, or all, anew."""
+        """Start the environments in ``mask``, or all, anew, some of them with seeds of their own."""
         generator = self._generator.manual_seed(int(self.np_random.integers(2**62)))
-        fresh = {
-            name: low + (high - low) * torch.rand(self.num_envs, generator=generator, dtype=torch.float64)
-            for name, (low, high) in self._ranges.items()
-            if name not in self._traces.ranges
-        }
+        fresh = self._fresh(self.num_envs, generator)
         # The traces have a stream of their own: how many are drawn changes nothing else of an episode.
         stream = torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
-        timing, rows = self._traces.take(stream, mask, new_traces)
+        own: dict[int, torch.Generator] = {}
+        if own_seeds:
+            seeds = {}
+            for place, seed in own_seeds.items():
+                own[place], seeds[place], drawn = self._single_draws(seed)
+                for name, value in drawn.items():
+                    fresh[name][place] = value[0]
+            timing, rows = self._traces.take_own(seeds, stream, mask)
+        else:
+            timing, rows = self._traces.take(stream, mask, new_traces)
         if mask is not None:
             rows = np.where(mask, rows, self.state.row)
             chosen = torch.from_numpy(mask)
@@ -256,11 +298,18 @@ class GraphVectorEnv(VectorEnv):
         with warnings.catch_warnings():
             if self._quiet:
                 warnings.filterwarnings("ignore", ".*runs with the eager executor", RuntimeWarning)
-            parameters, initial = self._parameters(self._drawn), self._initial(options or {}, generator)
+            parameters, start = self._parameters(self._drawn), self._start(self.num_envs, generator)
+            for place, single in own.items():
+                for node, state in self._start(1, single).items():
+                    for name, value in state.items():
+                        start[node][name][place] = value[0]
+            initial = {**start, **self._given(options or {})}
             self._begun = parameters, generator.get_state(), initial
             self._state, _ = self._runtime.reset(
                 parameters,
-                generator,
+                [own[b] if b in own else _branch(generator) for b in range(self.num_envs)]
+                if own
+                else generator,
                 initial,
                 timing=timing,
                 rows=rows,
@@ -272,6 +321,21 @@ class GraphVectorEnv(VectorEnv):
             mask = np.ones(self.num_envs, bool)
         self._elapsed = np.where(mask, 0, self._elapsed)
         self._ended = self._ended & ~mask
+
+    def _fresh(self, batch: int, generator: torch.Generator) -> dict[str, Tensor]:
+        """Draws (B,) from the ranges that say nothing about when things happen."""
+        return {
+            name: low + (high - low) * torch.rand(batch, generator=generator, dtype=torch.float64)
+            for name, (low, high) in self._ranges.items()
+            if name not in self._traces.ranges
+        }
+
+    def _single_draws(self, seed: int) -> tuple[torch.Generator, int, dict[str, Tensor]]:
+        """What a single environment with this seed draws, in its order: generator, seed of the trace, draws (1,)."""
+        random, _ = seeding.np_random(seed)
+        generator = torch.Generator().manual_seed(int(random.integers(2**62)))
+        drawn = self._fresh(1, generator)
+        return generator, int(torch.randint(2**62, (), generator=generator)), drawn
 
     def _timed(self) -> set[str]:
         """Names in ``randomize`` that say when things happen; these are drawn with the traces."""
@@ -307,13 +371,20 @@ class GraphVectorEnv(VectorEnv):
                 values.setdefault(node, {})[parameter] = value
         return values
 
-    def _initial(self, options: Mapping[str, Any], generator: torch.Generator) -> Mapping[str, State]:
-        """Start states (B, ...) by node that replace those of `init`."""
+    def _start(self, batch: int, generator: torch.Generator) -> dict[str, State]:
+        """Start states (B, ...) by node that are drawn in the place of those of `init`."""
+        return {}
+
+    def _given(self, options: Mapping[str, Any]) -> Mapping[str, State]:
+        """Start states (B, ...) by node that the caller wants."""
         return options.get("initial") or {}
 
     def _command(self, actions: Any) -> np.ndarray:
         """The supervisor's output (B, ...) for actions (B, ...)."""
-        command = np.asarray(actions, self._action_type).reshape(self._action_shape)
+        given = np.asarray(actions, self._action_type)
+        if given.shape != self._given_shape:
+            check_shape(given, self._given_shape, None if self._single else self.num_envs)
+        command = given.reshape(self._action_shape)
         check_finite_action(command, batched=True)
         return command
 
@@ -340,6 +411,10 @@ class GraphVectorEnv(VectorEnv):
                 raise GraphError(
                     f'supervisor "{self.graph.supervisor}": reading "{name}" {found}, not {shape}'
                 )
+
+
+def _branch(generator: torch.Generator) -> torch.Generator:
+    return torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
 
 
 def _mask(mask: Any, batch: int) -> np.ndarray | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import cv2
@@ -98,7 +99,7 @@ class VectorPixels(VectorWrapper):
                 "these environments are rendered, and same-step autoreset leaves no picture of an episode's "
                 'end; make them with the autoreset mode "NextStep" or "Disabled"'
             )
-        return RenderedFrames(lambda: [np.asarray(picture) for picture in env.render() or ()])
+        return RenderedFrames(partial(_pictures, env))
 
 
 class Pixels(gymnasium.Wrapper):
@@ -118,7 +119,7 @@ class Pixels(gymnasium.Wrapper):
         painter = find_painter(env)
         if painter is None:
             _check_renders(env)
-        source = PaintedFrames(painter) if painter else RenderedFrames(lambda: [np.asarray(env.render())])
+        source = PaintedFrames(painter) if painter else RenderedFrames(partial(_picture, env))
         self._maker = FrameMaker(source, layers, 1, size)
         self.observation_space = spaces.Box(0, 255, (size, size, 3), np.uint8)
         self._frame = np.zeros((size, size, 3), np.uint8)
@@ -154,6 +155,15 @@ def film_frame(frame: np.ndarray, beside: np.ndarray | None = None) -> np.ndarra
     side = FILM_SIZE if beside is None else beside.shape[0]
     large = cv2.resize(frame, (side, side), interpolation=cv2.INTER_NEAREST)
     return large if beside is None else np.concatenate([beside, large], 1)
+
+
+# Functions of a module with the environment as argument: a copy of the wrapper renders its own environment.
+def _pictures(env: VectorEnv) -> list[np.ndarray]:
+    return [np.asarray(picture) for picture in env.render() or ()]
+
+
+def _picture(env: gymnasium.Env) -> list[np.ndarray]:
+    return [np.asarray(env.render())]
 
 
 def _check_renders(env: Any) -> None:

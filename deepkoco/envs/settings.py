@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from deepkoco.envs.tasks import Task, UnknownTaskError, find_task
 from deepkoco.graph.delay import Delay, DelayError, make_delay
 from deepkoco.systems import ExtendedSystem, System, load_model, make_system
@@ -81,13 +83,14 @@ class EnvironmentSettings:
         """The system to simulate, with its nominal parameters.
 
         Raises:
-            SettingsError: The model belongs to another system.
+            SettingsError: The model belongs to another system, or has an effect that acts along a log only.
         """
         system = self.model if isinstance(self.model, System) else None
         if system is None:
             system = make_system(self.system) if self.model is None else load_model(str(self.model))
         if system.name != self.system:
             raise SettingsError(f"the model is of {system.name}, the environment of {self.system}")
+        _check_steps(system)
         return system
 
     def find_task(self) -> Task:
@@ -131,3 +134,17 @@ def check_range(name: str, span: Any, low: float, high: float, unit: str) -> Non
         fits = False
     if not fits:
         raise SettingsError(f"randomize: {name} = {span!r} {unit}; give (low, high) inside [{low}, {high}]")
+
+
+def _check_steps(system: System) -> None:
+    """Refuse a model that cannot be simulated step by step, before episodes begin."""
+    parameters = system.default_parameters()
+    state = torch.zeros(len(system.state_names), dtype=torch.float64)
+    command = system.effort_of(torch.zeros(len(system.commands), dtype=torch.float64))
+    try:
+        system.derivative(state, system.actuate(command, parameters), parameters)
+        system.measure(state, parameters)
+    except ValueError as error:
+        raise SettingsError(
+            f"the model cannot be simulated step by step: {error}; leave that effect out of the model"
+        ) from error

@@ -14,6 +14,8 @@ from deepkoco.envs.distractors import DistractorError, DistractorOptions, Vector
 from deepkoco.envs.distractors.registry import PIXEL, make_distractors
 from deepkoco.envs.pixels import FRAME_SIZE, VectorPixels
 from deepkoco.envs.sparse_cost import VectorSparseCost
+from deepkoco.envs.task_files import missing_files
+from deepkoco.envs.task_id import TaskIdError, find_spec
 
 
 class TaskError(ValueError):
@@ -27,7 +29,7 @@ class TaskConfig:
     name: str = MISSING
     """Short name, for folders and figures."""
     id: str = MISSING
-    """Registered Gymnasium id."""
+    """Registered Gymnasium id; MODULE:ID imports the module first, from the current folder too."""
     system: str = "rod_pendulum"
     """System of the distractor copies."""
     kwargs: dict[str, Any] = field(default_factory=dict)
@@ -89,9 +91,9 @@ def make_task_factory(
     observed = OBSERVATIONS[observation]
     chosen = options or DistractorOptions()
     try:
-        spec = gymnasium.spec(config.id)
-    except gymnasium.error.Error as error:
-        raise TaskError(f'task.id = "{config.id}": {error}') from error
+        spec = find_spec(config.id)
+    except TaskIdError as error:
+        raise TaskError(f"task.id = {error}") from error
     # An own vector class steps the whole batch at once; else one environment after the other.
     mode = "vector_entry_point" if spec.vector_entry_point is not None else "sync"
     arguments: dict[str, Any] = {**config.kwargs, **kwargs}
@@ -101,7 +103,7 @@ def make_task_factory(
         )  # for those that cannot draw an observation, and for films
 
     def make(count: int, seed: int) -> VectorEnv:
-        envs = gymnasium.make_vec(config.id, num_envs=count, vectorization_mode=mode, **arguments)
+        envs = gymnasium.make_vec(spec.id, num_envs=count, vectorization_mode=mode, **arguments)
         envs = observed(envs, config, seed, distractors, chosen, split)
         return envs if config.sparse_cost is None else VectorSparseCost(envs, config.sparse_cost)
 
@@ -112,7 +114,7 @@ def make_task_factory(
     except DistractorError as error:
         raise TaskError(str(error)) from error
     except (gymnasium.error.Error, TypeError, ValueError) as error:
-        raise TaskError(f"task.kwargs = {arguments}: {error}") from error
+        raise TaskError(f"task.kwargs = {arguments}: {error}{missing_files(arguments)}") from error
     except Exception as error:
         if observation != "images":
             raise

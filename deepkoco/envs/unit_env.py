@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from deepkoco.envs.finite_actions import check_finite_action
+from deepkoco.envs.actions import check_finite_action
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import SWING_UPS
 from deepkoco.systems import JointSystem, make_system

@@ -12,6 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
+from deepkoco.envs.actions import check_finite_action, check_shape
 from deepkoco.envs.delay_arguments import (
     DelayWrapperError,
     episode_steps,
@@ -22,7 +23,7 @@ from deepkoco.envs.delay_arguments import (
 )
 from deepkoco.envs.delay_line import DelayLine
 from deepkoco.envs.delay_wrapper import as_action, first_action, with_history
-from deepkoco.envs.finite_actions import check_finite_action
+from deepkoco.envs.seeds import Seeds, split_seeds
 from deepkoco.graph.delay import exact_fraction
 
 
@@ -83,14 +84,20 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         self._past: list[np.ndarray] = []
         self._ended = np.zeros(env.num_envs, bool)
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None):
-        """Reset the environments, or those in ``options["reset_mask"]``, and draw their delays."""
+    def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None):
+        """Reset the environments, or those in ``options["reset_mask"]``, and draw their delays.
+
+        Args:
+            seed: One for all, or a list with one for each, whose delays are then those of a :class:`DelayWrapper`
+                with this seed.
+            options: For the environments.
+        """
         mask = None if options is None else options.get("reset_mask")  # Gymnasium takes it out of options
-        observation, info = self.env.reset(seed=seed, options=options)
-        if seed is not None or self._generator is None:
-            first = seed if seed is None or isinstance(seed, int) else seed[0]
-            self._generator = seeded(first)
-        self._restart(observation, mask)
+        observation, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
+        joint, own = split_seeds(seed, self.num_envs, mask)
+        if joint is not None or self._generator is None:
+            self._generator = seeded(joint)
+        self._restart(observation, mask, own)
         self._ended = self._ended & (False if mask is None else ~mask)
         return self._with_history(observation if mask is None else self._delayed(now=True)), info
 
@@ -98,6 +105,7 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         """Send the actions (B, ...); ``info["applied_action"]`` is what acted."""
         if self._generator is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
+        check_shape(actions, self.action_space.shape, self.num_envs)
         line = self._line
         actions = np.array(actions)
         if isinstance(self.single_action_space, spaces.Box):
@@ -128,9 +136,12 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         info = {**info, "applied_action": applied, "_applied_action": everyone}
         return seen, reward, terminated, truncated, info
 
-    def _restart(self, observation: Any, mask: np.ndarray | None) -> None:
+    def _restart(
+        self, observation: Any, mask: np.ndarray | None, own_seeds: Mapping[int, int] | None = None
+    ) -> None:
         assert self._generator is not None
-        self._line.restart(self._generator, mask)
+        own = {place: seeded(seed) for place, seed in (own_seeds or {}).items()}
+        self._line.restart(self._generator, mask, own)
         first = _copy(observation)
         if mask is None:
             self._seen = [first]

@@ -15,9 +15,10 @@ from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
-from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch, scaled_inverse, state_steps
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch, state_steps
 from deepkoco.fit.solve.nuisances import Nuisances
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
 from deepkoco.systems import ExtendedSystem, Parameter
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
@@ -69,6 +70,21 @@ class FitProblem:
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
+        nulls = self.null_values()
+        rubs = (theta[:, self._dry] != nulls[self._dry]).any(-1)
+        if not rubs.any() or rubs.all():
+            return self._predict(theta, initial, nuisance)
+        # Reversals under dry friction take many more steps: only the lanes that have any pay for them.
+        result: Tensor | None = None
+        for part in (rubs, ~rubs):
+            pick = torch.from_numpy(np.flatnonzero(part))
+            own = self._predict(theta[part], initial[pick], nuisance[pick])
+            result = own.new_empty(len(theta), *own.shape[1:]) if result is None else result
+            result[pick] = own
+        assert result is not None
+        return result
+
+    def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         own = len(self.system.parameters)
         nulls = self.null_values()
         values = theta[:, :own].copy()
@@ -164,6 +180,9 @@ class FitProblem:
             for j, p in enumerate(bare.parameters):
                 if "." in p.name:
                     self._columns.setdefault(p.name.split(".")[0], []).append(j)
+            finer = bare.base.reversal_steps
+            dry = {e.name for e in bare.effects if e.effect.dry and finer[e.index] > 1}
+            self._dry = [j for name in self._columns if name in dry for j in self._columns[name]]
         return self._nulls
 
     def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:
@@ -179,8 +198,36 @@ class FitProblem:
             trials: What to fit.
             iterations: Largest number of simulations of a trial.
             tolerance: A trial has converged when a step lowers its cost by less.
+
+        Returns:
+            One fit a trial; :attr:`.Fit.diverged` where the simulation diverges at the trial's start.
         """
         return Batch(self, trials, tolerance).run(iterations) if trials else []
+
+    def fit_one(self, trial: Trial, iterations: int = 25, tolerance: float = TOLERANCE) -> Fit:
+        """As :meth:`fit` for one trial that has to be fitted.
+
+        Raises:
+            NotFiniteError: The simulation diverges at the trial's start.
+        """
+        fit = self.fit([trial], iterations, tolerance)[0]
+        if fit.diverged:
+            raise NotFiniteError(
+                f"{trial.name}: the simulation of {self.system.base.name} diverges at {self._far_from_nominal(fit)}"
+            )
+        return fit
+
+    def _far_from_nominal(self, fit: Fit) -> str:
+        """Values of the parameters that are farthest from what the system declares, in words."""
+        declared = [p for p in self.system.parameters if p.name in fit.values and p.prior_sd > 0.0]
+        away = [abs(fit.values[p.name] - p.value) / p.prior_sd for p in declared]
+        far = sorted(
+            (p for p, a in zip(declared, away, strict=True) if a > 0.0),
+            key=lambda p: -away[declared.index(p)],
+        )
+        if not far:
+            return "the values that are declared"
+        return ", ".join(f"{p.name} = {fit.values[p.name]:.4g} {p.unit}" for p in far[:3])
 
     def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
         """Fit initial states and nuisances only, with every parameter held at ``values``.
@@ -194,7 +241,7 @@ class FitProblem:
         states, costs = self.fit_states_each([values] * len(starts), torch.stack(starts))
         pick = costs.argmin(0)[None, :, None].expand(1, -1, self.windows.state.shape[1])
         first = states.gather(0, pick)[0]
-        return self.fit([Trial(name, (), Prior.empty(), values, first)], 12 if self.nuisances.count else 1)[0]
+        return self.fit_one(Trial(name, (), Prior.empty(), values, first), 12 if self.nuisances.count else 1)
 
     def fit_states(
         self, values: Mapping[str, float], state: Tensor, iterations: int = 15
@@ -234,21 +281,23 @@ class FitProblem:
         damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
         hessian = torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1)
         gradient = torch.zeros(sets, count, size, dtype=torch.float64)
-        step = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
+        differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
         for _ in range(iterations):
             lanes = trial.repeat(1 + size, 1, 1, 1)
             for s in range(size):
                 lanes[1 + s, :, :, s] += nudge[s]
             predicted = self.predict(theta, lanes.flatten(0, 1), nuisance).unflatten(0, (1 + size, sets))
             residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
-            slope = ((predicted[1:] - predicted[0]) / step * self.weight).flatten(3)
+            slope = ((predicted[1:] - predicted[0]) / differences * self.weight).flatten(3)
             now = (residual**2).sum(-1)
-            better = torch.isfinite(now) & (now <= cost)
+            curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
+            downhill = torch.einsum("skwm,kwm->kws", slope, residual)
+            # A cost may be finite and its derivatives not: one lane of them diverged.
+            better = torch.isfinite(now) & torch.isfinite(curvature).flatten(2).all(-1)
+            better &= torch.isfinite(downhill).all(-1) & (now <= cost)
             # At the minimum, rounding can make the cost of a step slightly larger than before.
             settled = (cost - now).abs() <= TOLERANCE / count + 1e-4 * now
-            curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
             hessian = torch.where(better[..., None, None], curvature, hessian)
-            downhill = torch.einsum("skwm,kwm->kws", slope, residual)
             gradient = torch.where(better[..., None], downhill, gradient)
             best = torch.where(better[..., None], trial, best)
             cost = torch.where(better, now, cost)
@@ -257,7 +306,8 @@ class FitProblem:
                 break
             diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
             matrix = hessian + torch.diag_embed(damping[..., None] * diagonal + 1e-9)
-            trial = best + torch.linalg.solve(matrix, gradient)
+            step, singular = torch.linalg.solve_ex(matrix, gradient)
+            trial = best + torch.where((singular == 0)[..., None], step, 0.0)
         return best, cost
 
 

@@ -82,17 +82,17 @@ def fit(
         )
         try:
             solution = method.solve(request, np.random.default_rng(seed), progress or _quiet)
+            # Before the fit, the differences of the logs are unknown: all logs share the start values.
+            shared = replace(
+                solution.request,
+                windows=replace(solution.request.windows, varies={}),
+            )
+            zero = solution.fit.nuisance[: request.nuisances.zeros.count]
+            before = held(shared, request.start, solution.fit.state, zero)
         except FloatingPointError as error:
             raise FitError(
-                "the simulation diverges at the start values; give other start values or shorter windows"
+                f"the simulation diverges at the start values; give others, or shorter windows ({error})"
             ) from error
-        # Before the fit, the differences of the logs are unknown: all logs share the start values.
-        shared = replace(
-            solution.request,
-            windows=replace(solution.request.windows, varies={}),
-        )
-        zero = solution.fit.nuisance[: request.nuisances.zeros.count]
-        before = held(shared, request.start, solution.fit.state, zero)
     convergence = Convergence(
         method.name,
         solution.converged,

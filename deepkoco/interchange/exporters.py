@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -11,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from deepkoco.extras import install_command
 from deepkoco.interchange.constants import controller_constants, network_arrays
 from deepkoco.interchange.loaded_model import LoadedModel
 from deepkoco.koopman.exported import ExportedModel
+from deepkoco.output.whole_file import whole_file
 
 OUTPUTS = ("latent", "B", "C")
 
@@ -51,7 +52,7 @@ def export_onnx(model: LoadedModel, path: Path) -> None:
         import onnx  # noqa: F401
         import onnxscript  # noqa: F401
     except ImportError as error:
-        raise ExportError("ONNX needs two further packages: pip install 'deepkoco[onnx]'") from error
+        raise ExportError(f"ONNX needs two further packages: {install_command('onnx')}") from error
     import torch
 
     with warnings.catch_warnings():
@@ -177,10 +178,5 @@ def export(model: LoadedModel, form: str, path: str | Path) -> None:
         raise ExportError(f"{path}: exists already; choose another name")
     if not path.parent.is_dir():
         raise ExportError(f"{path}: there is no folder {path.parent}")
-    # The ending stays in place: writers choose their format by it.
-    partial = path.with_name(f".partial-{path.name}")
-    try:
+    with whole_file(path) as partial:
         EXPORTERS[form](model, partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

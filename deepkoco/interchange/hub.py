@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from deepkoco.extras import install_command
 from deepkoco.koopman.files.folder_files import CONFIG_FILE, WEIGHTS_FILE
 
 PREFIX = "hf://"
@@ -61,7 +62,7 @@ def fetch(folder: HubFolder) -> tuple[Path, Path]:
         from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalEntryNotFoundError
     except ImportError as error:
         raise HubError(
-            f"{folder.repository}: no such folder here; to load from the hub: pip install 'deepkoco[hub]'"
+            f"{folder.repository}: no such folder here; to load from the hub: {install_command('hub')}"
         ) from error
     try:
         path = snapshot_download(

@@ -1,6 +1,5 @@
 """Read and write measured logs: time-stamped channels of one unit."""
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from deepkoco.logs.sidecar import (
     sidecar_path,
 )
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
+from deepkoco.output.whole_file import write_whole_text, writing
 
 __all__ = ["LogError", "Recording", "Series", "read_log", "write_log"]
 
@@ -186,6 +186,7 @@ def write_log(path: str | Path, recording: Recording) -> Path:
 
     Raises:
         LogError: one of the files exists, or the recording has no channel.
+        WriteError: the disk is full, or the place cannot be written.
     """
     path = Path(path)
     if path.suffix != ".csv":
@@ -207,7 +208,8 @@ def write_log(path: str | Path, recording: Recording) -> Path:
         columns[name] = series.value
         described[name] = ChannelColumn(Column(name, series.unit), series.kind, Column(time, "s"))
     frame = pd.DataFrame({name: pd.Series(values) for name, values in columns.items()})
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
     sidecar = dump_sidecar(recording.system, described, recording.meta)
     _write_whole({sidecar_path(path): sidecar, path: frame.to_csv(index=False, lineterminator="\n")})
     return path
@@ -221,16 +223,13 @@ def _free(name: str, taken: Iterable[str]) -> str:
 
 def _write_whole(texts: Mapping[Path, str]) -> None:
     """Write new files; after an error none of them exists."""
-    partial = {target: target.with_name(f".{target.name}.{os.getpid()}.tmp") for target in texts}
     placed: list[Path] = []
     try:
         for target, text in texts.items():
-            partial[target].write_text(text, encoding="utf-8")
-        for target in texts:
-            os.replace(partial[target], target)
+            write_whole_text(target, text)
             placed.append(target)
     except BaseException:
-        for left in (*partial.values(), *placed):
+        for left in placed:
             left.unlink(missing_ok=True)
         raise
 

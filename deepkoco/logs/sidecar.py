@@ -10,6 +10,7 @@ import yaml
 
 from deepkoco.logs.formats.log_file import HEADER, RECEIVED, LogError
 from deepkoco.logs.units import UnitError, parse_unit
+from deepkoco.yaml_file import YamlFileError, read_yaml, shown
 
 __all__ = [
     "EXAMPLE",
@@ -116,9 +117,9 @@ def load_sidecar(log: Path, mapping: Mapping[str, Any] | str | Path | None = Non
                 f"{log}: no sidecar {file} maps its columns to channels; write one or pass a mapping:{EXAMPLE}"
             )
         try:
-            content = yaml.safe_load(file.read_text(encoding="utf-8"))
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise LogError(f"{source}: not readable as YAML: {error}") from error
+            content = read_yaml(file)
+        except YamlFileError as error:
+            raise LogError(str(error)) from error
     return _parse(source, content)
 
 
@@ -173,7 +174,7 @@ def _parse(source: str, content: Any) -> Sidecar:
     _refuse_mixed_units(source, channels)
     meta = content.get("meta") or {}
     if not isinstance(meta, Mapping):
-        raise LogError(f"{source}: meta: expected keys and values, got {meta!r}")
+        raise LogError(f"{source}: meta: expected keys and values, got {shown(meta)}")
     system = content.get("system")
     where = _where(source, content.get("where"))
     return Sidecar(source, None if system is None else str(system), common, channels, dict(meta), where)
@@ -210,7 +211,7 @@ def _channel(source: str, where: str, content: Any, common: Column | None) -> Ch
             f"{source}: {where}: scale: {scale!r} is not a finite number other than 0; write for example 6.33 or -1"
         )
     if not isinstance(checked, bool):
-        raise LogError(f"{source}: {where}: checked: write true or false, got {checked!r}")
+        raise LogError(f"{source}: {where}: checked: write true or false, got {shown(checked)}")
     if time is None and not topic:
         raise LogError(f'{source}: the file: key "time" is missing; for example:{EXAMPLE}')
     return ChannelColumn(
@@ -226,7 +227,7 @@ def _where(source: str, content: Any) -> dict[str, float]:
     )
     if wrong:
         raise LogError(
-            f'{source}: where: expected columns and numbers, such as "episode: 0", got {content!r}'
+            f'{source}: where: expected columns and numbers, such as "episode: 0", got {shown(content)}'
         )
     return {str(name): float(value) for name, value in content.items()}
 
@@ -249,7 +250,9 @@ def _keys(
     source: str, where: str, content: Any, required: Sequence[str], optional: Sequence[str]
 ) -> dict[str, Any]:
     if not isinstance(content, Mapping):
-        raise LogError(f"{source}: {where}: expected keys and values, got {content!r}; for example:{EXAMPLE}")
+        raise LogError(
+            f"{source}: {where}: expected keys and values, got {shown(content)}; for example:{EXAMPLE}"
+        )
     for key in required:
         if content.get(key) is None:
             raise LogError(f'{source}: {where}: key "{key}" is missing; for example:{EXAMPLE}')
@@ -264,7 +267,9 @@ def _keys(
 def _column(source: str, where: str, content: Any) -> Column:
     entry = _keys(source, where, content, required=("column", "unit"), optional=())
     if isinstance(entry["unit"], (list, tuple, Mapping)):
-        raise LogError(f"{source}: {where}: one column has one unit, got {entry['unit']!r}; give one unit")
+        raise LogError(
+            f"{source}: {where}: one column has one unit, got {shown(entry['unit'])}; split the column"
+        )
     try:
         parse_unit(entry["unit"])
     except UnitError as error:

@@ -7,6 +7,9 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+from deepkoco.output.whole_file import writing
 
 
 class FolderExistsError(FileExistsError):
@@ -14,16 +17,30 @@ class FolderExistsError(FileExistsError):
 
 
 def check_new(out: Path) -> None:
-    """Refuse a folder that exists, or that a file on its path keeps from being made.
+    """Refuse a folder that exists or cannot be made, before the work whose results it is to hold.
 
     Raises:
-        FolderExistsError: It exists, or cannot be made.
+        FolderExistsError: It exists, or a file on its path keeps it from being made.
+        WriteError: The disk is full, or the place cannot be written.
     """
     blocked = next((parent for parent in out.parents if parent.exists() and not parent.is_dir()), None)
     if blocked is not None:
         raise FolderExistsError(f"{out}: {blocked} is no folder; choose another place")
     if out.exists():
         raise FolderExistsError(f"{out}: exists; choose another folder or move it away")
+    check_writable(out)
+
+
+def check_writable(out: Path) -> None:
+    """Write and remove a file in the nearest folder above `out` that is there.
+
+    Raises:
+        WriteError: The folder takes no file.
+    """
+    above = next(parent for parent in out.absolute().parents if parent.is_dir())
+    with writing(out, above), NamedTemporaryFile(dir=above, prefix=f".{out.name}.") as file:
+        file.write(b"0")
+        file.flush()
 
 
 @contextmanager
@@ -32,13 +49,15 @@ def new_folder(out: Path) -> Iterator[Path]:
 
     Raises:
         FolderExistsError: The name is taken.
+        WriteError: The disk is full, or the place cannot be written.
     """
     check_new(out)
     partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    partial.mkdir(parents=True)
     try:
-        yield partial
-        os.rename(partial, out)
+        with writing(out, partial):
+            partial.mkdir(parents=True)
+            yield partial
+            os.rename(partial, out)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -14,6 +13,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
 from deepkoco.systems.effects.effect import JointLanes, in_lanes
 from deepkoco.systems.joint import JointSystem, TorqueLaw
@@ -28,6 +28,7 @@ from deepkoco.systems.system import (
     System,
     Timing,
 )
+from deepkoco.yaml_file import YamlFileError, read_yaml
 
 MODEL_VERSION = 1
 
@@ -107,6 +108,22 @@ class ExtendedSystem(System):
     def load_scales(self) -> tuple[float, ...]:
         return self.base.load_scales
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.base.joint_names
+
+    @property
+    def smoothing_speeds(self) -> tuple[float, ...]:
+        return self.base.smoothing_speeds
+
+    @property
+    def reversal_steps(self) -> tuple[int, ...]:
+        return self.base.reversal_steps
+
+    @property
+    def rubbing_joints(self) -> tuple[int, ...]:
+        return tuple(sorted({*self.base.rubbing_joints, *(e.index for e in self.effects if e.effect.dry)}))
+
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)
 
@@ -127,6 +144,7 @@ class ExtendedSystem(System):
             return law
         driven = {joint: k for k, joint in enumerate(self.base.command_joints)}
         deliver = self.base.delivery(self._body(parameters))
+        own_smoothing = self.smoothing_speeds
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             total: list[Tensor | None] = [None] * self.joints if motion.loads is None else list(motion.loads)
@@ -138,7 +156,7 @@ class ExtendedSystem(System):
                 state = states.get(j)
                 if state is None:
                     effort = delivered[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
-                    smoothing = None if motion.smoothing is None else motion.smoothing[j]
+                    smoothing = own_smoothing[j] if motion.smoothing is None else motion.smoothing[j]
                     state = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
                     states[j] = state
                 given, lane = total[j], part.lanes
@@ -259,7 +277,7 @@ class ExtendedSystem(System):
         return all(bool((own[p.name] == p.value).all()) for p in placed.parameters(self.base))
 
     def _command_effect(self, name: str, index: int) -> str:
-        return name if self.joints == 1 else f"{name}(joint {self.command_joints[index] + 1})"
+        return name if self.joints == 1 else self.at_joint(name, self.command_joints[index])
 
     def _at(self, where: str) -> list[PlacedEffect]:
         return [placed for placed in self.effects if placed.effect.place == where]
@@ -292,10 +310,13 @@ class ExtendedJoint(ExtendedSystem, JointSystem):
             for placed in self._at("load")
         ]
 
+        (smooth,) = self.smoothing_speeds
+
         def torque(theta: Tensor, omega: Tensor, effort: Tensor, smoothing: Tensor | None) -> Tensor:
             total = law(theta, omega, effort, smoothing)
+            state = JointState(theta, omega, effort, None, smooth if smoothing is None else smoothing)
             for effect, own in loads:
-                total = total + effect.apply(JointState(theta, omega, effort, None, smoothing), own)
+                total = total + effect.apply(state, own)
             return total
 
         return torque
@@ -335,6 +356,7 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
 
     Raises:
         FileExistsError: The file is there already.
+        WriteError: The disk is full, or the place cannot be written.
     """
     path = Path(path)
     if path.exists():
@@ -351,9 +373,7 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
         "parameters": {p.name: {"value": p.value, "unit": p.unit} for p in system.parameters},
         "provenance": dict(provenance or {}),
     }
-    partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(yaml.safe_dump(document, sort_keys=False))
-    os.replace(partial, path)
+    write_whole_text(path, yaml.safe_dump(document, sort_keys=False))
 
 
 def load_model(path: str | Path) -> ExtendedSystem:
@@ -364,9 +384,9 @@ def load_model(path: str | Path) -> ExtendedSystem:
     """
     path = Path(path)
     try:
-        document = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ModelFileError(f"{path}: cannot be read as YAML: {error}") from error
+        document = read_yaml(path)
+    except YamlFileError as error:
+        raise ModelFileError(str(error)) from error
     if not isinstance(document, dict) or document.get("version") != MODEL_VERSION:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deepkoco.suggestion import did_you_mean
 from deepkoco.systems.bodies.double_pendulum import DoublePendulum
 from deepkoco.systems.bodies.furuta_pendulum import FurutaPendulum
 from deepkoco.systems.bodies.pendulum import Pendulum
@@ -35,7 +36,10 @@ def make_system(name: str) -> System:
         UnknownSystemError: There is no such system; the message lists those there are.
     """
     if name not in SYSTEMS:
-        raise UnknownSystemError(f'unknown system "{name}"; known systems: {", ".join(sorted(SYSTEMS))}')
+        suggestion = did_you_mean(name, SYSTEMS)
+        raise UnknownSystemError(
+            f'unknown system "{name}"{suggestion or ";"} known systems: {", ".join(sorted(SYSTEMS))}'
+        )
     return SYSTEMS[name]()
 
 

@@ -16,6 +16,13 @@ from deepkoco.systems.drawing import canvas
 
 Parameters = Mapping[str, Tensor]
 
+UNREADABLE = "().,;"  # in the name of a joint: names of parameters are read by them
+
+# By the unit of a joint. An encoder of a rail resolves a tenth of a millimetre, one of a joint that turns a milliradian
+# or two: while friction holds it, a joint must not creep by more.
+SMOOTHING = {"rad": 0.05, "m": 0.0004}  # speed over which the sign of dry friction is smoothed [rad/s, m/s]
+REVERSAL_STEPS = {"rad": 1, "m": 16}
+
 
 class ParameterError(ValueError):
     """A parameter name is unknown or its value is outside its bounds."""
@@ -194,6 +201,26 @@ class System(ABC):
         return tuple(range(len(self.commands)))
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Name of each joint in reports and, of several joints, in the names of effects: ``coulomb(cart)``."""
+        return tuple(f"joint {j + 1}" for j in range(self.joints))
+
+    def at_joint(self, name: str, joint: int) -> str:
+        """Name of an effect or a cause at one joint: ``coulomb(joint 2)``; without the joint where there is one only.
+
+        Raises:
+            ParameterError: A name of a joint is given twice, or holds a sign that names of parameters are read by.
+        """
+        if self.joints == 1:
+            return name
+        names = self.joint_names
+        if len(set(names)) != self.joints or any(not n or set(n) & set(UNREADABLE) for n in names):
+            raise ParameterError(
+                f"{self.name}: joint_names = {names!r}: give {self.joints} different names without {UNREADABLE}"
+            )
+        return f"{name}({names[joint]})"
+
+    @property
     def measured_states(self) -> tuple[int, ...]:
         """State that each measurement shows."""
         return tuple(range(len(self.measurements)))
@@ -202,6 +229,30 @@ class System(ABC):
     def load_scales(self) -> tuple[float, ...]:
         """Typical load of each joint [N m or N]."""
         return (self.load_scale,) * self.joints
+
+    @property
+    def smoothing_speeds(self) -> tuple[float, ...]:
+        """Speed of each joint over which the sign of dry friction is smoothed [rad/s or m/s].
+
+        A joint that friction holds creeps at up to this speed in a simulation: choose one at which it moves by less
+        than its sensor's noise while it sticks.
+        """
+        return tuple(SMOOTHING[u] for u in self._kinds)
+
+    @property
+    def reversal_steps(self) -> tuple[int, ...]:
+        """In how many parts a fit integrates a step in which a joint reverses that rubs; 1 leaves the step whole."""
+        return tuple(REVERSAL_STEPS[u] for u in self._kinds)
+
+    @property
+    def rubbing_joints(self) -> tuple[int, ...]:
+        """Joints whose equations have dry friction; none for most systems: effects add it."""
+        return ()
+
+    @property
+    def _kinds(self) -> tuple[str, ...]:
+        """Unit of each joint: a joint that does not turn slides."""
+        return tuple("rad" if unit == "rad" else "m" for unit in self.state_units[: self.joints])
 
     @property
     def load_units(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from collections import deque
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from deepkoco.unit.messages import (
     COMMAND_FRAME,
@@ -51,6 +52,13 @@ class Unit:
         self.timeout = timeout
         self._process: subprocess.Popen[bytes] | None = None
         self._epoch = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._process is not None:
+            raise TypeError(
+                f'unit "{self.spec.name}" runs in real time: it cannot be copied or pickled; close it first'
+            )
+        return self.__dict__
 
     def __enter__(self) -> Unit:
         if self._process is not None:

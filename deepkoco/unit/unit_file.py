@@ -8,8 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from deepkoco.systems import (
     JOINT_SYSTEMS,
     SYSTEMS,
@@ -21,6 +19,7 @@ from deepkoco.systems import (
 )
 from deepkoco.systems.effects import EFFECTS
 from deepkoco.unit.spec import SensorSpec, UnitSpec
+from deepkoco.yaml_file import YamlFileError, read_yaml, shown
 
 DELAYS = ("actuation_delay", "sensing_delay")
 # What the plant of a unit carries out; the simulation knows more effects.
@@ -83,11 +82,9 @@ def load_unit(path: str | Path, system: str | None = None) -> UnitSpec:
     """
     path = Path(path)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UnitSpecError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UnitSpecError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+        content = read_yaml(path)
+    except YamlFileError as error:
+        raise UnitSpecError(str(error)) from error
     content = _keys(content if content is not None else {}, KEYS, str(path))
     named = content.pop("system", None)
     if system is not None and named is not None and named != system:
@@ -238,7 +235,7 @@ def _initial_state(system: JointSystem, given: Any, source: str) -> tuple[float,
         return (math.pi - upright, 0.0)  # hanging at rest
     where = f"{source}: initial_state"
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
-        raise UnitSpecError(f"{where}: expected [angle in rad, speed in rad/s], got {given!r}")
+        raise UnitSpecError(f"{where}: expected [angle in rad, speed in rad/s], got {shown(given)}")
     return (
         _number(given[0], f"{where}[0]", -math.inf, math.inf, "rad"),
         _number(given[1], f"{where}[1]", -math.inf, math.inf, "rad/s"),
@@ -269,7 +266,9 @@ def _refuse_negative_friction(spec: UnitSpec, source: str) -> None:
 
 def _keys(content: Any, known: Sequence[str], where: str) -> dict[str, Any]:
     if not isinstance(content, Mapping):
-        raise UnitSpecError(f"{where}: expected keys and values, got {content!r}; known keys: {_list(known)}")
+        raise UnitSpecError(
+            f"{where}: expected keys and values, got {shown(content)}; known keys: {_list(known)}"
+        )
     for key in content:
         if key not in known:
             raise UnitSpecError(f'{where}: unknown key "{key}"; known: {_list(known)}')
@@ -285,7 +284,7 @@ def _number(value: Any, where: str, low: float, high: float, unit: str) -> float
         with suppress(ValueError):
             value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise UnitSpecError(f"{where}: expected a number in {unit}, got {value!r}")
+        raise UnitSpecError(f"{where}: expected a number in {unit}, got {shown(value)}")
     if not low <= value <= high:
         raise UnitSpecError(f"{where}: {value:g} {unit} is outside [{low:g}, {high:g}]")
     return float(value)
@@ -293,5 +292,5 @@ def _number(value: Any, where: str, low: float, high: float, unit: str) -> float
 
 def _seed(value: Any, where: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise UnitSpecError(f"{where}: expected a whole number of 0 or more, got {value!r}")
+        raise UnitSpecError(f"{where}: expected a whole number of 0 or more, got {shown(value)}")
     return value

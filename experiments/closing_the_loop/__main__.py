@@ -18,6 +18,7 @@ from typing import Any
 import pandas as pd
 
 from deepkoco.logs.recording import LogError
+from deepkoco.runs.hydra_command import BAD_INPUT
 from deepkoco.unit import UnitError, UnitSpecError
 from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, STRENGTHS, Case, cases
 from experiments.closing_the_loop.steps import (
@@ -31,7 +32,6 @@ from experiments.closing_the_loop.steps import (
     write_once,
 )
 from experiments.closing_the_loop.summary import write_results
-from experiments.commands import BAD_INPUT
 
 RUNS = Path("runs/closing_the_loop")
 OUT = Path("results/diagnose/closing_the_loop")

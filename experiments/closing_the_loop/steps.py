@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -16,12 +15,13 @@ from deepkoco.diagnose import Diagnosis, diagnose, write_report
 from deepkoco.excitation.record import record
 from deepkoco.graph.model.contract import StepError
 from deepkoco.logs.recording import read_log, write_log
+from deepkoco.output.whole_file import write_whole_text
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.train import is_finished
+from deepkoco.runs.unit_trials import run_trials
 from deepkoco.systems import ExtendedSystem, MemoryEffectError, make_system, save_model
 from deepkoco.unit import load_unit
 from experiments.closing_the_loop.hidden import SYSTEM, Case
-from experiments.settings import ExperimentError
-from experiments.train import is_finished
-from experiments.unit_trials import run_trials
 
 LOG_SECONDS, LOG_SEED = 30.0, 3
 # Past actions in the observation, so that a policy trained with a delay can know what is under way; the same for all.
@@ -174,6 +174,4 @@ def write_once(path: Path, text: str) -> None:
         if path.read_text(encoding="utf-8") != text:
             raise ExperimentError(f"{path}: is of another study; choose another --runs")
         return
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    write_whole_text(path, text)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import pandas as pd
 from matplotlib.ticker import FuncFormatter
 
 from deepkoco.agent.config import TrainingConfig
+from deepkoco.output.whole_file import whole_file
 from experiments.ablation_differences import paired_interval
 from experiments.closing_the_loop.hidden import Case
 from experiments.closing_the_loop.steps import ARMS, SELECTION_EPISODES
@@ -227,6 +227,5 @@ def _figure(summary: Any, episodes: Any) -> bytes:
 
 
 def _write(path: Path, data: bytes) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    partial.write_bytes(data)
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        partial.write_bytes(data)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from experiments.aggregate import RESAMPLES, interquartile_mean
+from deepkoco.runs.aggregate import RESAMPLES, interquartile_mean
+from deepkoco.runs.settings import ExperimentError
 from experiments.comparison.runs import AXES, COST, METHOD, PANEL, groups
-from experiments.settings import ExperimentError
 
 POINTS = 101
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
+from deepkoco.output.whole_file import whole_file
 from experiments.comparison.references import References
 from experiments.comparison.runs import AXES, METHOD, PANEL, groups
 from experiments.comparison.style import REFERENCE_COLOUR, STYLE, method_rank, method_style, variant_line
@@ -55,10 +55,9 @@ def draw(curves: pd.DataFrame, references: Mapping[str, References | None], path
                 axis.set_xlabel(label)
             row[0].set(title=panel_title(*panel), ylabel="noise-free cost of an episode")
             row[-1].legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        partial = path.with_name(f"{path.stem}.partial.png")
-        figure.savefig(partial, dpi=150)
-        plt.close(figure)
-    os.replace(partial, path)
+        with whole_file(path) as partial:
+            figure.savefig(partial, dpi=150)
+            plt.close(figure)
 
 
 def _draw_panel(axis: Axes, curves: pd.DataFrame, reference: References | None) -> None:

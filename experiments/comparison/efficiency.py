@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from experiments.aggregate import RESAMPLES
+from deepkoco.runs.aggregate import RESAMPLES
 from experiments.comparison.references import References
 from experiments.comparison.runs import COST, METHOD, OF_A_RUN, PANEL, groups
 

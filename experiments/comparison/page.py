@@ -145,7 +145,8 @@ def page(
         )
     parts += [
         "Noise-free cost of an episode. Lines: interquartile mean over seeds, at equal environment steps, "
-        "interpolated, for the methods evaluate at different times; bands: 95 % percentile bootstrap over seeds. The "
+        "interpolated, for the methods evaluate at different times; bands: 95 % percentile bootstrap over seeds, "
+        "which of fewer than 5 seeds is the range of their costs. The "
         "other axes are medians over seeds of what they had after so many steps. A curve starts at the first "
         "evaluation. Seconds are of the machine as it was, evaluations included. During training a cost is of the "
         "few episodes in `raw.csv`, at the end of a finished run of more, from other start states.",

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from deepkoco.runs.settings import ExperimentError, TaskConfig
 from experiments.optimum import load_task
-from experiments.settings import ExperimentError, TaskConfig
 
 REFERENCES = Path(__file__).resolve().parents[2] / "results" / "optimum" / "references"
 COLUMNS = ("seed", "purpose", "episode", "optimum", "optimum_without_delay", "random")

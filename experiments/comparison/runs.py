@@ -11,9 +11,9 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.aggregate import ABSENT
-from experiments.settings import ExperimentError, TrainRunConfig
-from experiments.train import CONFIG_FILE, is_finished, load_run_config
+from deepkoco.runs.aggregate import ABSENT
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.train import CONFIG_FILE, is_finished, load_run_config
 
 logger = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from experiments.aggregate import bootstrap_interval, interquartile_mean
+from deepkoco.runs.aggregate import bootstrap_interval, interquartile_mean
 from experiments.comparison.references import References
 from experiments.comparison.runs import COST, METHOD, OF_A_RUN, PANEL, groups
 

@@ -12,21 +12,31 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from deepkoco.analysis.page.analyse import AnalysisOptions, analyse
+from deepkoco.analysis.page.page import write_page as write_model_page
+from deepkoco.analysis.run_folder import read_trained
 from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.report.folder import write_report
 from deepkoco.envs.film import write_clip
+from deepkoco.envs.graph_vector_env import GraphVectorEnv
+from deepkoco.graph import draw_timing
+from deepkoco.graph.drawing import write_page as write_graph_page
+from deepkoco.graph.episodes.episode import episode_of_timing
 from deepkoco.logs.recording import LogError, read_log
+from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.unit_trials import Trial, run_trial, run_trials, summarise
 from deepkoco.unit import UnitError, UnitSpecError, load_unit
-from experiments.commands import BAD_INPUT
 from experiments.demo.page import Outcome, terminal_table, write_page
 from experiments.demo.training import POLICIES, DemoError, train_side_by_side
-from experiments.unit_trials import Trial, run_trial, run_trials, summarise
 
 HERE = Path(__file__).parent
 SYSTEM = "rod_pendulum"
+EXTENDED = "deepkoco/RodPendulumDelay-v0"  # the environment that takes a model of the unit
 CONTROL_RATE = 20.0  # [Hz]
 
 
@@ -49,6 +59,23 @@ def run_on_unit(out: Path, runs: Path, episodes: int) -> list[Trial]:
     rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
     pd.DataFrame(rows).to_csv(out / "trials.csv", index=False)
     return trials
+
+
+def show_model(run: Path) -> None:
+    """Write the page of a trained model into its run."""
+    trained = read_trained(run, None)
+    options = AnalysisOptions(episodes=12, exploring_episodes=60, prunings=4, film_plans=60)
+    write_model_page(analyse(trained, options, {}, lambda *_: None), run / "analysis.html")
+
+
+def show_graph(model: Path, page: Path) -> None:
+    """Write the page of the graph that the extended simulation runs on, with the timing of an episode."""
+    envs = gymnasium.make_vec(EXTENDED, 1, vectorization_mode="vector_entry_point", model=str(model))
+    assert isinstance(envs, GraphVectorEnv)
+    timing = draw_timing(envs.graph, np.random.default_rng(0), 100, batch=1)
+    episode = episode_of_timing(envs.graph, timing)
+    envs.close()
+    write_graph_page(page, envs.graph, episode, "The extended simulation as a graph")
 
 
 def free_folder(wanted: Path) -> Path:
@@ -120,8 +147,10 @@ def run_demo(
     train_side_by_side(runs, out / "diagnosis" / "model.yaml", episodes, distractors, seed, console)
     console.print(f"[bold]3/4[/] running both on the unit in real time, {unit_episodes} episodes each")
     trials = run_on_unit(out / "unit", runs, unit_episodes)
-    console.print("[bold]4/4[/] drawing the page")
-    outcome = Outcome(diagnosis, trials, summarise(trials), out, time.perf_counter() - began)
+    console.print("[bold]4/4[/] drawing the pages")
+    show_model(runs / "extended")
+    show_graph(out / "diagnosis" / "model.yaml", out / "graph.html")
+    outcome = Outcome(diagnosis, trials, summarise(trials), out, time.perf_counter() - began, distractors)
     page = write_page(outcome)
     console.print(terminal_table(outcome))
     console.print(

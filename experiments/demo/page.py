@@ -3,32 +3,41 @@
 from __future__ import annotations
 
 import base64
-import io
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import cv2
-import jinja2
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from deepkoco.diagnose import Diagnosis
+from deepkoco.diagnose.report.figures.all_figures import draw_all
+from deepkoco.diagnose.report.figures.layout import COLOURS as MODELS
+from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE
+from deepkoco.diagnose.report.next_steps import next_steps
+from deepkoco.diagnose.report.parameter_table import interval
 from deepkoco.diagnose.report.text import headline, lead
 from deepkoco.envs.film import film_strip
-from experiments.unit_trials import Trial
+from deepkoco.output.whole_file import write_whole_text
+from deepkoco.pages import (
+    Shown,
+    in_one_unit,
+    less,
+    link_pages,
+    links_between,
+    readable,
+    render_page,
+    show_both,
+    software,
+)
+from deepkoco.runs.unit_trials import Trial
+from experiments.demo.figures import cost_on_unit, learning_curves, save
 
-COLOURS = {"baseline": "#b5483a", "extended": "#26547c"}
+COLOURS = {name: MODELS[name] for name in ("baseline", "extended")}
 LABELS = {"baseline": "trained in the simulator as given", "extended": "trained in the extended simulator"}
 # Pictures of the diagnosis that the page shows, in this order, with the question each answers.
 FIGURES = {
@@ -36,6 +45,13 @@ FIGURES = {
     "missing_torque": "Which torque is missing, and when?",
     "candidates": "Which cause explains it?",
     "error_by_horizon": "How far ahead does the simulation hold, before and after?",
+}
+FRAMES = 9  # of each film, as stills
+PERIOD = 0.05  # between two frames [s]
+AMONG = {
+    "none": "",
+    "copies": ", among copies of itself that have nothing to do with the task",
+    "noise": ", among noise that has nothing to do with the task",
 }
 
 
@@ -49,6 +65,7 @@ class Outcome:
         summary: Costs on the unit by policy, with intervals.
         folder: Where the demo writes.
         seconds: Time it took.
+        distractors: What else the controllers saw.
     """
 
     diagnosis: Diagnosis
@@ -56,6 +73,17 @@ class Outcome:
     summary: dict[str, Any]
     folder: Path
     seconds: float
+    distractors: str = "none"
+
+
+def pages_of(folder: Path) -> dict[str, Path]:
+    """The pages of a demo, in the order in which they are read."""
+    return {
+        "Demo": folder / "index.html",
+        "Diagnosis": folder / "diagnosis" / "report.html",
+        "Model": folder / "runs" / "extended" / "analysis.html",
+        "Graph": folder / "graph.html",
+    }
 
 
 def terminal_table(outcome: Outcome) -> Table:
@@ -88,48 +116,84 @@ def terminal_table(outcome: Outcome) -> Table:
     return table
 
 
-def write_page(outcome: Outcome) -> Path:
-    """Write index.html, self-contained, and its own figures beside it.
+def write_page(outcome: Outcome, made: date | None = None) -> Path:
+    """Write index.html, self-contained, and its own figures beside it; link it with the pages that are there.
+
+    Args:
+        outcome: What was found.
+        made: Day that the page says; None takes today's, or that of SOURCE_DATE_EPOCH.
 
     Returns:
         Path of the page.
     """
-    figures = {
-        "learning_curves": _learning_curves(outcome.folder),
-        "cost_on_unit": _cost_on_unit(outcome),
-    }
-    films = {name: _film(outcome.folder / "unit" / f"{name}.webm") for name in COLOURS}
-    source = (Path(__file__).parent / "page.html").read_text(encoding="utf-8")
+    folder, diagnosis, pages = outcome.folder, outcome.diagnosis, pages_of(outcome.folder)
+    own = {"learning": learning_curves(folder), "cost_on_unit": cost_on_unit(outcome.trials, outcome.summary)}
+    for picture in own.values():
+        save(picture, folder)
     saved = outcome.summary["extended"]["saved_against_first"]
-    page = (
-        jinja2.Environment(autoescape=True)
-        .from_string(source)
-        .render(
-            headline=headline(outcome.diagnosis),
-            lead=lead(outcome.diagnosis),
-            parameters=_parameters(outcome.diagnosis),
-            gain=outcome.diagnosis.gain,
-            figures=[
-                {"title": title, "png": _encoded((outcome.folder / "diagnosis" / f"{name}.png").read_bytes())}
-                for name, title in FIGURES.items()
-                if (outcome.folder / "diagnosis" / f"{name}.png").exists()
-            ],
-            own={name: _encoded(png) for name, png in figures.items()},
-            films=films,
-            labels=LABELS,
-            costs={name: _interval(outcome.summary[name]) for name in COLOURS},
-            upright={name: f"{100 * outcome.summary[name]['upright']:.0f} %" for name in COLOURS},
-            episodes=outcome.summary["extended"]["episodes"],
-            saved=_interval(saved),
-            better=saved["low"] > 0,
-            minutes=f"{outcome.seconds / 60:.1f}",
-        )
+    costs = {name: _interval(outcome.summary[name]) for name in COLOURS}
+    page = render_page(
+        "experiments.demo",
+        "page.html",
+        title="DeepKoCo demo",
+        versions=software("torch", "numpy"),
+        made=made,
+        links=links_between(pages["Demo"], pages),
+        headline=headline(diagnosis),
+        lead=lead(diagnosis),
+        tiles=_tiles(outcome, costs),
+        figures=_diagnosed(diagnosis),
+        films={name: _film(folder / "unit" / f"{name}.webm") for name in COLOURS},
+        labels=LABELS,
+        costs=costs,
+        upright={name: f"{100 * outcome.summary[name]['upright']:.0f} %" for name in COLOURS},
+        among=AMONG.get(outcome.distractors, f", among distractors ({outcome.distractors})"),
+        saved=_interval(saved),
+        better=saved["low"] > 0,
+        steps=[
+            {
+                "text": "Diagnose a log of it.",
+                "command": "deepkoco diagnose LOG.csv --system SYSTEM --out report",
+            },
+            *(step._asdict() for step in next_steps(diagnosis, "report")),
+        ],
+        minutes=f"{outcome.seconds / 60:.1f}",
+        **{name: show_both(picture, f"{picture.name}.csv") for name, picture in own.items()},
     )
-    path = outcome.folder / "index.html"
-    partial = path.with_suffix(".html.partial")
-    partial.write_text(page, encoding="utf-8")
-    os.replace(partial, path)
+    path = pages["Demo"]
+    write_whole_text(path, page)
+    link_pages(pages)
     return path
+
+
+def _tiles(outcome: Outcome, costs: dict[str, str]) -> list[dict[str, str]]:
+    tiles = []
+    for name, e in _parameters(outcome.diagnosis).items():
+        said = name.replace("_", " ").replace(".", ": ")
+        tiles.append({"value": readable(e.value, e.unit), "text": f"{said}, 95 % interval {interval(e)}"})
+    gain = outcome.diagnosis.gain
+    if gain is not None:
+        c = gain.channels[0]
+        (before, after), unit = in_one_unit([c.baseline, c.extended], c.unit)
+        text = (
+            f"error of the simulated {c.name} on data that no fit has seen, over {gain.horizon:.2g} s: "
+            f"{before} {unit} before, {after} {unit} after"
+        )
+        tiles.append({"value": f"{less(c.baseline, c.extended)} error", "text": text})
+    episodes = outcome.summary["extended"]["episodes"]
+    text = f"mean cost on the robot with its 95 % interval, {episodes} episodes each"
+    return [*tiles, {"value": f"{costs['baseline']} → {costs['extended']}", "text": text}]
+
+
+def _diagnosed(diagnosis: Diagnosis) -> list[Shown]:
+    """The pictures of the diagnosis that the demo shows, each under the question that it answers."""
+    wide = {p.name: p for p in draw_all(diagnosis, DESKTOP)}
+    phone = {p.name: p for p in draw_all(diagnosis, PHONE)}
+    return [
+        show_both(wide[name]._replace(title=title), f"diagnosis/{name}.csv", phone[name])
+        for name, title in FIGURES.items()
+        if name in wide
+    ]
 
 
 def _parameters(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -142,57 +206,8 @@ def _interval(row: dict[str, Any]) -> str:
     return f"{row['mean']:.0f} [{row['low']:.0f}, {row['high']:.0f}]"
 
 
-def _encoded(data: bytes) -> str:
-    return base64.b64encode(data).decode()
-
-
-def _save(figure: Figure, folder: Path, name: str, table: pd.DataFrame) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, bbox_inches="tight")
-    plt.close(figure)
-    (folder / f"{name}.png").write_bytes(buffer.getvalue())
-    table.to_csv(folder / f"{name}.csv", index=False)
-    return buffer.getvalue()
-
-
-def _learning_curves(folder: Path) -> bytes:
-    figure, axes = plt.subplots(figsize=(6.4, 3.4))
-    tables = []
-    for name, colour in COLOURS.items():
-        rows = pd.read_csv(folder / "runs" / name / "metrics.csv")
-        axes.plot(rows["episodes"], rows["train/cost"], ":", color=colour, alpha=0.7)
-        axes.plot(rows["episodes"], rows["evaluation/cost"], color=colour, label=LABELS[name])
-        tables.append(rows[["episodes", "train/cost", "evaluation/cost"]].assign(policy=name))
-    axes.set(xlabel="training episodes", ylabel="cost of an episode", yscale="log")
-    axes.set_title(
-        "dotted: with exploration noise; solid: noise-free, last point: the weights kept; each in its own simulator",
-        fontsize=8,
-    )
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    return _save(figure, folder, "learning_curves", pd.concat(tables))
-
-
-def _cost_on_unit(outcome: Outcome) -> bytes:
-    figure, axes = plt.subplots(figsize=(6.4, 3.0))
-    costs = {n: [t.cost for t in outcome.trials if t.policy == n] for n in COLOURS}
-    for position, (name, values) in enumerate(costs.items()):
-        spread = np.linspace(-0.18, 0.18, len(values))
-        axes.scatter(values, position + spread, s=14, color=COLOURS[name], alpha=0.6)
-        row = outcome.summary[name]
-        error = [[row["mean"] - row["low"]], [row["high"] - row["mean"]]]
-        axes.errorbar(row["mean"], position, xerr=error, fmt="D", color="black", capsize=5, zorder=3)
-    axes.set_yticks(range(len(costs)), [LABELS[name].replace("trained in", "trained in\n") for name in costs])
-    axes.set(xlabel="cost of an episode on the unit (diamond: mean with 95 % interval)", ylim=(1.5, -0.5))
-    axes.grid(axis="x", alpha=0.3)
-    table = pd.DataFrame(
-        [(t.policy, t.episode, t.cost) for t in outcome.trials], columns=["policy", "episode", "cost"]
-    )
-    return _save(figure, outcome.folder, "cost_on_unit", table)
-
-
-def _film(path: Path) -> dict[str, str]:
-    """The clip, and its frames as a strip, for the page."""
+def _film(path: Path) -> dict[str, Any]:
+    """The clip, and stills of its first half, for the page; a strip of them lies beside the clip."""
     capture = cv2.VideoCapture(str(path))
     frames = []
     while True:
@@ -201,7 +216,13 @@ def _film(path: Path) -> dict[str, str]:
             break
         frames.append(frame)
     capture.release()
-    strip = film_strip(frames[: len(frames) // 2], count=9)
-    _, png = cv2.imencode(".png", strip)
-    path.with_suffix(".png").write_bytes(png.tobytes())
-    return {"clip": _encoded(path.read_bytes()), "strip": _encoded(png.tobytes())}
+    half = frames[: max(len(frames) // 2, 1)]
+    cv2.imwrite(str(path.with_suffix(".png")), film_strip(half, count=FRAMES))
+    shown = np.unique(np.linspace(0, len(half) - 1, FRAMES).round().astype(int))
+    stills = [{"time": f"{PERIOD * i:.2g} s", "png": _still(half[i])} for i in shown]
+    return {"clip": base64.b64encode(path.read_bytes()).decode(), "frames": stills}
+
+
+def _still(frame: np.ndarray) -> str:
+    _, png = cv2.imencode(".png", frame)
+    return base64.b64encode(png.tobytes()).decode()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -16,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from deepkoco.output.whole_file import whole_file
 from experiments.hidden.power import HITS, NOTHING, UNKNOWN
 
 STYLE = str(files("deepkoco.output").joinpath("figures.mplstyle"))
@@ -87,7 +87,6 @@ def draw_confusion(lines: Sequence[Line], path: Path, title: str) -> None:
 
 
 def _write(figure: Figure, path: Path) -> None:
-    partial = path.with_suffix(".partial.png")
-    figure.savefig(partial, dpi=110)
-    plt.close(figure)
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=110)
+        plt.close(figure)

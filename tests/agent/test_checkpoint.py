@@ -2,6 +2,8 @@
 
 import os
 import pickle
+import resource
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -134,3 +136,53 @@ def test_a_setting_that_is_younger_than_the_checkpoint_had_its_default(tmp_path)
     check_settings(path, state, {"horizon": 15, "keep": "last"}, 3, defaults)
     with pytest.raises(CheckpointError, match="made with keep = 'last' instead of 'best';"):
         check_settings(path, state, {"horizon": 15, "keep": "best"}, 3, defaults)
+
+
+def _archive(path, entries, compression=zipfile.ZIP_STORED):
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, content in entries.items():
+            with archive.open(name, "w") as file:
+                for part in content:
+                    file.write(part)
+    return path
+
+
+class _Call:
+    """Pickled as a call of a function."""
+
+    def __init__(self, function, *arguments):
+        self.function, self.arguments = function, arguments
+
+    def __reduce__(self):
+        return self.function, self.arguments
+
+
+def _with_entry(path, state, ending, parts, compression=zipfile.ZIP_STORED):
+    """A checkpoint of which one entry of the archive is replaced."""
+    save_checkpoint(path, state)
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: [archive.read(name)] for name in archive.namelist()}
+    (name,) = [name for name in entries if name.endswith(ending)]
+    return _archive(path, entries | {name: parts}, compression)
+
+
+BOMBS = {
+    "compressed zeros": lambda path: _with_entry(
+        path, {"w": torch.ones(4)}, "data/0", [bytes(1 << 20)] * 400, zipfile.ZIP_DEFLATED
+    ),
+    "a call that reserves memory": lambda path: _with_entry(
+        path, {}, "data.pkl", [pickle.dumps({"version": 2, "a": _Call(bytearray, 1 << 31)}, protocol=2)]
+    ),
+    "a view that repeats one number": lambda path: save_checkpoint(
+        path, {"w": torch.zeros(1).expand(1 << 32)}
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BOMBS)
+def test_a_checkpoint_that_would_take_more_memory_than_its_file_is_refused(tmp_path, what):
+    BOMBS[what](tmp_path / "c.pt")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(CheckpointError, match=r"c\.pt: damaged \("):
+        load_checkpoint(tmp_path / "c.pt")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB

@@ -1,6 +1,7 @@
 """`deepkoco show RUN`: one page for a training run or a model."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,8 +75,14 @@ def test_a_run_becomes_one_page_with_its_data_beside_it(run, tmp_path, capsys):
     for name in tables:
         assert f"page_data/{name}.csv" in html
         assert len(pd.read_csv(data_folder(page) / f"{name}.csv")) > 0
-    assert html.count("data:image/png") == len(tables) - 1
-    assert html.count("data:video/webm") == 1
+    # Every picture and the film for a wide window and for a phone, all for light and for dark pages.
+    assert html.count("<svg viewBox=") == 2 * (len(tables) - 1)
+    assert html.count("data:video/webm") == 2
+    assert "@media (prefers-color-scheme: dark)" in html
+    for link in re.findall(r'<a href="([^"#]+)"', html):
+        assert (page.parent / link).is_file()
+    assert f"deepkoco export-model {run.as_posix()} --to onnx" in html
+    assert "Made on " in html
     # The parts of the cost sum to all of it, the bars of the comparison are of the same episodes.
     assert pd.read_csv(data_folder(page) / "contribution.csv")["share"].sum() == pytest.approx(1.0, abs=1e-4)
     pruned = pd.read_csv(data_folder(page) / "pruning.csv")

@@ -10,9 +10,9 @@ from omegaconf import OmegaConf
 from baselines.config import DbcConfig
 from baselines.training import BaselineTrainer
 from deepkoco.envs.task_factory import TaskConfig
+from deepkoco.runs.environments import make_environments
+from deepkoco.runs.settings import TrainRunConfig
 from experiments.bisimulation_sanity import distances, main, motions, show_states, showings
-from experiments.environments import make_environments
-from experiments.settings import TrainRunConfig
 
 TASK = TaskConfig("pendulum", "deepkoco/RodPendulum-v0", kwargs={"action_units": "physical"})
 CONFIG = DbcConfig(

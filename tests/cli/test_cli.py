@@ -9,10 +9,14 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deepkoco.cli.command_line import main
+from deepkoco.graph.episodes.storage import EpisodeWriter
 from deepkoco.logs.recording import read_log
+from tests.full_disk import largest_file
+from tests.graph.episodes.test_episode_writer import GRAPH
 
 UNIT = "system: rod_pendulum\neffects: {coulomb: {torque: 0.1}}\n"
 
@@ -243,3 +247,42 @@ def test_interrupted_recording_writes_nothing(unit, tmp_path):
     assert files(tmp_path) == {"UNIT.yaml"}
     with pytest.raises(ProcessLookupError):
         os.kill(int(unit_pid[0]), 0)
+
+
+@pytest.mark.parametrize("command", ["record", "inspect --plot", "inspect --out", "export", "show"])
+def test_a_full_disk_ends_every_command_in_one_line_and_leaves_nothing(unit, tmp_path, capsys, command):
+    logs, out = tmp_path / "logs", tmp_path / "out"
+    logs.mkdir()
+    out.mkdir()
+    assert simulate(unit, logs / "a.csv") == 0
+    _recording(logs / "a.mcap")
+    (logs / "table.csv").write_bytes((logs / "a.csv").read_bytes())  # without a sidecar
+    name, arguments = {
+        "record": ("a.csv", ["record", "--unit", str(unit), "--seconds", "2", "--simulated", "--out"]),
+        "inspect --plot": ("a.png", ["inspect", str(logs / "a.csv"), "--plot"]),
+        "inspect --out": (
+            "a.yaml",
+            ["inspect", str(logs / "table.csv"), "--system", "rod_pendulum", "--out"],
+        ),
+        "export": ("a.csv", ["export", str(logs / "a.mcap")]),
+        "show": ("pictures", ["show", str(logs / "a.mcap"), "--pictures"]),
+    }[command]
+    capsys.readouterr()
+    with largest_file(300):
+        status = main([*arguments, str(out / name)])
+    error = capsys.readouterr().err
+    assert status == 2
+    assert error.startswith(f"deepkoco {command.split()[0]}: {out}")
+    assert error.endswith(
+        "cannot be written: file too large; raise the limit on the size of files (ulimit -f) or "
+        "choose another disk\n"
+    )
+    assert error.count("\n") == 1
+    assert not list(out.iterdir())
+
+
+def _recording(path):
+    with EpisodeWriter(path, GRAPH) as writer:
+        for k in range(50):
+            writer.step("world", k, k / 100, (k + 1) / 100, np.arange(3) + k)
+            writer.step("agent", k, k / 50, k / 50, np.zeros(1))

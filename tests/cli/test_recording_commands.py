@@ -55,7 +55,7 @@ def test_show_says_that_a_failure_ended_an_episode(tmp_path, capsys):
 def test_show_draws_pictures_and_a_page(recording, tmp_path):
     pictures, page = tmp_path / "pictures", tmp_path / "page.html"
     assert main(["show", recording, "--pictures", str(pictures), "--html", str(page)]) == 0
-    names = {"graph", "timeline", "delays"}
+    names = {"graph", "timeline", "delays", "signals"}
     assert {p.name for p in pictures.iterdir()} == {f"{n}{s}" for n in names for s in (".png", ".csv")}
     assert "run.mcap" in page.read_text()
     assert main(["show", recording, "--html", str(page)]) == 2

@@ -55,6 +55,11 @@ def test_an_estimate_at_its_bound_is_doubted_and_null_is_not(windows):
     assert at_bound(problem, gain, moved(gain__factor=10.0)) == ("gain.factor",)
     assert at_bound(problem, gain, moved(gain__factor=9.9)) == ()
     assert at_bound(problem, zone, null) == ()  # its null value is a bound
+    # Below its lowest speed a Stribeck friction is a Coulomb friction, above its highest one nearly so.
+    stribeck = known["stribeck"]
+    for speed in (0.05, 20.0):
+        fit = moved(stribeck__coulomb=0.1, stribeck__breakaway=0.1, stribeck__speed=speed)
+        assert at_bound(problem, stribeck, fit) == ("stribeck.speed",)
     text = doubts_of_estimates(problem, [gain, zone], moved(gain__factor=-3.0))
     assert len(text) == 1
     assert "gain" in text[0]

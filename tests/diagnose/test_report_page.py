@@ -1,10 +1,12 @@
 """What the page of a diagnosis shows: both widths, what remains, the timing of a log."""
 
 from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
 import torch
+from markupsafe import Markup
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.report.figures.all_figures import draw_all
@@ -12,8 +14,10 @@ from deepkoco.diagnose.report.figures.error_map import _by_slot
 from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE, held_out_models, shown_models
 from deepkoco.diagnose.report.figures.timing_figure import timing
 from deepkoco.diagnose.report.page import render
+from deepkoco.diagnose.report.parameter_table import parameter_rows
 from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.fit.data.windows import CommandSeries
+from deepkoco.pages.figures import Shown
 from experiments.hidden.recorded import unit_log
 
 LEARNED = {
@@ -36,9 +40,9 @@ def unknown(diagnosis):
 
 
 def page_of(diagnosis):
-    pictures = draw_all(diagnosis)
-    empty = {picture.name: b"" for picture in pictures}
-    return render(diagnosis, pictures, empty, empty)
+    empty = Markup("")
+    shown = [Shown(p.title, p.caption, empty, empty, f"{p.name}.csv") for p in draw_all(diagnosis)]
+    return render(diagnosis, shown)
 
 
 def test_a_phone_gets_the_same_pictures_in_a_width_that_it_can_show(diagnosis):
@@ -50,6 +54,24 @@ def test_a_phone_gets_the_same_pictures_in_a_width_that_it_can_show(diagnosis):
         assert a.table.equals(b.table)
 
 
+@pytest.mark.parametrize(
+    ("panels", "wide"), [(1, (1, 1)), (2, (1, 2)), (3, (1, 3)), (4, (2, 2)), (5, (2, 3))]
+)
+def test_panels_get_rows_in_which_their_labels_have_room(panels, wide):
+    assert DESKTOP.grid(panels) == wide
+    assert PHONE.grid(panels) == (panels, 1)
+
+
+def test_the_line_of_least_evidence_is_labelled_above_all_bars_and_grey_bars_beyond_it_are_explained(
+    diagnosis,
+):
+    (picture,) = (p for p in draw_all(diagnosis) if p.name == "candidates")
+    (axis,) = picture.figure.axes
+    (label,) = (text for text in axis.texts if "least evidence" in text.get_text())
+    assert label.get_position()[1] < min(bar.get_y() for bar in axis.patches)
+    assert "Grey bars beyond the dashed line" in picture.caption
+
+
 def test_the_bias_is_shown_with_its_null_and_its_interval(diagnosis):
     (found,) = (p for p in draw_all(diagnosis) if p.name == "found_parameters")
     (row,) = found.table.to_dict("records")
@@ -59,12 +81,38 @@ def test_the_bias_is_shown_with_its_null_and_its_interval(diagnosis):
     assert row["unit"] == "N m"
 
 
-def test_the_page_explains_its_words_and_gives_every_picture_a_text(diagnosis):
+def test_the_page_explains_its_words_and_links_the_numbers_of_every_picture(diagnosis):
     page = page_of(diagnosis)
-    assert page.count("<img ") == page.count('<img alt="Figure: ') == len(draw_all(diagnosis))
+    for picture in draw_all(diagnosis):
+        assert f'<a href="{picture.name}.csv">' in page
     assert "<dt>95 % interval</dt>" in page
     assert "prefers-color-scheme: dark" in page
     assert "What remains unexplained" not in page
+
+
+def test_parameters_of_the_model_stand_beside_those_given_and_the_refit_is_a_detail(diagnosis):
+    page = page_of(diagnosis)
+    written = {p.name: p.value for p in diagnosis.model.parameters}
+    assert set(diagnosis.final) == set(diagnosis.refit)
+    for row, (name, final) in zip(parameter_rows(diagnosis), diagnosis.final.items(), strict=True):
+        assert final.value == pytest.approx(written[name])
+        assert final.low <= final.value <= final.high
+        # The cells of a row: as given, then as model.yaml has it; what the refit says comes after "without".
+        main, _, detail = page.partition("The refit without the named cause")
+        cells = f'<td class="n">{row.given}</td><td class="n">{row.final}</td>'
+        assert f"{row.name}</td>{cells}" in main
+        assert f'<td class="i">{row.refit}</td>' in detail
+    (picture,) = (p for p in draw_all(diagnosis) if p.name == "parameters")
+    assert picture.table["value"].tolist() == [e.value for e in diagnosis.final.values()]
+    assert picture.table["refit"].tolist() == [e.value for e in diagnosis.refit.values()]
+
+
+def test_the_page_says_what_to_type_next_and_when_and_by_what_it_was_made(diagnosis):
+    page = render(diagnosis, [], "reports/monday", made=date(2026, 3, 4))
+    assert '<a href="model.yaml">' in page
+    assert "+task.kwargs.model=reports/monday/model.yaml" in page
+    assert "--system reports/monday/model.yaml" in page
+    assert "Made on 2026-03-04 with deepkoco " in page
 
 
 def test_what_remains_is_told_where_no_cause_is_named(unknown):

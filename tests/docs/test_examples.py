@@ -50,6 +50,7 @@ def test_examples_go_on_from_the_first_graph(
         "environments.md",
         "logs.md",
         "identify.md",
+        "pages.md",
         "planning.md",
         "runtimes.md",
         "systems.md",

@@ -83,5 +83,5 @@ def test_what_the_suite_does_not_have_is_told(arguments, message):
 
 def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "dm_control", None)
-    with pytest.raises(DmControlError, match=r"deepkoco\[dm_control\]"):
+    with pytest.raises(DmControlError, match=r'pip install .*"dm_control=='):
         make_dm_control()

@@ -38,6 +38,16 @@ def test_on_equations_it_is_the_batched_environment_bit_for_bit(name: str):
         assert ours.tobytes() == theirs.tobytes()
 
 
+def test_random_delays_differ_between_seeds_and_repeat_with_the_seed():
+    delay = {"law": "gaussian", "loc": 0.05, "scale": 0.02}
+    env = EngineEnv(sensing_delay=delay, actuation_delay=delay)
+    first, again = (roll(env, **START)[0] for _ in range(2))
+    assert first.tobytes() == again.tobytes()
+    env.reset(seed=1, options=START)
+    other = np.array([env.step(action)[0] for action in ACTIONS])
+    assert not np.allclose(first[1:], other)
+
+
 def test_in_mujoco_the_episode_is_the_same():
     pytest.importorskip("mujoco")
     both = (roll(EngineEnv(engine=engine, **DELAYS), **START) for engine in ("ode", "mujoco"))

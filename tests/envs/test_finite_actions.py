@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
+from deepkoco.envs.actions import ActionError, check_finite_action
 from deepkoco.envs.delay_env import DelayGraphEnv, DelayGraphVectorEnv
 from deepkoco.envs.delay_wrapper import DelayWrapper
 from deepkoco.envs.dm_control import CostOfReward
 from deepkoco.envs.engine_env import EngineEnv
-from deepkoco.envs.finite_actions import ActionError, check_finite_action
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.envs.vector_delay_wrapper import VectorDelayWrapper
 from deepkoco.unit import make_unit

@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.koopman.files.model_folder import write_model_folder
 from deepkoco.planning import PlannerConfig
-from experiments.settings import TaskConfig, TrainRunConfig
+from deepkoco.runs.settings import TaskConfig, TrainRunConfig
 
 MakeRun = Callable[..., Path]
 METRICS = (

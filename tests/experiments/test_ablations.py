@@ -9,11 +9,11 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from deepkoco.runs.agents import register
+from deepkoco.runs.hydra_command import CONFIGS
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from experiments.ablation_differences import differences, paired_interval
 from experiments.ablations import available, main, with_references
-from experiments.agents import register
-from experiments.commands import CONFIGS
-from experiments.settings import ExperimentError, TrainRunConfig
 
 
 def read(*overrides: str) -> TrainRunConfig:

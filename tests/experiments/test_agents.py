@@ -3,8 +3,8 @@
 import pytest
 from hydra.errors import HydraException
 
-from experiments.agents import AGENTS
-from experiments.commands import CONFIGS
+from deepkoco.runs.agents import AGENTS
+from deepkoco.runs.hydra_command import CONFIGS
 from experiments.comparison.style import METHODS
 from experiments.training_benchmark import read_settings
 

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from deepkoco.runs.agents import AGENTS
+from deepkoco.runs.settings import ExperimentError
 from experiments.agent_work import PARTS, Part, count_steps
-from experiments.agents import AGENTS
 from experiments.agents_benchmark import main, settings_of, time_in_turns
-from experiments.settings import ExperimentError
 
 SHORT = ["task=gymnasium_pendulum", "+task.kwargs.max_episode_steps=20"]
 NETWORKS = {

@@ -1,16 +1,27 @@
 """Which runs are averaged, under which name, and how they are collected."""
 
+import itertools
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from deepkoco.cli.command_line import main as command_line
 from deepkoco.envs.task_factory import TaskConfig
 from deepkoco.planning import PlannerConfig
-from experiments.aggregate import aggregate, bootstrap_interval, conditions, interquartile_mean, read_runs
-from experiments.aggregate import main as main_of_aggregate
+from deepkoco.runs.aggregate import (
+    FEWEST_SEEDS,
+    aggregate,
+    bootstrap_interval,
+    conditions,
+    interquartile_mean,
+    kind_of_interval,
+    read_runs,
+    summarise,
+)
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.train import load_run_config
 from experiments.collect_runs import collect, main
-from experiments.settings import ExperimentError
-from experiments.train import load_run_config
 
 
 def labels(*runs):
@@ -133,7 +144,7 @@ def test_the_table_has_one_row_per_condition_and_its_number_of_seeds(make_run, t
     for seed, cost in enumerate((150.0, 160.0, 170.0)):
         make_run(runs / f"seed_{seed}", seed=seed, cost=cost)
     make_run(runs / "copies", distractors="copies", cost=200.0)
-    assert main_of_aggregate([str(runs)]) == 0
+    assert command_line(["aggregate", str(runs)]) == 0
     assert "162.7" in capsys.readouterr().out
     table = pd.read_csv(tmp_path / "runs_summary" / "table.csv").set_index("condition")
     assert table["n"].to_dict() == {"pendulum, distractors copies": 1, "pendulum, distractors none": 3}
@@ -142,5 +153,37 @@ def test_the_table_has_one_row_per_condition_and_its_number_of_seeds(make_run, t
     spread = pytest.approx([162.727, 162.727, 152.727, 172.727])
     assert row[["iqm", "median", "best", "worst"]].tolist() == spread
     assert row["best"] <= row["low"] < row["iqm"] < row["high"] <= row["worst"]
-    assert main_of_aggregate([str(runs)]) == 2
+    assert command_line(["aggregate", str(runs)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seeds", range(2, FEWEST_SEEDS + 3))
+def test_fewer_seeds_than_an_interval_takes_give_the_range_and_say_so(seeds):
+    costs = np.random.default_rng(seeds).uniform(100.0, 200.0, seeds)
+    limits = bootstrap_interval(costs)
+    whole = (costs.min(), costs.max())
+    if seeds < FEWEST_SEEDS:
+        assert (limits, kind_of_interval(seeds)) == (whole, "range")
+    else:
+        assert kind_of_interval(seeds) == "95 %"
+        assert whole[0] < limits[0] < limits[1] < whole[1]
+
+
+@pytest.mark.parametrize("seeds", range(2, FEWEST_SEEDS))
+def test_a_bootstrap_of_few_seeds_has_nothing_but_the_range_to_give(seeds):
+    """The chance that the interquartile mean of a resample is the lowest cost, counted over all resamples."""
+    costs = np.arange(seeds, dtype=float)
+    resamples = np.array(list(itertools.product(costs, repeat=seeds)))
+    assert (interquartile_mean(resamples, axis=1) == costs[0]).mean() > 0.025
+    more = np.array(list(itertools.product(np.arange(FEWEST_SEEDS, dtype=float), repeat=FEWEST_SEEDS)))
+    assert (interquartile_mean(more, axis=1) == 0.0).mean() < 0.025
+
+
+def test_the_table_and_its_text_name_the_kind_of_interval(make_run, tmp_path):
+    for seed in range(2):
+        make_run(tmp_path / "runs" / f"seed_{seed}", seed=seed, cost=100.0 + seed)
+    told = summarise(tmp_path / "runs", None)
+    assert "an interval takes 5 seeds or more" in told
+    assert "95 % bootstrap" not in told
+    table = pd.read_csv(tmp_path / "runs_summary" / "table.csv")
+    assert table["interval"].tolist() == ["range"]

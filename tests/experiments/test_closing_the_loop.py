@@ -7,13 +7,13 @@ import pytest
 
 from deepkoco.envs.task_factory import TaskConfig, make_task_factory
 from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.runs.settings import ExperimentError
 from deepkoco.systems import ExtendedSystem, load_model, make_system, save_model
 from deepkoco.unit import load_unit
 from experiments.closing_the_loop.__main__ import collected, main
 from experiments.closing_the_loop.hidden import EFFECTS, NOTHING, SYSTEM, Case, cases
 from experiments.closing_the_loop.steps import evaluate, refusal, run_folder, training_command, write_once
 from experiments.closing_the_loop.summary import READING, as_table, summarise, write_results
-from experiments.settings import ExperimentError
 
 
 def episodes(costs: dict[tuple[str, int], list[float]], case: str = "gain_strong") -> pd.DataFrame:

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from experiments.aggregate import bootstrap_interval
+from deepkoco.runs.aggregate import bootstrap_interval
+from deepkoco.runs.settings import ExperimentError
 from experiments.comparison.curves import band, learning_curves
 from experiments.comparison.efficiency import (
     censored_median,
@@ -17,7 +18,6 @@ from experiments.comparison.efficiency import (
 )
 from experiments.comparison.references import COLUMNS, References
 from experiments.comparison.runs import COST
-from experiments.settings import ExperimentError
 
 
 def evaluated(

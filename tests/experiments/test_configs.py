@@ -7,10 +7,10 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
-from experiments.agents import register
-from experiments.commands import CONFIGS
-from experiments.environments import make_factory
-from experiments.settings import TrainRunConfig
+from deepkoco.runs.agents import register
+from deepkoco.runs.environments import make_factory
+from deepkoco.runs.hydra_command import CONFIGS
+from deepkoco.runs.settings import TrainRunConfig
 
 OWN = sorted({path.stem for path in (CONFIGS / "task").glob("*.yaml")} - {"gymnasium"})
 

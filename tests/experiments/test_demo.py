@@ -1,21 +1,27 @@
 """The demo's steps that take no minutes: its arguments, its processes and its page."""
 
 import io
+import re
 import sys
 import time
+from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from deepkoco.diagnose import Diagnosis
+from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.diagnosis import Estimate, Finding
+from deepkoco.diagnose.report.folder import write_report
 from deepkoco.envs.film import write_clip
+from deepkoco.pages.links import relative
+from deepkoco.runs.unit_trials import Trial, summarise
 from deepkoco.systems import JointSystem, make_system
-from experiments.demo.__main__ import main
-from experiments.demo.page import Outcome, terminal_table, write_page
+from experiments.demo.__main__ import main, show_graph
+from experiments.demo.page import Outcome, pages_of, terminal_table, write_page
 from experiments.demo.training import DemoError, run_side_by_side
-from experiments.unit_trials import Trial, summarise
+from experiments.hidden.recorded import unit_log
 
 
 @pytest.mark.parametrize("option", [["--unit-episodes", "0"], ["--episodes", "-3"], ["--seed", "-1"]])
@@ -95,6 +101,9 @@ def test_the_page_shows_what_was_found_and_what_it_was_worth(make_run, tmp_path)
     assert page == tmp_path / "index.html"
     assert not list(tmp_path.glob("*.partial"))
     text = page.read_text(encoding="utf-8")
+    assert "http" not in text
+    assert "prefers-color-scheme: dark" in text
+    assert "among" not in text
     # Means of c + e (1 + c / 100) over e = 0 .. 4: 250 + 2 * 3.5 and 150 + 2 * 2.5; 102 is saved.
     for expected in ("The simulation lacks: torque bias", "0.5 N m", "257 [", "155 [", "saves 102 ["):
         assert expected in text
@@ -105,6 +114,39 @@ def test_the_page_shows_what_was_found_and_what_it_was_worth(make_run, tmp_path)
     Console(file=screen, width=200).print(terminal_table(outcome))
     assert "257 [" in screen.getvalue()
     assert "0.5 [0.45, 0.55] N m" in screen.getvalue()
+
+
+@pytest.fixture
+def diagnosed():
+    """A real diagnosis of a short log, with all its pictures."""
+    log = unit_log("rod_pendulum", {"torque_bias": {"effort": 0.3}}, "steps", 5, 15.0)
+    return diagnose([log], "rod_pendulum", only=["torque_bias", "coulomb"])
+
+
+def test_the_pages_of_a_demo_lead_to_each_other_and_every_picture_to_its_numbers(
+    diagnosed, make_run, tmp_path
+):
+    outcome = replace(make_outcome(tmp_path, make_run, 3), diagnosis=diagnosed, distractors="copies")
+    pages = pages_of(tmp_path)
+    write_report(diagnosed, tmp_path / "diagnosis")
+    show_graph(tmp_path / "diagnosis" / "model.yaml", pages["Graph"])
+    text = write_page(outcome, date(2026, 3, 4)).read_text(encoding="utf-8")
+    for name, page in pages.items():
+        if name == "Model":  # was not written
+            continue
+        content = page.read_text(encoding="utf-8")
+        links = re.findall(r'<a (?:download="[^"]*" )?href="([^"#]+)"', content)
+        files = [link for link in links if not link.startswith("data:")]
+        assert all((page.parent / link).exists() for link in files)
+        others = {relative(other, page) for key, other in pages.items() if key not in (name, "Model")}
+        assert others <= set(files)
+    # Four pictures of the diagnosis and the demo's own two, each for wide windows and for phones.
+    assert text.count('viewBox="0 0 648 ') == text.count('viewBox="0 0 295.2 ') == 6
+    assert text.count("Numbers: <a href=") == 6
+    assert "Do not compare the two panels" in text
+    assert "among copies of itself" in text
+    assert "Made on 2026-03-04" in text
+    assert '<a href="diagnosis/model.yaml">' in text
 
 
 def test_one_episode_gives_a_page_without_intervals(make_run, tmp_path):

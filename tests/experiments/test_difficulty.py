@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from deepkoco.runs.settings import ExperimentError, TaskConfig
+from deepkoco.runs.train import load_run_config
 from experiments import difficulty
 from experiments.difficulty_figure import SAME, curves
-from experiments.settings import ExperimentError, TaskConfig
-from experiments.train import load_run_config
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ import pytest
 import yaml
 
 from deepkoco.agent.collection import SpaceError
-from experiments.aggregate import aggregate, learning_curves, mean_with_band, read_runs
-from experiments.environments import make_factory
+from deepkoco.runs.aggregate import aggregate, learning_curves, mean_with_band, read_runs
+from deepkoco.runs.environments import make_factory
+from deepkoco.runs.settings import ExperimentError, TaskConfig
 from experiments.planner_benchmark import CEM, FRESH, benchmark, random_model, wandering_observations
-from experiments.settings import ExperimentError, TaskConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -97,7 +97,7 @@ def test_aggregation_averages_seeds_and_draws(run, tmp_path):
 
     aggregate(run.parent, tmp_path / "out")
     written = {p.name for p in (tmp_path / "out").iterdir()}
-    assert written == {"curves.csv", "final.csv", "table.csv", "learning_curve.png"}
+    assert written == {"curves.csv", "final.csv", "table.csv", "learning_curve.png", "index.html"}
     assert pd.read_csv(tmp_path / "out" / "final.csv")["seed"].tolist() == [3]
     with pytest.raises(ExperimentError, match="exists already"):
         aggregate(run.parent, tmp_path / "out")

@@ -5,10 +5,10 @@ import pytest
 from omegaconf import OmegaConf
 
 from deepkoco.envs.task_factory import TaskConfig
+from deepkoco.runs.settings import ExperimentError
 from experiments.comparison.references import COLUMNS
 from experiments.comparison.runs import evaluations, find_runs, variants
 from experiments.figures import main
-from experiments.settings import ExperimentError
 
 
 def write(folder, make_run, costs=(300.0, 160.0), every=100, agent="deepkoco", **settings):

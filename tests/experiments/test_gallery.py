@@ -32,7 +32,7 @@ def test_an_exhibit_keeps_what_the_page_does_not_hold(exhibit, tmp_path):
     page = (folder / "report.html").read_text()
     assert len(page) < 1_500_000
     # Every file that the page links to is beside it.
-    assert set(re.findall(r'href="([^"]+)"', page)) <= names
+    assert set(re.findall(r'<a href="([^"]+)"', page)) <= names
     assert "torque bias" in (folder / "terminal.txt").read_text()
     row = index(tmp_path).splitlines()[-1]
     assert row.startswith("| [hidden_delay](hidden_delay/report.html)")

@@ -5,9 +5,9 @@ import pandas as pd
 
 from deepkoco.agent.collection import collect_episodes, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.runs.environments import make_factory
 from experiments import optimum
 from experiments.comparison.references import REFERENCES, load_references
-from experiments.environments import make_factory
 from experiments.optimum import load_task
 from experiments.reference_costs import main
 

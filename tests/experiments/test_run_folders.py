@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 import yaml
 
+from deepkoco.runs.evaluate import evaluate
+from deepkoco.runs.hydra_command import run_command
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TaskConfig, TrainRunConfig
+from deepkoco.runs.train import load_run_config, prepare_folder, train
 from experiments import planner_benchmark
-from experiments.commands import run_command
-from experiments.evaluate import evaluate
-from experiments.settings import EvaluateConfig, ExperimentError, TaskConfig, TrainRunConfig
-from experiments.train import load_run_config, prepare_folder, train
 
 
 @pytest.fixture

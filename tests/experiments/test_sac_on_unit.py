@@ -3,9 +3,9 @@
 import pandas as pd
 import pytest
 
+from deepkoco.runs.settings import ExperimentError
 from experiments import delay_training, domain_randomization
 from experiments.sac_on_unit import main, run_study
-from experiments.settings import ExperimentError
 
 STUDY = delay_training.STUDY
 

@@ -5,10 +5,10 @@ import sys
 
 import pytest
 
-from experiments import sweep
-from experiments.run_lock import locked
-from experiments.settings import ExperimentError
-from experiments.sweep import Failure, SweepFailed, check_launcher, conclude
+from deepkoco.runs import sweep
+from deepkoco.runs.run_lock import locked
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.sweep import Failure, SweepFailed, check_launcher, conclude
 
 JOBS = [["seed=0", "task=a"], ["seed=1", "task=a"], ["seed=2", "task=a"]]
 

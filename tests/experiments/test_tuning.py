@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
+from deepkoco.runs.agents import AGENTS
+from deepkoco.runs.hydra_command import CONFIGS
+from deepkoco.runs.settings import ExperimentError
 from experiments import tuning
-from experiments.agents import AGENTS
-from experiments.commands import CONFIGS
 from experiments.search_space import Dimension, SearchSpace, as_overrides, load_search_space
-from experiments.settings import ExperimentError
 from experiments.training_benchmark import read_settings
 from experiments.tuning_report import chosen_yaml, trial_table
 

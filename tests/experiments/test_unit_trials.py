@@ -9,19 +9,19 @@ import pandas as pd
 import pytest
 
 from deepkoco.agent.policy import load_policy
+from deepkoco.cli.command_line import main
 from deepkoco.envs.unit_env import UnitEnv
-from deepkoco.unit import make_unit
-from experiments.settings import ExperimentError, TaskConfig
-from experiments.unit_trials import (
+from deepkoco.runs.settings import ExperimentError, TaskConfig
+from deepkoco.runs.unit_trials import (
     Trial,
     as_json,
     check_run,
     interval,
-    main,
     policy_names,
     run_trials,
     summarise,
 )
+from deepkoco.unit import make_unit
 
 UNIT = Path(__file__).resolve().parents[2] / "configs" / "units" / "rod_pendulum_healthy.yaml"
 
@@ -118,6 +118,14 @@ def test_the_interval_of_one_value_is_not_known():
     assert row["saved_against_first"] == {"mean": 0.0, "low": None, "high": None}
 
 
+def test_few_episodes_give_the_range_and_the_command_says_so(runs, capsys):
+    values = np.array([3.0, 5.0, 4.0])
+    assert interval(values) == (4.0, 3.0, 5.0)
+    options = ["--unit", str(UNIT), "--clock", "simulated", "--episodes", "2"]
+    assert main(["trial", str(runs[0]), *options]) == 0
+    assert "[ ]: lowest and highest cost" in capsys.readouterr().out
+
+
 def test_interval_of_a_mean_is_near_that_of_the_normal_law():
     values = np.random.default_rng(0).normal(10.0, 2.0, 400)
     mean, low, high = interval(values)
@@ -128,22 +136,22 @@ def test_interval_of_a_mean_is_near_that_of_the_normal_law():
 def test_the_command_writes_trials_and_films(runs, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--unit", str(UNIT), "--episodes", "1", "--clock", "simulated"]
-    assert main([str(runs[0]), str(runs[1]), *options, "--out", str(out), "--json"]) == 0
+    assert main(["trial", str(runs[0]), str(runs[1]), *options, "--out", str(out), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     table = pd.read_csv(out / "trials.csv")
     assert table["policy"].tolist() == list(printed) == ["none/seed_0", "copies/seed_0"]
     assert (out / "none" / "seed_0.webm").stat().st_size > 0
     assert (out / "copies" / "seed_0.webm").stat().st_size > 0
-    assert main([str(runs[0]), *options, "--out", str(out)]) == 2
+    assert main(["trial", str(runs[0]), *options, "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_line(runs, make_run, tmp_path, capsys):
     options = ["--unit", str(UNIT), "--clock", "simulated"]
-    assert main([str(runs[0]), *options, "--episodes", "0"]) == 2
-    assert main([str(tmp_path / "nothing"), *options]) == 2
-    assert main([str(make_run(tmp_path / "r", entries=4)), *options]) == 2
-    assert main([str(runs[0]), str(runs[0]), *options]) == 2
+    assert main(["trial", str(runs[0]), *options, "--episodes", "0"]) == 2
+    assert main(["trial", str(tmp_path / "nothing"), *options]) == 2
+    assert main(["trial", str(make_run(tmp_path / "r", entries=4)), *options]) == 2
+    assert main(["trial", str(runs[0]), str(runs[0]), *options]) == 2
     errors = capsys.readouterr().err.splitlines()
     assert len(errors) == 4
-    assert all(line.startswith("error: ") for line in errors)
+    assert all(line.startswith("deepkoco trial: ") for line in errors)

@@ -1,12 +1,13 @@
 """hidden_delays on motion simulated by an independent integrator."""
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from deepkoco.fit import FitError, Identification, fit, hidden_delays
+from deepkoco.fit import FitError, HiddenDelays, Identification, fit, hidden_delays
 from deepkoco.graph.delay import Gaussian, Mixture
 from deepkoco.logs.recording import Recording, Series
 
@@ -60,8 +61,53 @@ def drawn(kind: str) -> np.ndarray:
 
 @lru_cache
 def found(kind: str) -> Identification:
-    asked = ["actuation_delay.delay"]
-    return fit([rod_log(drawn(kind))], "rod_pendulum", asked, start={"viscous": 0.3})
+    return fitted(rod_log(drawn(kind)))
+
+
+def fitted(log: Recording) -> Identification:
+    return fit([log], "rod_pendulum", ["actuation_delay.delay"], start={"viscous": 0.3})
+
+
+def rounded_otherwise(log: Recording) -> Recording:
+    """The same log, every measurement off by some last bits, as another processor may have it."""
+    rng = np.random.default_rng(3)
+    channels = {
+        name: replace(series, value=series.value * (1.0 + 1e-12 * rng.standard_normal(len(series.value))))
+        for name, series in log.channels.items()
+    }
+    return replace(log, channels=channels)
+
+
+def other_order(result: Identification) -> Identification:
+    """The same fit, its windows from last to first."""
+    order = np.arange(len(result.request.windows))[::-1].copy()
+    request = replace(result.request, windows=result.request.windows.take(order))
+    return replace(result, request=request, fit=replace(result.fit, state=result.fit.state[order]))
+
+
+def other_start(result: Identification, later: float) -> Identification:
+    """The same fit, its delay off by so much [s]."""
+    delay = {"actuation_delay.delay": result.fit.values["actuation_delay.delay"] + later}
+    return replace(result, fit=replace(result.fit, values=result.fit.values | delay))
+
+
+@lru_cache
+def mixture() -> HiddenDelays:
+    return hidden_delays(found("mixture"), components=2)
+
+
+def standard_errors(law: HiddenDelays) -> np.ndarray:
+    """(2, C) of the means and of the spreads [s], were every delay measured: the true ones are larger."""
+    size = law.weights * len(law.sent)
+    return np.stack([law.spreads / np.sqrt(size), law.spreads / np.sqrt(2.0 * size)])
+
+
+def assert_the_same(law: HiddenDelays, other: HiddenDelays, share: float) -> None:
+    """Agreement of two laws within a share of their standard errors."""
+    mean_sd, spread_sd = share * standard_errors(law)
+    assert (np.abs(other.means - law.means) < mean_sd).all()
+    assert (np.abs(other.spreads - law.spreads) < spread_sd).all()
+    assert other.weights == pytest.approx(law.weights, abs=share * 0.025)
 
 
 def test_hidden_delays_recover_mean_spread_and_each_message():
@@ -84,7 +130,7 @@ def test_hidden_delays_report_no_evidence_for_a_constant_delay():
 
 
 def test_hidden_delays_recover_a_mixture():
-    result = hidden_delays(found("mixture"), components=2)
+    result = mixture()
     true = drawn("mixture")[np.round(result.sent / PERIOD).astype(int)]
     short = true < 0.02
     assert result.means == pytest.approx([true[short].mean(), true[~short].mean()], abs=0.0005)
@@ -92,6 +138,28 @@ def test_hidden_delays_recover_a_mixture():
     # The spreads are 1 ms each, less than the posterior sd of a single delay.
     assert result.spreads == pytest.approx([true[short].std(), true[~short].std()], rel=0.35)
     assert isinstance(result.law, Mixture)
+
+
+def test_a_mixture_does_not_hang_on_the_last_bits_of_a_log():
+    other = hidden_delays(fitted(rounded_otherwise(rod_log(drawn("mixture")))), components=2)
+    assert_the_same(mixture(), other, 0.02)
+
+
+def test_a_mixture_does_not_hang_on_draws_order_and_start():
+    # Other draws fall to each message: what differs is the error of the Monte Carlo average.
+    other = other_order(other_start(found("mixture"), 0.004))
+    assert_the_same(mixture(), hidden_delays(other, components=2, seed=1), 0.2)
+
+
+@pytest.mark.parametrize("kind", ["constant", "gaussian"])
+def test_a_normal_law_does_not_hang_on_rounding_or_order(kind):
+    first = hidden_delays(found(kind))
+    for other in (fitted(rounded_otherwise(rod_log(drawn(kind)))), other_order(found(kind))):
+        again = hidden_delays(other)
+        assert again.mean == pytest.approx(first.mean, abs=1e-8)
+        assert again.spread == pytest.approx(first.spread, abs=1e-8)
+        assert again.spread_interval == pytest.approx(first.spread_interval, abs=1e-8)
+        assert again.evidence == pytest.approx(first.evidence, rel=1e-5, abs=1e-3)
 
 
 def test_hidden_delays_refuse_too_few_changes():

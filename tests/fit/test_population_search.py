@@ -167,5 +167,5 @@ def test_cma_es_names_the_extra_of_a_missing_library(monkeypatch):
         "deepkoco.fit.solve.cma.import_module",
         lambda name: (_ for _ in ()).throw(builtins.ImportError(name)) if name == "cma" else real(name),
     )
-    with pytest.raises(MissingExtraError, match=r"deepkoco\[cma\]"):
+    with pytest.raises(MissingExtraError, match=r'pip install "cma'):
         cma_es(batched(np.sum), np.zeros(1), np.ones(1), np.zeros(1), np.ones(1), np.random.default_rng(0))

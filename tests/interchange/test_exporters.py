@@ -136,6 +136,22 @@ def test_what_cannot_be_exported_is_named(folder, tmp_path, capsys):
     assert "no such folder" in capsys.readouterr().err
 
 
+def test_a_run_is_exported_and_one_without_a_model_says_what_to_do(folder, tmp_path, capsys):
+    target = ["--to", "arrays", "--out", str(tmp_path / "m.npz")]
+    assert main(["export-model", str(folder.parent), *target]) == 0
+    unfinished = tmp_path / "unfinished"
+    unfinished.mkdir()
+    assert main(["export-model", str(unfinished), *target]) == 2
+    told = capsys.readouterr().err
+    assert "give the folder of a finished training run, or of an exported model" in told
+    (unfinished / "config.yaml").touch()
+    (unfinished / "metrics.csv").touch()
+    assert main(["export-model", str(unfinished), *target]) == 2
+    assert f"is not finished, it has no model yet; continue it with deepkoco train resume={unfinished}" in (
+        capsys.readouterr().err
+    )
+
+
 def test_an_array_file_holds_no_pickle(folder, tmp_path):
     export(load(folder), "arrays", tmp_path / "m.npz")
     with zipfile.ZipFile(tmp_path / "m.npz") as archive:

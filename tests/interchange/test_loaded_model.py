@@ -217,7 +217,7 @@ def test_names_of_the_hub_are_told_from_folders(tmp_path, folder, monkeypatch):
 
 def test_without_the_extra_the_hub_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    with pytest.raises(HubError, match=r"pip install 'deepkoco\[hub\]'"):
+    with pytest.raises(HubError, match='pip install "huggingface_hub'):
         deepkoco.load("org/name")
 
 

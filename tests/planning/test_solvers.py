@@ -59,5 +59,5 @@ def test_unknown_and_unfit_solvers_are_named():
 def test_a_missing_optional_solver_names_its_extra(monkeypatch):
     monkeypatch.setattr(registry, "find_spec", lambda name: None if name == "piqp" else object())
     monkeypatch.setattr(registry.qpsolvers, "available_solvers", ["daqp", "osqp"])
-    with pytest.raises(UnknownSolverError, match=r"deepkoco\[solvers\]"):
+    with pytest.raises(UnknownSolverError, match=r'pip install "piqp.*" "clarabel'):
         check_solver("piqp", "condensed")

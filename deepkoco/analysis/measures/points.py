@@ -69,6 +69,8 @@ def paint(
     """
     axes.grid(visible=False)
     if points.shape is None:
-        return axes.scatter(points.x, points.y, c=values, s=4, cmap=colours, norm=norm, linewidths=0)
+        return axes.scatter(
+            points.x, points.y, c=values, s=4, cmap=colours, norm=norm, linewidths=0, rasterized=True
+        )
     x, y, z = (array.reshape(points.shape) for array in (points.x, points.y, values))
-    return axes.pcolormesh(x, y, z, cmap=colours, norm=norm, shading="nearest")
+    return axes.pcolormesh(x, y, z, cmap=colours, norm=norm, shading="nearest", rasterized=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import gymnasium
 import numpy as np
 from gymnasium.vector import VectorEnv
 
@@ -143,8 +142,10 @@ def _typed(envs: VectorEnv, action: Array) -> np.ndarray:
 def _picture(envs: VectorEnv) -> np.ndarray:
     try:
         frames = envs.render()
-    except gymnasium.error.Error as error:  # an environment finds out only now that it lacks a package
-        raise ReplayError(f"the environment cannot be drawn: {error}") from error
+    # An environment finds out only now that it lacks a package, or that it has no `render` at all.
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}" if str(error) else "it has no render()"
+        raise ReplayError(f"the environment cannot be drawn: {reason}") from error
     if frames is None or frames[0] is None:
         raise ReplayError("the environment cannot be drawn: it gives no pictures")
     return np.asarray(frames[0])

@@ -42,7 +42,7 @@ from deepkoco.analysis.measures.wrapped_model import WrappedModel
 from deepkoco.analysis.page.film_run import film_run
 from deepkoco.analysis.page.page import Page
 from deepkoco.analysis.page.plan_film import PlanFilm
-from deepkoco.analysis.page.words import facts, lead, tiles
+from deepkoco.analysis.page.words import facts, lead, next_steps, pages_around, tiles
 from deepkoco.analysis.run_folder import TrainedRun
 from deepkoco.koopman.exported import ExportedModel
 from deepkoco.koopman.latent_model import LatentModel
@@ -106,7 +106,7 @@ class _Analysis:
         self.pictures |= {picture.name: picture for picture in pictures if picture is not None}
 
     def seed(self, purpose: int) -> int:
-        # Far from the indices of training's own evaluation and of `experiments.evaluate`.
+        # Far from the indices of training's own evaluation and of `deepkoco evaluate`.
         index = 2**20 + 16 * self.options.seed + purpose
         return derive_seed(self.run.settings.seed, Purpose.FINAL_EVALUATION, index)
 
@@ -196,6 +196,8 @@ def _analyse(work: _Analysis, reference: Mapping[str, EpisodeCost]) -> Page:
         facts=facts(run, options.episodes, work.seed(0)),
         settings=yaml.safe_dump(run.details, sort_keys=False),
         notes=work.notes,
+        steps=next_steps(run),
+        pages=pages_around(run),
     )
 
 

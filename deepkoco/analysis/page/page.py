@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import base64
 import io
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
+from datetime import date
 from pathlib import Path
+from urllib.parse import quote
 
-import jinja2
+import numpy as np
 import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from deepkoco.analysis.page.plan_film import PlanFilm
 from deepkoco.envs.film import write_clip
+from deepkoco.output.new_folder import check_writable, new_folder
 from deepkoco.output.picture import Picture, house_style
+from deepkoco.output.whole_file import whole_file
+from deepkoco.pages.figures import show_both
+from deepkoco.pages.links import links_between
+from deepkoco.pages.page import render_page, software
 
 
 class PageExistsError(FileExistsError):
@@ -37,6 +41,8 @@ class Page:
         notes: What is left out and why.
         facts: Name to value of the last section.
         settings: All settings as text.
+        steps: What to do next: text and command.
+        pages: Name to file of other pages that may be there, for the navigation.
     """
 
     title: str
@@ -47,6 +53,8 @@ class Page:
     facts: Mapping[str, str]
     settings: str
     notes: Sequence[str] = field(default_factory=tuple)
+    steps: Sequence[Mapping[str, str]] = field(default_factory=tuple)
+    pages: Mapping[str, Path] = field(default_factory=dict)
 
 
 def data_folder(page: Path) -> Path:
@@ -59,6 +67,7 @@ def check_free(page: Path) -> None:
 
     Raises:
         PageExistsError: The page or its folder exists, or something on the path is a file.
+        WriteError: The disk is full, or the place cannot be written.
     """
     for target in (page, data_folder(page)):
         if target.exists():
@@ -66,63 +75,63 @@ def check_free(page: Path) -> None:
     blocked = next((parent for parent in page.parents if parent.exists() and not parent.is_dir()), None)
     if blocked is not None:
         raise PageExistsError(f"{page}: {blocked} is no folder; choose another place with --out")
+    check_writable(page)
 
 
-def write_page(page: Page, path: Path) -> None:
+def write_page(page: Page, path: Path, made: date | None = None) -> None:
     """Write PAGE.html, self-contained, and PAGE_data/ with every picture, its table and the clip.
 
     Args:
         page: The content.
         path: File that does not exist yet.
+        made: Day that the page says; None takes today's, or that of SOURCE_DATE_EPOCH.
 
     Raises:
         PageExistsError: It exists.
+        WriteError: The disk is full, or the place cannot be written.
         FilmError: The clip could not be written.
     """
     check_free(path)
     folder = data_folder(path)
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    partial.mkdir(parents=True)
-    written = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    beside = quote(folder.name)
+    with whole_file(path) as written, new_folder(folder) as partial:
         pictures = []
         for picture in page.pictures:
-            png = as_png(picture.figure)
-            (partial / f"{picture.name}.png").write_bytes(png)
+            (partial / f"{picture.name}.png").write_bytes(as_png(picture.figure))
             _write_table(picture.table, partial / f"{picture.name}.csv")
-            pictures.append({**picture._asdict(), "png": base64.b64encode(png).decode()})
+            pictures.append(
+                {"name": picture.name, "shown": show_both(picture, f"{beside}/{picture.name}.csv")}
+            )
         film = None
         if page.film is not None:
             clip, caption = page.film
-            write_clip(partial / "plan.webm", clip.frames, clip.rate)
             _write_table(clip.table, partial / "plan.csv")
-            film = {
-                "clip": base64.b64encode((partial / "plan.webm").read_bytes()).decode(),
-                "caption": caption,
-            }
-        source = files("deepkoco.analysis.page").joinpath("page.html").read_text(encoding="utf-8")
-        html = (
-            jinja2.Environment(autoescape=True)
-            .from_string(source)
-            .render(
-                title=page.title,
-                lead=page.lead,
-                tiles=[{"value": value, "text": text} for value, text in page.tiles],
-                pictures=pictures,
-                film=film,
-                notes=page.notes,
-                facts=page.facts,
-                settings=page.settings,
-                folder=folder.name,
-            )
+            wide = _clip(partial / "plan.webm", clip.frames, clip.rate)
+            tall = _clip(partial / "plan_phone.webm", clip.tall, clip.rate)
+            film = {"clip": wide, "tall": tall, "caption": caption}
+        html = render_page(
+            "deepkoco.analysis.page",
+            "page.html",
+            title=page.title,
+            versions=software("torch", "numpy", "gymnasium"),
+            made=made,
+            links=links_between(path, {**page.pages, "Model": path}),
+            lead=page.lead,
+            tiles=[{"value": value, "text": text} for value, text in page.tiles],
+            pictures=pictures,
+            film=film,
+            notes=page.notes,
+            steps=page.steps,
+            facts=page.facts,
+            settings=page.settings,
+            folder=beside,
         )
         written.write_text(html, encoding="utf-8")
-        os.rename(partial, folder)
-        os.rename(written, path)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        written.unlink(missing_ok=True)
-        raise
+
+
+def _clip(path: Path, frames: Sequence[np.ndarray], rate: float) -> str:
+    write_clip(path, frames, rate)
+    return base64.b64encode(path.read_bytes()).decode()
 
 
 def as_png(figure: Figure) -> bytes:

@@ -28,12 +28,14 @@ class PlanFilm:
     """A film and the numbers in it.
 
     Attributes:
-        frames: uint8 pictures of one size.
+        frames: uint8 pictures of one size, the scene and the curves beside each other.
+        tall: The same for a phone, the curves below the scene.
         rate: Frames per second, so that the film runs in real time.
         table: One row per planned step that is drawn.
     """
 
     frames: list[np.ndarray]
+    tall: list[np.ndarray]
     rate: float
     table: pd.DataFrame
 
@@ -62,7 +64,7 @@ def make_film(episode: FilmedEpisode, futures: dict[int, Future], time_step: flo
     top = 1.1 * max(float(episode.costs.max()), float(np.quantile(np.concatenate(predicted), 0.98)), 1e-9)
     seconds = len(episode.costs) * time_step
     place, canvas = _chart(seconds, top)
-    frames, rows = [], []
+    frames, tall, rows = [], [], []
     for k in steps:
         future = futures[k]
         frame = draw_shadows(np.array(episode.frames[k]), episode.scenes[k], future.scenes, background)
@@ -73,6 +75,7 @@ def make_film(episode: FilmedEpisode, futures: dict[int, Future], time_step: flo
         _line(chart, place, ahead, episode.plans[k].costs, COLOURS["DeepKoCo"], 2)
         _line(chart, place, ahead[1 : len(future.costs) + 1], future.costs, COLOURS["reference"], 2)
         frames.append(_beside(frame, chart))
+        tall.append(_above(frame, chart))
         rows += [
             {
                 "planned_at_step": k,
@@ -86,7 +89,7 @@ def make_film(episode: FilmedEpisode, futures: dict[int, Future], time_step: flo
             for h in range(1, len(episode.plans[k].costs))
         ]
     stride = steps[1] - steps[0] if len(steps) > 1 else 1
-    return PlanFilm(frames, 1.0 / (stride * time_step), pd.DataFrame(rows))
+    return PlanFilm(frames, tall, 1.0 / (stride * time_step), pd.DataFrame(rows))
 
 
 def still_background(scenes: Sequence[np.ndarray], count: int = 15) -> np.ndarray:
@@ -192,5 +195,16 @@ def _beside(frame: np.ndarray, chart: np.ndarray) -> np.ndarray:
         canvas = np.full((height, picture.shape[1], 3), 255, np.uint8)
         canvas[: picture.shape[0]] = picture
         parts.append(canvas)
-    whole = np.concatenate(parts, axis=1)
-    return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2, : whole.shape[1] // 2 * 2])
+    return _even(np.concatenate(parts, axis=1))
+
+
+def _above(frame: np.ndarray, chart: np.ndarray) -> np.ndarray:
+    """Frame above the chart, as wide as it."""
+    width = chart.shape[1]
+    height = round(frame.shape[0] * width / frame.shape[1])
+    scaled = cv2.resize(frame, (width, height), interpolation=cv2.INTER_LINEAR)
+    return _even(np.concatenate([scaled, chart, np.full((CONTROLS, width, 3), 255, np.uint8)]))
+
+
+def _even(picture: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2])

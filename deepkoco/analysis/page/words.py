@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -85,6 +86,26 @@ def facts(run: TrainedRun, episodes: int, seed: int) -> dict[str, str]:
             f"gymnasium {gymnasium.__version__}, Python {platform.python_version()}"
         ),
     }
+
+
+def next_steps(run: TrainedRun) -> list[dict[str, str]]:
+    """Commands that go on from here."""
+    path = run.path.as_posix()
+    steps = []
+    if run.is_run:
+        evaluate = f"deepkoco evaluate run={path} episodes=200"
+        steps.append({"text": "Measure the controller on more episodes.", "command": evaluate})
+    use = f'import deepkoco\n\npolicy = deepkoco.load("{path}")\naction = policy.act(observation)'
+    steps.append({"text": "Use the controller in a program; this needs no torch.", "command": use})
+    export = f"deepkoco export-model {path} --to onnx --out model.onnx"
+    steps.append({"text": "Take the model to another program.", "command": export})
+    return steps
+
+
+def pages_around(run: TrainedRun) -> dict[str, Path]:
+    """Pages that a run came from: the diagnosis behind the simulation that it was trained in."""
+    model = run.settings.task.kwargs.get("model")
+    return {"Diagnosis": Path(str(model)).parent / "report.html"} if model else {}
 
 
 def rounded(value: float) -> str:

@@ -15,6 +15,7 @@ from deepkoco.diagnose.causes.actuator import (
 )
 from deepkoco.diagnose.causes.body import LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
+from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
@@ -90,4 +91,4 @@ def catalogue(system: System) -> dict[str, Cause]:
     return result
 
 
-__all__ = ["CAUSES", "Cause", "Hint", "Motion", "catalogue", "kind_of"]
+__all__ = ["CAUSES", "Cause", "Hint", "Motion", "UnknownCauseError", "catalogue", "causes_named", "kind_of"]

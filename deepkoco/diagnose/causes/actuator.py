@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
-from deepkoco.diagnose.causes.units import LARGE_MISFIT, UNIT_CONSTANTS
+from deepkoco.diagnose.causes.units import UNIT_CONSTANTS, slip_starts
 
 
 def _largest(hint: Hint) -> float:
@@ -76,11 +76,6 @@ def _backlash_starts(hint: Hint) -> list[dict[str, float]]:
     return [{"width": share * _largest(hint)} for share in np.geomspace(0.01, 0.3, 12)]
 
 
-def _slip_starts(hint: Hint) -> list[dict[str, float]]:
-    # A slip of units leaves far more than any sensor noise; without that there is nothing to try.
-    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LARGE_MISFIT else []
-
-
 BACKLASH = Cause(
     "backlash",
     "actuator",
@@ -126,6 +121,6 @@ UNIT_SLIP = Cause(
     "Read the unit of the command in the driver's documentation and correct the sidecar.",
     "command",
     lambda motion: motion.command,
-    _slip_starts,
+    slip_starts,
     choices=len(UNIT_CONSTANTS),
 )

@@ -37,6 +37,7 @@ class Hint(NamedTuple):
     seconds: float  # length of the logs [s]
     chi2: float  # what the refitted baseline leaves, per sample
     missing: MissingTorque | None  # outside load that would make it follow the measurements, at this joint
+    strained: bool = False  # whether the refitted baseline has left its prior by far
 
 
 Axis = Literal["omega", "theta", "command", "time", "command_rate"]
@@ -115,8 +116,7 @@ class Cause:
 
     def on_joint(self, joint: int, system: System) -> Cause:
         """A cause without an effect (a push) on one joint."""
-        name = self.name if system.joints == 1 else f"{self.name}(joint {joint + 1})"
-        return self._called(name, self.name, joint, joint)
+        return self._called(system.at_joint(self.name, joint), self.name, joint, joint)
 
     def _called(self, name: str, effect: str, joint: int | None, index: int) -> Cause:
         chosen = self.starts

@@ -11,11 +11,16 @@ ADVICE = (
     "amplitude tells friction laws apart."
 )
 
+# Stribeck speeds of the starts, as multiples of the joint's smoothing speed: inside the bounds of the parameter.
+SLOWEST_START, FASTEST_START = 1.2, 300.0
+
 
 def _stribeck_starts(hint: Hint) -> list[dict[str, float]]:
     fast = float(np.quantile(np.abs(hint.omega), 0.9)) if len(hint.omega) else 1.0
     level = 0.02 * hint.system.load_scales[hint.joint]
-    speeds = [float(np.clip(share * fast, 0.06, 15.0)) for share in (0.05, 0.3)]
+    smoothing = hint.system.smoothing_speeds[hint.joint]
+    slowest, fastest = SLOWEST_START * smoothing, FASTEST_START * smoothing
+    speeds = [float(np.clip(share * fast, slowest, fastest)) for share in (0.05, 0.3)]
     return [{"breakaway": level, "speed": v} for v in speeds] + [{"speed": v} for v in speeds]
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepkoco.diagnose.causes.cause import Cause, Hint
-from deepkoco.diagnose.causes.units import LARGE_MISFIT, UNIT_CONSTANTS
+from deepkoco.diagnose.causes.cause import Cause
+from deepkoco.diagnose.causes.units import UNIT_CONSTANTS, slip_starts
 from deepkoco.diagnose.residuals.scatter import noise_level, quantisation
 
 SENSOR_BIAS = Cause(
@@ -69,10 +69,6 @@ QUANTISATION = Cause(
 )
 
 
-def _slip_starts(hint: Hint) -> list[dict[str, float]]:
-    return [{"factor": c} for c in UNIT_CONSTANTS] if hint.chi2 > LARGE_MISFIT else []
-
-
 CHANNEL_SLIP = Cause(
     "channel_slip",
     "unit",
@@ -81,6 +77,6 @@ CHANNEL_SLIP = Cause(
     "Read the unit of the channel in the driver's documentation and correct the sidecar.",
     "theta",
     lambda motion: motion.theta,
-    _slip_starts,
+    slip_starts,
     choices=len(UNIT_CONSTANTS),
 )

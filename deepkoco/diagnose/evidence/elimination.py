@@ -81,7 +81,10 @@ def carried(
         )
         now = errors(fit)
         # What only saves the baseline a way out of its prior does nothing for any window, and windows cannot judge it.
-        harm = [np.zeros(len(held)) if _keeps_the_prior(less, fit) else now - errors(less) for less in fits]
+        harm = [
+            np.zeros(len(held)) if less.diverged or _keeps_the_prior(less, fit) else now - errors(less)
+            for less in fits
+        ]
         worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
         # What does nothing for these windows, as it acts in others, is no better or worse but for chance.
         if not harm[worst].sum() > np.sqrt(len(held)) * harm[worst].std():
@@ -116,7 +119,7 @@ def without_kinds(
     if not loose or all(kind_of(c.name) in FLEXIBLE_CAUSES for c in kept):
         return kept, fit
     for cause in loose:
-        fit = problem.fit([without(problem, start, kept, cause, fit)], ITERATIONS, CLOSE)[0]
+        fit = problem.fit_one(without(problem, start, kept, cause, fit), ITERATIONS, CLOSE)
         kept.remove(cause)
     return kept, fit
 

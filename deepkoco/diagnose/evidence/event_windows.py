@@ -49,7 +49,7 @@ def train_on_pushed(
     order = np.lexsort((both.t0, both.log))
     both, state = both.take(order), state[torch.from_numpy(order)]
     trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.nuisance)
-    return both, held.take(~pushed), FitProblem(start.system, both).fit([trial])[0]
+    return both, held.take(~pushed), FitProblem(start.system, both).fit_one(trial)
 
 
 def touched(windows: Windows, values: Mapping[str, float]) -> np.ndarray:
@@ -80,7 +80,7 @@ def refit_elsewhere(start: Baseline, windows: Windows, reference: Fit, pushed: F
         return reference
     state = pushed.state[torch.from_numpy(np.flatnonzero(keep))]
     trial = Trial("refit", reference.free, start.prior, reference.values, state, reference.nuisance)
-    return FitProblem(start.system, windows.take(keep)).fit([trial])[0]
+    return FitProblem(start.system, windows.take(keep)).fit_one(trial)
 
 
 def _largest(problem: FitProblem, fit: Fit) -> np.ndarray:

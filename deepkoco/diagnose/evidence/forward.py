@@ -34,6 +34,7 @@ from deepkoco.diagnose.evidence.selection import (
     penalty,
     prior_with,
     rank,
+    strained,
     without_events_first,
 )
 from deepkoco.diagnose.evidence.start_values import Hints
@@ -206,7 +207,7 @@ class Selection:
         for k, cause in enumerate(accepted):
             others = [*accepted[:k], *accepted[k + 1 :]]
             self.progress(f"{cause.name} once more{in_company_of(c.name for c in others)}")
-            less = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE)[0]
+            less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE)
             hints = self._hints(problem, less, missing_torque(problem, less))
             # A push mends any window that another cause left; it is only put where it belongs beside the others.
             rivals = [cause] if cause.effect == "event" else lasting
@@ -295,7 +296,8 @@ class Selection:
         ranking = without_events_first(problem, start, ranking, accepted, hints, self.detection)
         ranking = front_settled(problem, start, accepted, ranking)
         best = ranking.best
-        if hints.chi2 <= LARGE_MISFIT and at_bound(problem, best.cause, best.fit):
+        untried = hints.chi2 <= LARGE_MISFIT and not hints.strained
+        if untried and at_bound(problem, best.cause, best.fit):
             # It wants more than it can give: perhaps a slip of units, which is not tried where so little is left.
             hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
             again = rank(problem, start, ranking.reference, accepted, hints, self.causes)
@@ -304,7 +306,8 @@ class Selection:
         return ranking
 
     def _hints(self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
-        return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples)
+        far = strained(problem, self.start, fit)
+        return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples, far)
 
 
 def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:

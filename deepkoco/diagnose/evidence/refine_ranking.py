@@ -37,7 +37,7 @@ def front_settled(
     for k, other in enumerate(others):
         # What stands before the winner by its score was put behind it for a reason.
         behind = ranking.best.delta_bic - other.delta_bic
-        if not 0.0 <= behind < NEAR or not other.cause.free:
+        if behind < 0.0 or behind - _overpaid(ranking, other) >= NEAR or not other.cause.free:
             continue
         if other.fit.converged and not _pulled_back(problem, start, other):
             continue
@@ -45,6 +45,17 @@ def front_settled(
         if others[k].delta_bic > winner.delta_bic:
             winner, others[k] = others[k], winner
     return replace(ranking, candidates=(winner, *others))
+
+
+def _overpaid(ranking: Ranking, other: Candidate) -> float:
+    """What a candidate pays its prior beyond the winner, where the winner has none: part of a fall of the BIC.
+
+    A constant between units is tried at its value and pays nothing for it. A gain of the same size starts with the
+    spread that is declared for small gains, and is that far behind until it is fitted with a wider one.
+    """
+    if ranking.best.cause.free:
+        return 0.0
+    return max(other.fit.penalty - ranking.best.fit.penalty, 0.0) / ranking.deflation
 
 
 def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> Ranking:
@@ -93,7 +104,8 @@ def settled(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], win
         return fit
     trial = Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.nuisance)
     if winner.cause.valley is None:
-        return problem.fit([trial], PATIENCE)[0]
+        found = problem.fit([trial], PATIENCE)[0]
+        return fit if found.diverged else found
     for _ in range(VALLEYS):
         # Steps of a fit are short across a narrow valley; starts along it are not.
         along = [

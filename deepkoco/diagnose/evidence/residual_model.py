@@ -154,6 +154,9 @@ def learn_residual(
         "extended": problem.elsewhere(held, fit),
     }
     gain = held_out_gain(system, windows, models, seed)
+    if gain is None:
+        text = "the simulation diverges on the held-out windows that are to judge it"
+        return ResidualModel(False, text, terms, fit, None, validation, before, after)
     accepted = gain.low > 0.0
     span = f"{100 * gain.reduction:.0f} % ({100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
     text = (
@@ -231,7 +234,7 @@ def _choose(
     system = start.system
     inner, others = FitProblem(system, train.take(~choose)), replace(train.take(choose), varies={})
     state = reference.state[torch.from_numpy(~choose)]
-    fit = inner.fit([Trial("refit", reference.free, start.prior, scaled, state, reference.nuisance)])[0]
+    fit = inner.fit_one(Trial("refit", reference.free, start.prior, scaled, state, reference.nuisance))
     errors = [_error(inner, fit, others)]
     chosen: list[str] = []
     kept, failed = 0, 0
@@ -264,7 +267,7 @@ def _fit(
 ) -> Fit:
     prior = _prior(problem, start, values, names)
     trial = Trial("learned", prior.names, prior, values, state, before.nuisance)
-    return problem.fit([trial], ITERATIONS)[0]
+    return problem.fit_one(trial, ITERATIONS)
 
 
 def _error(problem: FitProblem, fit: Fit, others: Windows) -> float:

@@ -20,11 +20,7 @@ from deepkoco.systems import ExtendedSystem, System
 EDGE = 1e-6  # share of its range within which an estimate lies at its bound
 FAINT = 1e-4  # largest command per limit of the system, below which the log's unit is doubted
 WILD = 1e4  # and above which it is
-SHAPES = (
-    "speed",
-    "frequency",
-    "cycles",
-)  # they choose where a cause acts; at their bounds it is still the same one
+SHAPES = ("frequency", "cycles")  # they choose where a cause acts; at their bounds it is still the same one
 
 
 def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
@@ -83,8 +79,8 @@ def doubts_of_friction(
         if fastest > 0.0 and pushes(friction_curve(system, fit, joint, fastest, inflation)):
             names = " and ".join(c.name for c in rubbing if (c.joint or 0) == joint)
             result.append(
-                f"With {names}, the friction of joint {joint + 1} would push it on instead of holding it back; "
-                "no friction does: something else acts like this."
+                f"With {names}, the friction of {system.joint_names[joint]} would push it on instead of holding it "
+                "back; no friction does: something else acts like this."
             )
     return tuple(result)
 

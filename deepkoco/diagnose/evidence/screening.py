@@ -23,6 +23,7 @@ from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP, state_steps
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 
 LANES = 160  # simulated at once
 RIDGE = 1e-8  # relative; two doses may move the measurements alike
@@ -158,7 +159,7 @@ class _Tangent:
         )
         pull = torch.einsum("dwm,wm->d", moved, residual) - torch.einsum("wds,ws->d", through, self.normal.gs)
         # Then of what the parameters can do.
-        solved = _inverse(matrix)
+        solved = torch.from_numpy(scaled_inverse(matrix.numpy()))
         pull = pull - both @ (solved @ right)
         result = np.zeros(len(forward))
         for k in range(len(forward)):
@@ -171,13 +172,6 @@ class _Tangent:
             gram = gram - both[pick] @ solved @ both[pick].T
             result[k] = _gain(gram.numpy(), pull[pick].numpy())
         return result
-
-
-def _inverse(matrix: Tensor) -> Tensor:
-    """Of a symmetric matrix whose rows have units of their own: none is small beside the others."""
-    scale = torch.sqrt(torch.diagonal(matrix).clamp_min(1e-300))
-    scale = scale[:, None] * scale
-    return torch.from_numpy(np.linalg.pinv((matrix / scale).numpy(), hermitian=True)) / scale
 
 
 def _gain(gram: np.ndarray, pull: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -82,7 +83,11 @@ def _asked(
             )
     fits = problem.fit(trials, PATIENCE, CLOSE)
     return [
-        (max(bound.cost - free.cost, 0.0) / deflation, {n: free.values[n] for n in hypothesis.cause.free})
+        # A healthy log on which the cause cannot be simulated at all says nothing of it.
+        (
+            0.0 if free.diverged else max(bound.cost - free.cost, 0.0) / deflation,
+            {n: free.values[n] for n in hypothesis.cause.free},
+        )
         for hypothesis, bound, free in zip(hypotheses, fits[::2], fits[1::2], strict=True)
     ]
 
@@ -137,5 +142,7 @@ def _apart(
         more = (
             max(back.cost - hypothesis.fit.cost, 0.0) / dispersion(hypothesis.fit, problem.windows).deflation
         )
-        result.append(unlike * more / max(unlike + more, 1e-9))
+        # Either may be infinite: a simulation that diverges is against anything.
+        finite = math.isfinite(unlike) and math.isfinite(more)
+        result.append(unlike * more / max(unlike + more, 1e-9) if finite else min(unlike, more))
     return result

@@ -65,6 +65,7 @@ class Ranking:
     dispersion: Dispersion
     deflation: float
     samples: float  # effective number of samples
+    unfitted: tuple[str, ...] = ()  # causes at every start of which the simulation diverges
 
     @property
     def best(self) -> Candidate:
@@ -122,6 +123,12 @@ def freed(
     return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
 
 
+def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
+    """Whether a fit has left its prior by far, as a strong cause or a wrong unit makes it."""
+    away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
+    return away > FAR * start.correlation
+
+
 def rank(
     problem: FitProblem,
     start: Baseline,
@@ -167,8 +174,7 @@ def rank(
     ]
     trials += _slipped(problem, start, accepted, reference, slips)
     fits = _fit_best(problem, trials, reference)
-    away = reference.penalty - problem.nuisances.penalty(reference.nuisance)
-    if away > FAR * start.correlation and promising:
+    if strained(problem, start, reference) and promising:
         # A strong cause drives the refit far from the truth, into a valley that leads back slowly. The
         # baseline's values before the refit are a second foothold, with states that suit each start.
         before = {n: start.values[n] for n in start.prior.names}
@@ -191,6 +197,8 @@ def rank(
             if name not in fits or fit.cost < fits[name].cost:
                 fits[name] = fit
     promised = _best(promises)
+    unfitted = tuple(name for name, fit in fits.items() if fit.diverged)
+    fits = {name: fit for name, fit in fits.items() if not fit.diverged}
     ranking = _ranked(problem, start, reference, tried, fits, promised)
     # What is left of a winner that has not converged would pass for a further cause; and what promised more than
     # the winner won may only be slow.
@@ -205,7 +213,7 @@ def rank(
         ]
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
-    return ranking
+    return replace(ranking, unfitted=unfitted)
 
 
 def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> dict[str, Fit]:
@@ -320,6 +328,8 @@ def without_events_first(
         winner.fit.nuisance,
     )
     reference = rest.fit([before])[0]
+    if reference.diverged:
+        return ranking
     lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event"]
     there = rank(rest, start, reference, accepted, hints, lasting)
     if not there.candidates or there.best.delta_bic <= detection:

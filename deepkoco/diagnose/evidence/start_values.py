@@ -22,12 +22,19 @@ class Hints:
         windows: Training windows.
         missing: Load on each joint that the refitted baseline misses.
         chi2: What the refitted baseline leaves, per sample.
+        strained: Whether it has left its prior by far.
     """
 
     def __init__(
-        self, system: System, windows: Windows, missing: Sequence[MissingTorque], chi2: float
+        self,
+        system: System,
+        windows: Windows,
+        missing: Sequence[MissingTorque],
+        chi2: float,
+        strained: bool = False,
     ) -> None:
-        self.system, self.windows, self.missing, self.chi2 = system, windows, missing, chi2
+        self.system, self.windows, self.missing = system, windows, missing
+        self.chi2, self.strained = chi2, strained
         self.pushes = pushes_from(missing)
         self.seconds = float(sum(c.t[-1] - c.t[0] for c in windows.commands))
 
@@ -47,6 +54,7 @@ class Hints:
             self.seconds,
             self.chi2,
             self.missing[joint],
+            self.strained,
         )
 
     def _speeds(self, joint: int) -> np.ndarray:

@@ -47,6 +47,8 @@ def confirm(
         for fit in problem.fit(trials, ITERATIONS):
             best[fit.name] = min(best.get(fit.name, np.inf), fit.cost)
         own = best[truth.cause.name]
+        if not np.isfinite(own):
+            continue
         ratio[a] = [max(best[dose.cause.name] - own, 0.0) for dose in doses]
     return ratio, played
 

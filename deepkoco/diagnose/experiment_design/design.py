@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import norm
 
-from deepkoco.diagnose.causes import CAUSES, Cause, catalogue
+from deepkoco.diagnose.causes import CAUSES, Cause, UnknownCauseError, catalogue, causes_named
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.experiment_design.choose import choose
 from deepkoco.diagnose.experiment_design.doses import Dose, unit_dose
@@ -190,13 +190,12 @@ def known_causes(system: System, names: Sequence[str]) -> list[Cause]:
         DesignError: A name is unknown or given twice, or nothing of a cause shows in the mean of the measurements.
     """
     base = system.base if isinstance(system, ExtendedSystem) else system
-    known = catalogue(base)
-    if len(set(names)) < 2:
+    try:
+        causes = causes_named(catalogue(base), names, base.name)
+    except UnknownCauseError as error:
+        raise DesignError(str(error)) from error
+    if len(causes) < 2:
         raise DesignError("give two or more different causes to tell apart")
-    unknown = [n for n in names if n not in known]
-    if unknown:
-        raise DesignError(f'{base.name} has no cause "{unknown[0]}"; it has: {", ".join(known)}')
-    causes = [known[n] for n in dict.fromkeys(names)]
     for cause in causes:
         if cause.scatter is not None:
             raise DesignError(

@@ -23,6 +23,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP, state_steps
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 from deepkoco.systems import ExtendedSystem
 
 RIDGE = 1e-9  # relative; directions of one cause may be parallel
@@ -185,11 +186,7 @@ def _without(gram: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Inner products (K, C, C) after some of the columns are projected out."""
     if len(index) == 0:
         return gram
-    block = gram[:, index][:, :, index]
-    size = np.sqrt(np.einsum("kii->ki", block).clip(0.0))
-    size = np.where(size > TINY, size, 1.0)
-    scaled = block / (size[:, :, None] * size[:, None, :]) + RIDGE * np.eye(len(index))
-    inverse = np.linalg.pinv(scaled, hermitian=True) / (size[:, :, None] * size[:, None, :])
+    inverse = scaled_inverse(gram[:, index][:, :, index], ridge=RIDGE, smallest=TINY)
     through = gram[:, :, index]
     return gram - through @ inverse @ through.transpose(0, 2, 1)
 

@@ -90,7 +90,7 @@ def instead_of_push(
         fit: Model with all of them.
         causes: Lost commands at every command of the system.
     """
-    less = problem.fit([without(problem, start, accepted, push, fit)], PATIENCE)[0]
+    less = problem.fit_one(without(problem, start, accepted, push, fit), PATIENCE)
     prior = prior_with(problem, start, [c for c in accepted if c is not push], less.values)
     spread = dispersion(fit, problem.windows)
     deflation = max(spread.deflation, start.least_deflation)

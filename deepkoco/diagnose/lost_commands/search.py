@@ -155,7 +155,7 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
         if not any(p.any() for p in patterns):
             return None
         acted = FitProblem(problem.system, _acting(windows, index, patterns))
-        now = acted.fit([Trial(fit.name, fit.free, prior, now.values, now.state, now.nuisance)])[0]
+        now = acted.fit_one(Trial(fit.name, fit.free, prior, now.values, now.state, now.nuisance))
         found = _counted(index, logs, acted, now, price, sent)
         best = found if best is None or found.total < best.total else best
         share = float(np.clip(found.share, RARE, COMMON))

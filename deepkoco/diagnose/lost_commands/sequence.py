@@ -57,6 +57,9 @@ def innovations(
         t: (S,) times of the samples [s].
         ticks: (K,) times of the ticks [s].
     """
+    # Samples at which the simulation of an offset diverges say nothing.
+    seen = np.isfinite(state).all(1) & np.isfinite(change).all(1) & np.isfinite(residual)
+    state, change, residual, t = state[seen], change[seen], residual[seen], t[seen]
     order = np.argsort(t, kind="stable")
     rows, size, _ = np.linalg.svd(state[order], full_matrices=False)
     rows = rows[:, size > NO_SLOPE * size.max(initial=0.0)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -15,19 +17,29 @@ from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE
 from deepkoco.diagnose.report.page import render
 from deepkoco.output.new_folder import new_folder
 from deepkoco.output.picture import Picture
+from deepkoco.pages.figures import show_both
+from deepkoco.pages.links import Link
 from deepkoco.systems import save_model
 
-# Dots per inch: a phone packs two or three dots into a pixel of its page.
-DESKTOP_DPI, PHONE_DPI = 130, 170
+DPI = 130  # of the pictures that lie beside the page
 COLOURS_OF_A_PICTURE = 128  # enough for lines and text, and a third of the bytes
 
 
-def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
+def write_report(
+    diagnosis: Diagnosis,
+    out_dir: str | Path,
+    shown_as: str | None = None,
+    links: Sequence[Link] = (),
+    made: date | None = None,
+) -> Path:
     """Write everything about a diagnosis into a new folder; it appears whole or not at all.
 
     Args:
         diagnosis: What to write.
         out_dir: Folder that does not exist yet.
+        shown_as: How commands on the page name the folder; None takes ``out_dir`` as it is given.
+        links: Ways from the page to others.
+        made: Day that the page says; None takes today's, or that of SOURCE_DATE_EPOCH.
 
     Returns:
         Path of report.html.
@@ -37,14 +49,14 @@ def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
     """
     out = Path(out_dir)
     with new_folder(out) as partial:
-        pictures = draw_all(diagnosis, DESKTOP)
-        desktop = {p.name: _png(p, DESKTOP_DPI) for p in pictures}
-        phone = {p.name: _png(p, PHONE_DPI) for p in draw_all(diagnosis, PHONE)}
-        for picture in pictures:
-            (partial / f"{picture.name}.png").write_bytes(desktop[picture.name])
+        pictures, phone = draw_all(diagnosis, DESKTOP), draw_all(diagnosis, PHONE)
+        shown = []
+        for picture, small in zip(pictures, phone, strict=True):
+            (partial / f"{picture.name}.png").write_bytes(_png(picture, DPI))
             picture.table.to_csv(
                 partial / f"{picture.name}.csv", index=False, lineterminator="\n", float_format="%.8g"
             )
+            shown.append(show_both(picture, f"{picture.name}.csv", small))
         (partial / "report.json").write_text(
             json.dumps(diagnosis.to_json(), indent=2) + "\n", encoding="utf-8"
         )
@@ -56,7 +68,7 @@ def write_report(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
                 "deepkoco": diagnosis.versions["deepkoco"],
             }
             save_model(partial / "model.yaml", diagnosis.model, provenance)
-        page = render(diagnosis, pictures, desktop, phone)
+        page = render(diagnosis, shown, shown_as or Path(out_dir).as_posix(), links, made)
         (partial / "report.html").write_text(page, encoding="utf-8")
     return out / "report.html"
 

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import base64
 import json
-from collections.abc import Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Sequence
+from datetime import date
 from typing import Any
 
-import jinja2
-
 from deepkoco.diagnose.causes import CAUSES, kind_of
-from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding
+from deepkoco.diagnose.diagnosis import Diagnosis, Finding, Localisation
 from deepkoco.diagnose.report.figures.layout import held_out_models
+from deepkoco.diagnose.report.next_steps import next_steps
+from deepkoco.diagnose.report.parameter_table import interval, parameter_rows
 from deepkoco.diagnose.report.text import headline, lead, noise_of, spoken
 from deepkoco.diagnose.report.unexplained_text import remains
-from deepkoco.output.picture import Picture
+from deepkoco.pages.figures import Shown
+from deepkoco.pages.links import Link
+from deepkoco.pages.page import render_page
+from deepkoco.pages.units import in_one_unit, less, plain, readable
 
 GLOSSARY = {
     "window": "A short stretch of the log, about one swing long, that is simulated by itself.",
@@ -36,61 +38,61 @@ GLOSSARY = {
 
 def render(
     diagnosis: Diagnosis,
-    pictures: Sequence[Picture],
-    desktop: Mapping[str, bytes],
-    phone: Mapping[str, bytes],
+    pictures: Sequence[Shown],
+    folder: str = "report",
+    links: Sequence[Link] = (),
+    made: date | None = None,
 ) -> str:
     """The page.
 
     Args:
         diagnosis: What to show.
-        pictures: Titles and captions, most telling first.
-        desktop: Picture -> PNG for wide windows.
-        phone: Picture -> PNG for narrow ones.
+        pictures: Most telling first.
+        folder: Of the report, as commands on the page name it.
+        links: Ways to other pages.
+        made: Day that the page is made; None takes today's.
     """
-    source = files("deepkoco.diagnose.report").joinpath("template.html").read_text(encoding="utf-8")
-    template = jinja2.Environment(autoescape=True, trim_blocks=True).from_string(source)
     logs = [log["file"] or "a log" for log in diagnosis.data["logs"]]
     suffices = diagnosis.verdict != "insufficient"
-    return template.render(
-        title=", ".join(dict.fromkeys(logs)),
-        system=diagnosis.model.name,
+    system = diagnosis.model
+    title = ", ".join(dict.fromkeys(logs))
+    return render_page(
+        "deepkoco.diagnose.report",
+        "template.html",
+        title=f"Diagnosis of {title}",
+        versions=diagnosis.versions,
+        made=made,
+        links=links,
+        logs_title=title,
+        system=system.name,
         tried=len(diagnosis.candidates) or len(CAUSES),
         headline=headline(diagnosis),
         noise=noise_of(diagnosis),
         lead=lead(diagnosis),
         tiles=_tiles(diagnosis),
+        steps=next_steps(diagnosis, folder),
         advice_title="What would settle the rest" if suffices else "What is needed",
-        advice=diagnosis.advice,
+        advice=[text for text in diagnosis.advice],
         warnings=[text for log in diagnosis.data["logs"] for text in log["warnings"]],
-        pictures=[
-            {
-                "title": p.title,
-                "caption": p.caption,
-                "name": p.name,
-                "alt": f"Figure: {p.title}. {p.caption.split('. ')[0]}.",
-                "desktop": base64.b64encode(desktop[p.name]).decode(),
-                "phone": base64.b64encode(phone[p.name]).decode(),
-            }
-            for p in pictures
-        ],
-        causes=[_cause(c) for c in diagnosis.causes],
-        localisation=diagnosis.localisation,
-        remains=remains(diagnosis),
-        logs=logs,
+        pictures=pictures,
+        causes=[_cause(c, diagnosis) for c in diagnosis.causes],
+        rows=parameter_rows(diagnosis),
+        localisation=[_place(p, logs) for p in diagnosis.localisation],
+        missing=diagnosis.localisation[0].channel if diagnosis.localisation else "",
+        remains=[text for text in remains(diagnosis)],
         windows=diagnosis.windows,
         window_s=diagnosis.window_s,
         held=diagnosis.data["windows_held_out"],
         resting=diagnosis.data["windows_resting"],
         named=diagnosis.verdict in ("cause", "ambiguous"),
-        before=f"{diagnosis.chi2_before:.3g}",
-        after=f"{diagnosis.chi2_after:.3g}" if suffices else "",
+        before=plain(diagnosis.chi2_before),
+        after=plain(diagnosis.chi2_after) if suffices else "",
         glossary=GLOSSARY,
         raw=json.dumps(diagnosis.to_json(), indent=1),
     )
 
 
-def _cause(cause: Finding) -> dict[str, Any]:
+def _cause(cause: Finding, diagnosis: Diagnosis) -> dict[str, Any]:
     kind = kind_of(cause.name)
     return {
         "title": spoken(cause.name),
@@ -99,12 +101,21 @@ def _cause(cause: Finding) -> dict[str, Any]:
         "parameters": [
             {
                 "name": spoken(name.rpartition(".")[2]),
-                "value": f"{e.value:.4g}{_unit(e)}",
-                "interval": f"{e.low:.4g} to {e.high:.4g}" if e.low < e.high else "chosen, not fitted",
+                "value": readable(e.value, e.unit, 4),
+                "interval": interval(e, "chosen, not fitted"),
             }
             for name, e in cause.parameters.items()
         ],
-        "evidence": cause.evidence,
+        "evidence": [e.text for e in cause.evidence],
+    }
+
+
+def _place(place: Localisation, logs: Sequence[str]) -> dict[str, str]:
+    return {
+        "log": logs[place.log],
+        "from": f"{place.t0:.2f}",
+        "to": f"{place.t1:.2f}",
+        "mean": readable(place.size, place.unit),
     }
 
 
@@ -113,8 +124,10 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     for cause in diagnosis.causes[:1]:
         for name, e in cause.parameters.items():
             short = spoken(name).replace(".", ": ")
-            text = f"{short}, 95 % interval {e.low:.4g} to {e.high:.4g}{_unit(e)}"
-            tiles.append({"value": f"{e.value:.3g}{_unit(e)}", "text": text})
+            text = (
+                f"{short}, 95 % interval {interval(e)}" if e.low < e.high else f"{short}, chosen, not fitted"
+            )
+            tiles.append({"value": readable(e.value, e.unit), "text": text})
     gain = diagnosis.gain
     if gain is not None and diagnosis.verdict in ("cause", "ambiguous"):
         text = (
@@ -125,11 +138,11 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     if gain is not None:
         c = gain.channels[0]
         last = next(reversed(held_out_models(diagnosis).values()))
-        text = f"error of {c.name} on windows kept away from every fit: simulation as given, and {last}"
         after = c.refit if gain.as_given else c.extended
-        tiles.append({"value": f"{c.baseline:.3g} → {after:.3g} {c.unit}", "text": text})
+        (first, second), unit = in_one_unit([c.baseline, after], c.unit)
+        text = (
+            f"error of {c.name} on windows kept away from every fit: {first} {unit} by the simulation as given, "
+            f"{second} {unit} by the {last}"
+        )
+        tiles.append({"value": f"{less(c.baseline, after)} error", "text": text})
     return tiles
-
-
-def _unit(estimate: Estimate) -> str:
-    return "" if estimate.unit == "1" else f" {estimate.unit}"

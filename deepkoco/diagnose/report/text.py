@@ -42,9 +42,10 @@ def lead(diagnosis: Diagnosis) -> str:
             why = " ".join(doubts)
         else:
             why = f"The best candidate ({best[0]}) explains too little of that to be named." if best else ""
+        missing = "force" if "force_n" in diagnosis.unexplained.get("worst", {}) else "torque"
         return (
             f"The refitted simulation leaves {diagnosis.chi2_before:.2f} noise variances per sample. {why} "
-            "The pictures show where it is missing torque."
+            f"The pictures show where it is missing {missing}."
         )
     text = " ".join(CAUSES[kind_of(c.name)].summary for c in diagnosis.causes)
     for cause in diagnosis.causes:

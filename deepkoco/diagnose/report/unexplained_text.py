@@ -6,6 +6,7 @@ from typing import Any
 
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.report.text import beside_causes, spoken
+from deepkoco.diagnose.verdict.unknown import WORST
 
 RARE = 3.0  # kurtosis from which a few moments make up most of what is missing
 ALIKE = 0.3  # correlation of neighbouring residuals from which they are plainly no noise
@@ -18,11 +19,13 @@ def remains(diagnosis: Diagnosis) -> list[str]:
     if not left or (diagnosis.verdict != "unknown" and not beside):
         return []
     worst, kurtosis = left["worst"], left["kurtosis"]
-    unit = "N m" if diagnosis.details is None else diagnosis.details.missing[worst["joint"] - 1].unit
+    slides = "force_n" in worst
+    position, speed, load = (worst[key] for key in WORST["force" if slides else "torque"])
+    units = ("m", "m/s", "N") if slides else ("rad", "rad/s", "N m")
     result = [
         *([beside] if beside else []),
-        f"It is largest at {worst['time_s']:.2f} s: {worst['torque_nm']:.3g} {unit} are missing there on joint "
-        f"{worst['joint']}, at position {worst['theta_rad']:.3g} and speed {worst['omega_rad_s']:.3g}.",
+        f"It is largest at {worst['time_s']:.2f} s: {load:.3g} {units[2]} are missing there on {worst['joint_name']}, "
+        f"at position {position:.3g} {units[0]} and speed {speed:.3g} {units[1]}.",
         f"A few moments make up most of it (kurtosis {kurtosis:.1f}; 0 is normal): look for pushes, contacts or lost "
         "samples there."
         if kurtosis > RARE

@@ -73,6 +73,7 @@ class MissingTorque:
         omega: (W, K) modelled speed there [rad/s].
         score: (W, K) fall of chi2 when a push is allowed in that slot alone.
         single: (W, K) the torque of that lone push [N m].
+        name: Name of the joint.
     """
 
     joint: int
@@ -85,6 +86,12 @@ class MissingTorque:
     omega: np.ndarray
     score: np.ndarray
     single: np.ndarray
+    name: str = ""
+
+    @property
+    def load(self) -> str:
+        """What acts on the joint: a torque, or a force where it slides."""
+        return "torque" if self.unit == "N m" else "force"
 
     @property
     def slot(self) -> float:
@@ -129,6 +136,8 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     had = push_of(problem, theta)
     predicted = predict(base, windows, named, initial, push if had is None else push + had)
     slope = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
+    # Where a load, or a change of the state, makes the simulation diverge, the window says nothing of it.
+    slope = torch.where(torch.isfinite(slope).all(-1, keepdim=True), slope, 0.0)
     scale = torch.tensor(units, dtype=torch.float64).repeat_interleave(SLOTS)
     response = (slope[:pulses] / scale[:, None, None]).permute(1, 2, 0)  # (W, NM, J K)
     own = (slope[pulses:] / tiny).permute(1, 2, 0)  # (W, NM, S)
@@ -162,6 +171,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
             path[at, :, joints + j].T,
             (match**2 / energy.clamp_min(1e-300)).numpy()[:, mine],
             (match / energy.clamp_min(1e-300)).numpy()[:, mine],
+            system.joint_names[j],
         )
         result.append(found)
     return tuple(result)
@@ -198,7 +208,7 @@ def _posterior(response: Tensor, residual: Tensor, root: Tensor) -> tuple[np.nda
     values, vectors = torch.linalg.eigh(gram)
     values = values.clamp_min(0.0)
     seen = (vectors.mT @ (response.mT @ residual))[..., 0]  # (W, K)
-    scale = 1.0 / torch.sqrt(values.mean())
+    scale = 1.0 / torch.sqrt(values.mean().clamp_min(1e-300))
     best, spread = -math.inf, scale
     for exponent in np.linspace(-2.0, 3.0, 26):
         candidate = scale * 10.0**exponent

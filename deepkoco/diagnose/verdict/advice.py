@@ -28,6 +28,16 @@ MOST = 5  # causes of a class that are compared
 FEW_LEVELS = 3
 
 
+def not_fitted(names: Sequence[str]) -> tuple[str, ...]:
+    """A sentence on what could not be fitted, because the simulation diverges there."""
+    if not names:
+        return ()
+    return (
+        f"Could not be fitted: {_listed(names)}. The simulation diverges there. Check that the logs are of this "
+        "system and of this unit, or give shorter windows.",
+    )
+
+
 def always_there(names: Sequence[str]) -> tuple[str, ...]:
     """A sentence on causes that are part of the unit, as far as its healthy logs can tell."""
     if not names:

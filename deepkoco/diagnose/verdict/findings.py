@@ -116,7 +116,7 @@ def localise(missing: Sequence[MissingTorque], most: int = 5) -> tuple[Localisat
 
 
 def _loud(missing: MissingTorque, several: bool) -> list[tuple[float, Localisation]]:
-    channel = f"load on joint {missing.joint + 1}" if several else "torque"
+    channel = f"load on {missing.name}" if several else missing.load
     loud = np.abs(missing.torque) > CLEAR_TORQUE * missing.sd
     found = []
     for w in range(len(missing.time)):

@@ -11,6 +11,11 @@ from deepkoco.diagnose.residuals.residuals import Dispersion, MissingTorque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 
+# Keys of position, speed and missing load, of a joint that turns and of one that slides.
+WORST = {
+    "torque": ("theta_rad", "omega_rad_s", "torque_nm"),
+    "force": ("position_m", "speed_m_s", "force_n"),
+}
 CARRIED = 0.25  # share of its fall of chi2 that a cause must keep on windows that no fit saw
 # Terms a missing torque is regressed on: name -> function of (theta, omega, load scale).
 TERMS = {
@@ -75,7 +80,8 @@ def describe(missing: Sequence[MissingTorque], spread: Dispersion) -> dict[str, 
     Returns:
         ``chi2_per_sample``, ``lag_one`` (correlation of neighbours, 0 if white), ``kurtosis`` of the
         missing torque (0 if normal; large for a few pushes), ``correlations`` of it with simple terms in
-        angle and speed, and ``worst`` (time, angle, speed where it is largest).
+        angle and speed, and ``worst`` (time, joint, and with their units in their keys the position, the speed and
+        the missing load where it is largest).
     """
     # Of several joints the one is described at which most is missing against what is uncertain.
     loudest = max(missing, key=lambda m: float(((m.torque / m.sd) ** 2).mean()))
@@ -93,10 +99,11 @@ def describe(missing: Sequence[MissingTorque], spread: Dispersion) -> dict[str, 
         },
         "worst": {
             "time_s": float(loudest.time.ravel()[at]),
-            "theta_rad": float(theta[at]),
-            "omega_rad_s": float(omega[at]),
-            "torque_nm": float(torque[at]),
+            **dict(
+                zip(WORST[loudest.load], (float(theta[at]), float(omega[at]), float(torque[at])), strict=True)
+            ),
             "joint": loudest.joint + 1,
+            "joint_name": loudest.name,
         },
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -20,9 +20,8 @@ def background(setup: Setup) -> Clips:
     The patterns of the two splits have other seeds; training and evaluation share none.
     """
     words = tuple(setup.words)
-    return Clips(
-        setup, lambda number: make_pattern(words, number, setup.size), setup.options.patterns, there_and_back=False
-    )  # fmt: skip
+    pattern = partial(make_pattern, words, size=setup.size)
+    return Clips(setup, pattern, setup.options.patterns, there_and_back=False)
 
 
 @lru_cache(maxsize=64)  # 1.5 MiB each at 64 x 64

@@ -15,6 +15,7 @@ from deepkoco.envs.distractors.options import DistractorOptions
 from deepkoco.envs.distractors.projection import random_rotation
 from deepkoco.envs.distractors.registry import STATE, make_distractors
 from deepkoco.envs.restarts import Restarts, as_objects, rows_of
+from deepkoco.envs.seeds import Seeds, without_gaps
 
 _ORDER_STREAM = 7919
 STRIP = 4  # pictures of distractors in one row below a frame
@@ -67,8 +68,9 @@ class Mixer:
         self.space = spaces.Box(low[self.order], high[self.order], dtype=np.float32)
         self._seeded = False
 
-    def reset(self, seed: int | Sequence[int] | None, where: np.ndarray | None = None) -> None:
+    def reset(self, seed: Seeds, where: np.ndarray | None = None) -> None:
         """Seed the distractors, where there is a seed, and start new episodes in ``where`` (B,), or all."""
+        seed = without_gaps(seed)
         if seed is None and not self._seeded:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
         for source in self.sources.values():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -27,11 +27,12 @@ def video(setup: Setup) -> Clips:
     files, options = split_videos(setup), setup.options
     for file in files:  # a video that cannot be read is told before work starts
         read_video(file, setup.size, options.video_frames)
-
-    def clip(number: int) -> np.ndarray:
-        return read_video(files[number], setup.size, options.video_frames)
-
+    clip = partial(_clip, tuple(files), setup.size, options.video_frames)
     return Clips(setup, clip, len(files), there_and_back=True)
+
+
+def _clip(files: tuple[Path, ...], size: int, most: int, number: int) -> np.ndarray:
+    return read_video(files[number], size, most)
 
 
 def split_videos(setup: Setup) -> list[Path]:

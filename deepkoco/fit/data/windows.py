@@ -314,6 +314,15 @@ def _channels(
             raise LogError(
                 f'{where}: the command "{command.name}" of {system.name} is missing; map it in the sidecar'
             )
+    for channel in (*system.commands, *system.measurements):
+        logged = recording.channels.get(channel.name)
+        if logged is not None and (
+            wrong := int((~(np.isfinite(logged.value) & np.isfinite(logged.t))).sum())
+        ):
+            raise LogError(
+                f'{where}: the channel "{channel.name}" has {wrong} of {len(logged.t)} samples that are not finite; '
+                "leave these samples out"
+            )
     series = {}
     for channel in system.measurements:
         if channel.name in recording.channels:

@@ -8,23 +8,24 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 
 from deepkoco.fit.data.windows import CommandSeries
 from deepkoco.fit.delays.linear_delays import SMALLEST_SPREAD, LinearDelays, mixture_law
+from deepkoco.fit.delays.normal_law import normal_law
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.identification import NORMAL_95, Identification
 from deepkoco.fit.request import FitError, command_delays
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.fit.solve.methods import TOLERANCE
+from deepkoco.fit.solve.scaled_inverse import NotFiniteError
 from deepkoco.fit.threads import one_thread
 from deepkoco.graph.delay import Delay, Deterministic, Gaussian, Mixture
 
 SHIFT = 1e-3  # finite difference of one message's delay [s]
-ROUNDS, MIXTURE_ROUNDS = 8, 2  # largest number of linearisations
-SETTLED = 0.1  # the delays have converged if their root mean square change is smaller [standard deviations]
-LARGEST_STEP = 0.01  # largest change of a delay from one linearisation to the next [s]
+ROUNDS, MIXTURE_ROUNDS = 8, 4  # linearisations about the delays found so far, at most
+SETTLED = 0.1  # movement of the delays, in their standard deviations, after which they stay
+LARGEST_STEP = 0.01  # of a delay from one linearisation to the next [s]
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,13 @@ class HiddenDelays:
 def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> HiddenDelays:
     r"""Estimate the distribution of the commands' delays by marginal likelihood.
 
-    A command that acts eps later than usual gives the joint a known impulse, to first order. The residuals r of a
-    window are therefore linear in the delays of its messages: r = G eps + J x + noise. A projection P removes the
-    initial states x. Then A = G' P G and h = G' P r contain all information about the delays. For a normal law of
-    eps, the marginal likelihood has a closed form, which is maximised. A mixture adds one unknown component per
-    message and is fitted by stochastic-approximation EM with Gibbs draws of components and delays. After each
-    estimate of the delays, the parameters are fitted again at the posterior mean delays, and the residuals are
-    linearised there.
+    A command that acts eps later than usual gives the joint, to first order, a known impulse. With every window's
+    initial state left free, the residuals r are linear in the delays of its messages, r = G eps + J x + noise; the
+    states x (and with them all but A = G' P G and h = G' P r) are projected out. Under a normal law of eps the
+    marginal likelihood is closed-form and maximised directly. A mixture adds the component of each message; the law
+    then follows from stochastic-approximation EM with Gibbs draws of the components, all delays integrated out.
+    Dynamics and delays take turns: parameters are fitted again under the messages' posterior mean delays, and the
+    residuals linearised there, until the delays settle.
 
     Args:
         found: A fit, best with the delay of the commands among its parameters. Messages are assumed to keep their
@@ -100,7 +101,8 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
         seed: Seed of the Gibbs draws.
 
     Raises:
-        FitError: Fewer than 10 commands per component change inside the windows.
+        FitError: No command changes in the windows, there are too few changes for so many components, the commands
+            do not move the joint, or the simulation diverges when one of them acts later.
 
     Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999).
     """
@@ -118,11 +120,14 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
         fit, values = found.fit, found.fit.values
         for _ in range(ROUNDS):
             linear = messages.linearise(fit, shift)
-            single = _normal_law(linear)
-            posterior = linear.posterior(np.full(len(shift), single[0]), np.full(len(shift), single[1]))
-            moved = messages.towards(shift, posterior[0])
-            settled = float(np.sqrt(np.mean(((moved - shift) / posterior[1]) ** 2))) < SETTLED
-            shift = moved
+            single = normal_law(linear)
+            if not math.isfinite(single.mean_sd):
+                raise FitError(
+                    "the commands that change do not move the joint; the log shows nothing of their delay"
+                )
+            size = np.ones(len(shift))
+            posterior = linear.posterior(single.mean * size, single.spread * size)
+            shift, settled = messages.towards(shift, *posterior)
             fit = messages.refit(values, shift, fit)
             values = fit.values
             if settled:
@@ -132,21 +137,19 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
             linear = messages.linearise(fit, shift)
             law = mixture_law(linear, posterior[0] if law is None else law, components, generator)
             posterior = law.centre, law.sd
-            shift = messages.towards(shift, law.centre)
+            shift, settled = messages.towards(shift, *posterior)
             fit = messages.refit(values, shift, fit)
             values = fit.values
+            if settled:
+                break
     base = messages.base
     if law is None:
-        means, spreads, weights = np.array([single[0]]), np.array([single[1]]), np.ones(1)
+        means, spreads, weights = np.array([single.mean]), np.array([single.spread]), np.ones(1)
     else:
         means, spreads, weights = law.means, law.spreads, law.weights
     order = np.argsort(means)
     means, spreads, weights = base + means[order], spreads[order], weights[order]
-    reach = NORMAL_95 * single[2]
-    spread_interval = (
-        single[1] * math.exp(-NORMAL_95 * single[3]),
-        single[1] * math.exp(NORMAL_95 * single[3]),
-    )
+    reach = NORMAL_95 * single.mean_sd
     overall = float(weights @ means)
     return HiddenDelays(
         _law(means, spreads, weights),
@@ -154,8 +157,8 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
         spreads,
         weights,
         (overall - reach, overall + reach),
-        spread_interval if components == 1 else (math.nan, math.nan),
-        single[4],
+        single.spread_interval if components == 1 else (math.nan, math.nan),
+        single.evidence,
         messages.sent,
         messages.log,
         base + posterior[0],
@@ -208,10 +211,14 @@ class _Messages:
             commands.append(CommandSeries(np.maximum.accumulate(t + 1e-9 * np.arange(len(t))), command.value))
         return self.request.problem(replace(self.windows, commands=tuple(commands)))
 
-    def towards(self, shift: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """Move ``shift`` towards ``wanted`` by at most `LARGEST_STEP`, so that no delay becomes negative."""
+    def towards(self, shift: np.ndarray, wanted: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Delays nearer to those wanted, and whether they hardly moved, by their standard deviations.
+
+        A step stays within reach of the linearisation, and no delay falls below zero.
+        """
         step = np.clip(wanted - shift, -LARGEST_STEP, LARGEST_STEP)
-        return np.maximum(shift + step, -self.base)
+        moved = np.maximum(shift + step, -self.base)
+        return moved, float(np.sqrt(np.mean(((moved - shift) / sd) ** 2))) < SETTLED
 
     def linearise(self, fit: Fit, shift: np.ndarray) -> LinearDelays:
         """Linearise the residuals of a fit in the delays of all messages, initial states projected out."""
@@ -229,6 +236,11 @@ class _Messages:
             moved[[m[j] for m in self.members if len(m) > j]] += SHIFT
             there, _ = self._predict(self.problem(moved), fit, states=False)
             response[:, :, j] = ((there - base) * weight).flatten(1).numpy() / SHIFT
+        if not all(np.isfinite(x).all() for x in (residual, own, response)):
+            raise FitError(
+                "the simulation diverges when a command acts a little later; fit the parameters first, or give a "
+                "shorter window"
+            )
         members, information, pull = [], [], []
         for w, mine in enumerate(self.members):
             if len(mine) == 0:
@@ -247,7 +259,10 @@ class _Messages:
         """Fit the parameters again at given delays of the messages, without the delay parameters themselves."""
         free = tuple(n for n in self.request.free if n not in self.delays)
         trial = Trial("delays", free, self.request.prior, values, fit.state, fit.nuisance)
-        return self.problem(shift).fit([trial], 12, TOLERANCE)[0]
+        try:
+            return self.problem(shift).fit_one(trial, 12, TOLERANCE)
+        except NotFiniteError as error:
+            raise FitError(f"with the delays found so far, {error}; give a shorter window") from error
 
     def _predict(
         self, problem: FitProblem, fit: Fit, states: bool = True
@@ -259,28 +274,3 @@ class _Messages:
             lanes[1 + s, :, s] += PARAMETER_STEP
         predicted = problem.predict(theta, lanes, fit.nuisance[None].repeat(1 + size, 1))
         return predicted[0], predicted[1:]
-
-
-def _normal_law(linear: LinearDelays) -> tuple[float, float, float, float, float]:
-    """Mean [s], standard deviation [s], standard errors of mean and of its logarithm, evidence for variation."""
-    sd0 = 3e-3
-
-    def cost(x: np.ndarray) -> float:
-        return -linear.log_marginal(1e-3 * x[0], 1e-3 * math.exp(x[1]))
-
-    found = minimize(
-        cost,
-        np.array([0.0, math.log(1e3 * sd0)]),
-        method="L-BFGS-B",
-        bounds=[(None, None), (math.log(1e3 * SMALLEST_SPREAD), None)],
-    )
-    mean, log_sd = found.x
-    constant = minimize(lambda x: cost(np.array([x[0], math.log(1e3 * SMALLEST_SPREAD)])), np.zeros(1))
-    step, hessian = 1e-3, np.zeros((2, 2))
-    for i in range(2):
-        for j in range(2):
-            at = [found.x + step * (a * np.eye(2)[i] + b * np.eye(2)[j]) for a in (1, -1) for b in (1, -1)]
-            hessian[i, j] = (cost(at[0]) - cost(at[1]) - cost(at[2]) + cost(at[3])) / (4 * step**2)
-    errors = np.sqrt(np.diag(np.linalg.pinv(hessian)).clip(0.0))
-    evidence = 2.0 * float(constant.fun - found.fun)
-    return 1e-3 * mean, 1e-3 * math.exp(log_sd), 1e-3 * float(errors[0]), float(errors[1]), evidence

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy as np
 from deepkoco.graph.episodes.fitting.mixture_fit import expectation_maximisation
 
 SMALLEST_SPREAD = 2e-5  # smallest standard deviation of a component [s]
-SWEEPS, WARM_UP = 400, 100
+SWEEPS, WARM_UP = 200, 60
 
 
 @dataclass(frozen=True)
@@ -29,28 +30,6 @@ class LinearDelays:
             centre[own] = covariance @ (h + mean[own] / sd[own] ** 2)
             spread[own] = np.sqrt(np.diag(covariance))
         return centre, spread
-
-    def draw(self, mean: np.ndarray, sd: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """One draw (K,) of the delays under independent normal priors."""
-        result = mean + sd * generator.standard_normal(len(mean))
-        for own, a, h in zip(self.members, self.information, self.pull, strict=True):
-            root = np.linalg.cholesky(a + np.diag(sd[own] ** -2))
-            white = np.linalg.solve(root, h + mean[own] / sd[own] ** 2) + generator.standard_normal(len(own))
-            result[own] = np.linalg.solve(root.T, white)
-        return result
-
-    def log_marginal(self, mean: float, sd: float) -> float:
-        """Log marginal likelihood of one normal law, up to a constant."""
-        total = 0.0
-        for a, h in zip(self.information, self.pull, strict=True):
-            # With eps = mean + sd z, z is standard normal.
-            ones = np.full(len(a), mean)
-            left = h - a @ ones
-            inner = np.eye(len(a)) + sd**2 * a
-            total += float(ones @ h - 0.5 * ones @ a @ ones)
-            total += 0.5 * sd**2 * float(left @ np.linalg.solve(inner, left))
-            total -= 0.5 * float(np.linalg.slogdet(inner)[1])
-        return total
 
 
 @dataclass(frozen=True)
@@ -77,85 +56,130 @@ def mixture_law(
 ) -> MixtureLaw:
     """Fit a normal mixture to the delays by stochastic-approximation EM.
 
-    A sweep first draws component and delay of each message together, given the delays of the others. If the component
-    were drawn given the delay, a message would not leave a narrow component. The sweep then draws all delays of a
-    window together, given the components.
+    Only the component of each message is drawn; the delays are integrated out, in closed form. A sampler that also
+    draws the delays stays for ever in the first assignment that fits: a message cannot change its component while
+    its neighbours' delays are held, because together they explain one motion. With the delays integrated out, the
+    neighbours give way, and the law forgets where the draws began.
 
     Args:
-        linear: Likelihood of the delays.
-        start: A law to start from, or (K,) approximate delays [s].
+        linear: What the data say of the delays; every message acts in one window.
+        start: A law to go on from, or (K,) rough delays [s].
         components: Number of components.
         generator: Generator of all draws.
 
-    Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999).
+    Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999);
+        Liu, The collapsed Gibbs sampler in Bayesian computations (1994).
     """
     if isinstance(start, MixtureLaw):
-        means, spreads, weights, eps = start.means, start.spreads, start.weights, start.centre.copy()
+        means, spreads, weights, eps = start.means, start.spreads, start.weights, start.centre
     else:
         order = np.sort(start)
         weights, means, spreads = expectation_maximisation(order, np.ones(len(order)), components)
-        spreads, eps = np.maximum(spreads, 2 * SMALLEST_SPREAD), start.copy()
+        spreads, eps = np.maximum(spreads, 2 * SMALLEST_SPREAD), start
     least = 0.1 * float(np.min(spreads))
-    single = _SingleMessageGibbs(linear)
-    held: np.ndarray | None = None
-    total, square, kept = np.zeros(len(eps)), np.zeros(len(eps)), 0
+    labels = (np.log(weights / spreads) - 0.5 * ((eps[:, None] - means) / spreads) ** 2).argmax(1)
+    components_of = _Components(linear, labels)
+    held = np.zeros((3, components))
+    total, square = np.zeros(len(eps)), np.zeros(len(eps))
     for sweep in range(SWEEPS):
-        eps, label = single.draw(eps, means, spreads, weights, generator)
-        eps = linear.draw(means[label], spreads[label], generator)
-        one = np.eye(components)[label]
-        now = np.stack([one.sum(0), one.T @ eps, one.T @ eps**2])
+        one, centre, variance = components_of.draw(means, spreads, weights, generator)
+        now = np.stack([one.sum(0), one.T @ centre, one.T @ (centre**2 + variance)])
         gain = 1.0 if sweep < WARM_UP else (sweep - WARM_UP + 1.0) ** -0.7
-        held = now if held is None else held + gain * (now - held)
+        held = held + gain * (now - held)
         size = held[0] + 1e-9
         weights = (size + 1.0) / (size + 1.0).sum()
         means = np.where(size > 0.5, held[1] / size, means)
-        variance = held[2] / size - means**2
+        spread = held[2] / size - means**2
         # Without this inverse-gamma prior of weight one, the spread of a component with one message goes to 0.
-        spreads = np.sqrt(np.maximum((size * variance + least**2) / (size + 1.0), SMALLEST_SPREAD**2))
+        spreads = np.sqrt(np.maximum((size * spread + least**2) / (size + 1.0), SMALLEST_SPREAD**2))
         if sweep >= WARM_UP:
-            total, square, kept = total + eps, square + eps**2, kept + 1
+            total, square = total + centre, square + centre**2 + variance
+    kept = SWEEPS - WARM_UP
     centre = total / kept
     return MixtureLaw(means, spreads, weights, centre, np.sqrt((square / kept - centre**2).clip(0.0)))
 
 
-class _SingleMessageGibbs:
-    """Gibbs draws of single messages given the others. The j-th messages of all windows are drawn at once."""
+class _Components:
+    """Components of the messages, drawn with all delays integrated out; the j-th messages of all windows at once."""
 
-    def __init__(self, linear: LinearDelays) -> None:
+    def __init__(self, linear: LinearDelays, labels: np.ndarray) -> None:
         most = max(len(own) for own in linear.members)
         shape = (len(linear.members), most)
-        self.index = np.full(shape, -1)
+        self.index, self.count = np.full(shape, -1), len(labels)
         self.information, self.pull = np.zeros((*shape, most)), np.zeros(shape)
         for w, (own, a, h) in enumerate(zip(linear.members, linear.information, linear.pull, strict=True)):
             self.index[w, : len(own)] = own
             self.information[w, : len(own), : len(own)], self.pull[w, : len(own)] = a, h
+        self.there = self.index >= 0
+        self.labels = np.where(self.there, labels[self.index], 0)
 
     def draw(
         self,
-        eps: np.ndarray,
         means: np.ndarray,
         spreads: np.ndarray,
         weights: np.ndarray,
         generator: np.random.Generator,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw each message once; returns delays (K,) [s] and components (K,)."""
-        there = self.index >= 0
-        now = np.where(there, eps[self.index], 0.0)
-        labels = np.zeros(self.index.shape, dtype=int)
-        for j in range(self.index.shape[1]):
-            own = self.information[:, j, j]
-            # Density of one message: exp(-own eps^2 / 2 + pull eps), times the law.
-            pull = self.pull[:, j] - (self.information[:, j] * now).sum(1) + own * now[:, j]
-            precision = own[:, None] + spreads**-2
-            centre = (pull[:, None] + means / spreads**2) / precision
-            score = np.log(weights / spreads) - 0.5 * np.log(precision)
-            score = score + 0.5 * (precision * centre**2 - (means / spreads) ** 2)
-            share = np.exp(score - score.max(1, keepdims=True)).cumsum(1)
-            label = (generator.random((len(share), 1)) * share[:, -1:] > share[:, :-1]).sum(1)
-            row = np.arange(len(label))
-            noise = generator.standard_normal(len(label)) / np.sqrt(precision[row, label])
-            now[:, j] = np.where(there[:, j], centre[row, label] + noise, 0.0)
-            labels[:, j] = label
-        result, label = eps.copy(), np.zeros(len(eps), dtype=int)
-        result[self.index[there]], label[self.index[there]] = now[there], labels[there]
-        return result, label
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Components (K, C) as zeros and ones after a sweep, and the delays given all of them.
+
+        Neighbours are drawn in pairs, since one may explain what the other does.
+
+        Returns:
+            Components, means (K,) and variances (K,) of the delays.
+        """
+        covariance, pull = self._posterior(means, spreads)
+        places = self.index.shape[1]
+        for j in range(max(places - 1, 1)):
+            pair = np.arange(j, min(j + 2, places))
+            self._draw_pair(pair, covariance, pull, means, spreads, weights, generator)
+        centre = np.einsum("wij,wj->wi", covariance, pull)
+        variance = np.einsum("wii->wi", covariance)
+        result = np.zeros((3, self.count))
+        result[:, self.index[self.there]] = [x[self.there] for x in (self.labels, centre, variance)]
+        return np.eye(len(means))[result[0].astype(int)], result[1], result[2].clip(0.0)
+
+    def _draw_pair(
+        self,
+        pair: np.ndarray,
+        covariance: np.ndarray,
+        pull: np.ndarray,
+        means: np.ndarray,
+        spreads: np.ndarray,
+        weights: np.ndarray,
+        generator: np.random.Generator,
+    ) -> None:
+        """Draw the components of one or two messages of every window together; the posterior follows."""
+        count = len(pair)
+        combined = np.array(list(itertools.product(range(len(means)), repeat=count)))  # (choices, count)
+        precision, tilt = spreads**-2, means / spreads**2
+        old = self.labels[:, pair]
+        # What all other messages and the data say of these: exp(-eps' own eps / 2 + rest' eps).
+        inverse = np.linalg.inv(covariance[:, pair[:, None], pair])
+        centre = np.einsum("wpj,wj->wp", covariance[:, pair], pull)
+        own = inverse - precision[old][:, :, None] * np.eye(count)
+        rest = np.einsum("wpq,wq->wp", inverse, centre) - tilt[old]
+        # The law of each choice put in: how probable all that is seen is then.
+        total = own[:, None] + precision[combined][:, :, None] * np.eye(count)
+        right = rest[:, None] + tilt[combined]
+        score = np.log(weights / spreads)[combined].sum(1) - 0.5 * (means * tilt)[combined].sum(1)
+        explained = (right * np.linalg.solve(total, right[..., None])[..., 0]).sum(-1)
+        score = score + 0.5 * explained - 0.5 * np.linalg.slogdet(total)[1]
+        share = np.exp(score - score.max(1, keepdims=True)).cumsum(1)
+        choice = (generator.random((len(share), 1)) * share[:, -1:] > share[:, :-1]).sum(1)
+        for place, new in zip(pair, combined[choice].T, strict=True):
+            was = self.labels[:, place].copy()
+            changed = np.flatnonzero((new != was) & self.there[:, place])
+            now, was = new[changed], was[changed]
+            self.labels[changed, place] = now
+            pull[changed, place] += tilt[now] - tilt[was]
+            # Sherman-Morrison: the precision of one delay changes.
+            more = precision[now] - precision[was]
+            column = covariance[changed, place]
+            change = more / (1.0 + more * column[:, place])
+            covariance[changed] -= change[:, None, None] * column[:, :, None] * column[:, None, :]
+
+    def _posterior(self, means: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance (W, n, n) of each window's delays given the components, and precision times mean (W, n)."""
+        sd, mean = spreads[self.labels], means[self.labels]
+        inner = np.eye(sd.shape[1]) + sd[:, :, None] * self.information * sd[:, None, :]
+        return sd[:, :, None] * np.linalg.inv(inner) * sd[:, None, :], self.pull + mean / sd**2

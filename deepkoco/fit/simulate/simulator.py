@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -14,13 +13,17 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.command_effort import command_efforts
 from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.sensor_filter import filtered
-from deepkoco.systems import ExtendedSystem, Motion, System
-
-# The sign of dry friction is smoothed over at least SHARPEST [rad/s], and over the change of speed in CROSSING
-# steps. A reversal within one step would otherwise sample the sign at four stages only. The smoothed sign is odd about
-# the reversal, so its impulse over the step is right.
-SHARPEST = 0.03
-CROSSING = 0.3
+from deepkoco.fit.simulate.step import (
+    Drive,
+    divided,
+    replaced,
+    reversing,
+    sharpest_widths,
+    step_of,
+    widths,
+)
+from deepkoco.systems import ExtendedSystem, System
+from deepkoco.systems.system import Acceleration
 
 
 def trajectories(
@@ -68,18 +71,25 @@ def integrate(
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
-    extended = isinstance(system, ExtendedSystem)
-    law = system.accelerations(own, lanes) if extended else system.accelerations(own)
+
+    def law_of(values: Mapping[str, Tensor]) -> Acceleration:
+        if isinstance(system, ExtendedSystem):
+            return system.accelerations(values, lanes)
+        return system.accelerations(values)
+
+    law = law_of(own)
     start, slope = zip(
         *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
         strict=True,
     )
     pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
     parts = initial.permute(2, 1, 0).contiguous().unbind(0)
-    angle, speed = list(parts[:joints]), list(parts[joints:])
+    angle, speed = parts[:joints], parts[joints:]
     angles, speeds = [angle], [speed]
     firsts, lasts = [], []
-    width: tuple[Tensor, ...] = (torch.full((), SHARPEST, dtype=torch.float64),) * joints
+    sharpest, rub = sharpest_widths(system.smoothing_speeds), system.rubbing_joints
+    finer = tuple(n if j in rub else 1 for j, n in enumerate(system.reversal_steps))
+    width: tuple[Tensor, ...] = tuple(torch.full((), s, dtype=torch.float64) for s in sharpest)
     half = 0.5 * h
     time = torch.from_numpy(windows.t0)[:, None]
     # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
@@ -89,38 +99,26 @@ def integrate(
     loads = [None] * windows.steps if pushes is None else [p.unbind(0) for p in pushes.unbind(0)]
     for i in range(windows.steps):
         begin, middle, end = (effort[i] for effort in efforts)
-        load = loads[i]
-        a1 = law(Motion(tuple(angle), tuple(speed), begin, load, at[0][i], width))
-        q2, v2 = _moved(angle, speed, half), _moved(speed, a1, half)
-        a2 = law(Motion(q2, v2, middle, load, at[1][i], width))
-        q3, v3 = _moved(angle, v2, half), _moved(speed, a2, half)
-        a3 = law(Motion(q3, v3, middle, load, at[1][i], width))
-        q4, v4 = _moved(angle, v3, h), _moved(speed, a3, h)
-        a4 = law(Motion(q4, v4, end, load, at[2][i], width))
-        angle = _stepped(angle, speed, v2, v3, v4, h)
-        speed = _stepped(speed, a1, a2, a3, a4, h)
+        t1, t2, t4 = (t[i] for t in at)
+        drive = Drive((begin, middle, end), (t1, t2, t4), loads[i])
+        step = step_of(law, angle, speed, drive, width, h)
+        rows = reversing(speed, step.speed, width, finer)
+        if len(rows):
+            # Parameters that differ from log to log belong to the windows of their log.
+            own_law = law_of(of_windows(parameters, apart, windows.log[rows.numpy()])) if apart else law
+            part = divided(own_law, angle, speed, drive, width, sharpest, h, rows, max(finer))
+            step = replaced(step, rows, part)
+        angle, speed = step.angle, step.speed
         angles.append(angle)
         speeds.append(speed)
-        firsts.append(a1)
-        lasts.append(a4)
-        width = tuple((CROSSING * h * a.abs()).clamp_min(SHARPEST) for a in a4)
+        firsts.append(step.first)
+        lasts.append(step.last)
+        width = widths(step.last, sharpest, h)
     value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
     first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
     last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
     fast = value[joints:]
     return Nodes(value, (*(v[:-1] for v in fast), *first), (*(v[1:] for v in fast), *last))
-
-
-def _moved(x: list[Tensor] | tuple[Tensor, ...], rate: tuple[Tensor, ...] | list[Tensor], h: float) -> tuple:
-    return tuple(torch.add(a, b, alpha=h) for a, b in zip(x, rate, strict=True))
-
-
-def _stepped(x: list[Tensor], k1: Any, k2: Any, k3: Any, k4: Any, h: float) -> list[Tensor]:
-    """Runge-Kutta step with the weighted mean of four rates."""
-    return [
-        torch.add(a, torch.add(r1, r2 + r3, alpha=2.0).add_(r4), alpha=h / 6.0)
-        for a, r1, r2, r3, r4 in zip(x, k1, k2, k3, k4, strict=True)
-    ]
 
 
 def _over_steps(

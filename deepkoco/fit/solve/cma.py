@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from deepkoco.extras import install_command
+
 
 class MissingExtraError(ImportError):
     """An optional dependency is not installed; the message names the extra."""
@@ -168,6 +170,4 @@ def _library() -> Any:
     try:
         return import_module("cma")
     except ImportError as error:
-        raise MissingExtraError(
-            'CMA-ES needs the package "cma": install the extra, pip install "deepkoco[cma]"'
-        ) from error
+        raise MissingExtraError(f'CMA-ES needs the package "cma": {install_command("cma")}') from error

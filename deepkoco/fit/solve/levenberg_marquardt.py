@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.solve.normal_equations import NormalEquations
+from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
 
 if TYPE_CHECKING:
     from deepkoco.fit.fit import FitProblem
@@ -24,14 +25,6 @@ LARGEST_DAMPING = 1e8
 def state_steps(states: int) -> tuple[float, ...]:
     """Finite differences of an initial state: positions first, then speeds."""
     return (POSITION_STEP,) * (states // 2) + (SPEED_STEP,) * (states // 2)
-
-
-def scaled_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse of a symmetric matrix whose rows differ in unit: it is scaled to a unit diagonal first."""
-    size = np.sqrt(np.diag(matrix))
-    size = np.outer(size, size)
-    size[size == 0.0] = 1.0
-    return np.linalg.pinv(matrix / size, hermitian=True) / size
 
 
 class Batch:
@@ -70,7 +63,8 @@ class Batch:
             normals = self._linearise(active, trial_theta, trial_initial, trial_nuisance)
             for k, normal in zip(active, normals, strict=True):
                 decrease = self.cost[k] - normal.cost
-                if np.isfinite(normal.cost) and decrease >= 0:
+                # A cost may be finite and its derivatives not: one lane of them diverged.
+                if normal.finite and decrease >= 0:
                     self.normal[k] = normal
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
                     self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
@@ -79,13 +73,17 @@ class Batch:
                 else:
                     self.damping[k] *= 20.0
                     # If the step raises the cost by rounding errors only, the cost is at its minimum.
-                    self.converged[k] = np.isfinite(normal.cost) and -decrease < 1e-3 * self.tolerance
+                    self.converged[k] = normal.finite and -decrease < 1e-3 * self.tolerance
                 self.history[k].append(float(self.cost[k]))
                 self.done[k] = (
                     self.converged[k] or self.damping[k] > LARGEST_DAMPING or self.normal[k] is None
                 )
                 if not self.done[k] and iteration < iterations - 1:
-                    step = self._step(int(k))
+                    try:
+                        step = self._step(int(k))
+                    except NotFiniteError:
+                        self.done[k] = True
+                        continue
                     trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
                     if gain < 0.25 * self.tolerance:
                         self.done[k] = self.converged[k] = True
@@ -165,10 +163,12 @@ class Batch:
 
     def _result(self, k: int) -> Fit:
         normal, trial = self.normal[k], self.trials[k]
-        if normal is None:
-            raise FloatingPointError(f"trial {trial.name}: the simulation diverges at the start values")
         p = len(self.columns[k])
+        if normal is None:
+            return self._diverged(k)
         full = normal.reduced(0.0)[0].numpy()
+        if not np.isfinite(full).all():
+            return self._diverged(k)
         information = full[:p, :p] - self.precision[k, :p, :p].numpy()
         if len(full) > p:
             across = full[:p, p:]
@@ -188,4 +188,25 @@ class Batch:
             full,
             self.history[k],
             bool(self.converged[k]),
+        )
+
+    def _diverged(self, k: int) -> Fit:
+        """Of a trial whose simulation diverges: the start, of which the data say nothing."""
+        trial, prior = self.trials[k], self.precision[k].numpy()
+        p = len(self.columns[k])
+        curvature = np.diag(np.append(np.zeros(p), self.problem.nuisances.precision.numpy()))
+        curvature[:p, :p] = prior[:p, :p]
+        return Fit(
+            trial.name,
+            trial.free,
+            dict(zip(self.problem.names, map(float, self.theta[k]), strict=True)),
+            scaled_inverse(prior[:p, :p]),
+            np.zeros((p, p)),
+            self.initial[k].clone(),
+            self.nuisance[k].clone(),
+            np.inf,
+            0.0,
+            torch.zeros_like(self.problem.weight),
+            curvature,
+            self.history[k],
         )

@@ -75,7 +75,7 @@ class LevenbergMarquardt:
         lanes = 1 + len(moved) + request.windows.state.shape[1]
 
         def run(stage: str, problem: FitProblem, trial: Trial) -> Fit:
-            fit = problem.fit([trial], self.iterations, TOLERANCE)[0]
+            fit = problem.fit_one(trial, self.iterations, TOLERANCE)
             stages.append((stage, tuple(fit.history)))
             progress(stage, len(fit.history), self.iterations, fit.cost)
             return fit
@@ -144,7 +144,7 @@ class CmaEs:
         at = torch.from_numpy(nuisance) if len(nuisance) else None
         both = torch.stack([problem.windows.state])
         state, _ = problem.fit_states_each([values], both, nuisance=None if at is None else at[None])
-        return problem.fit([_trial(request, values, state[0], at)], 1)[0]
+        return problem.fit_one(_trial(request, values, state[0], at), 1)
 
 
 METHODS: dict[str, type[LevenbergMarquardt] | type[CmaEs]] = {"lm": LevenbergMarquardt, "cma": CmaEs}
@@ -210,4 +210,4 @@ def held(request: FitRequest, values: dict[str, float], state: torch.Tensor, nui
     states, costs = problem.fit_states_each([values] * 2, torch.stack(list(starts)), HELD_STEPS, own)
     pick = costs.argmin(0)[None, :, None].expand(1, -1, states.shape[-1])
     trial = Trial("held", (), Prior.empty(), values, states.gather(0, pick)[0], nuisance)
-    return problem.fit([trial], HELD_STEPS if problem.nuisances.count else 1)[0]
+    return problem.fit_one(trial, HELD_STEPS if problem.nuisances.count else 1)

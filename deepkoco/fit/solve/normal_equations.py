@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
 
 
 @dataclass
@@ -79,10 +82,21 @@ class NormalEquations:
         gs = torch.einsum("wms,wm->ws", js, r)
         return NormalEquations(residual, chi2, chi2 + penalty, hpp, hps, hss, gp, gs)
 
+    @property
+    def finite(self) -> bool:
+        """Whether neither the residuals nor any derivative diverged."""
+        parts = (self.hpp, self.hps, self.hss, self.gp, self.gs)
+        return math.isfinite(self.cost) and all(bool(torch.isfinite(part).all()) for part in parts)
+
     def reduced(self, damping: float) -> tuple[Tensor, Tensor, Tensor]:
         """Schur complement (q, q) of the parameters, right-hand side (q,), and inverse state blocks (W, S, S)."""
         diagonal = torch.diagonal(self.hss, dim1=-2, dim2=-1)
-        inverse = torch.linalg.inv(self.hss + torch.diag_embed(damping * diagonal + 1e-9))
+        blocks = self.hss + torch.diag_embed(damping * diagonal + 1e-9)
+        inverse, singular = torch.linalg.inv_ex(blocks)
+        if singular.any():
+            # Two states that the measurements do not tell apart: the step leaves their difference as it is.
+            again = torch.from_numpy(scaled_inverse(blocks.numpy()))
+            inverse = torch.where((singular > 0)[:, None, None], again, inverse)
         through = self.hps @ inverse  # (W, q, S)
         matrix = self.hpp + torch.diag(damping * torch.diagonal(self.hpp))
         matrix = matrix - torch.einsum("wis,wjs->ij", through, self.hps)
@@ -97,7 +111,10 @@ class NormalEquations:
             limit: (p,) given steps.
 
         Returns:
-            Steps of parameters and nuisances (q,), steps of states (W, S), predicted decrease of the cost.
+            Moves of parameters and nuisances (q,), of states (W, S), predicted decrease of the cost.
+
+        Raises:
+            NotFiniteError: The reduced system overflows.
         """
         matrix, right, inverse = self.reduced(damping)
         free = torch.ones(len(right), dtype=torch.bool)
@@ -108,6 +125,10 @@ class NormalEquations:
             scale = torch.sqrt(torch.diagonal(matrix)[free].clamp_min(1e-30))
             scaled = matrix[free][:, free] / scale[:, None] / scale
             wanted = (right - matrix @ move)[free] / scale
+            if not (torch.isfinite(scaled).all() and torch.isfinite(wanted).all()):
+                raise NotFiniteError(
+                    "the reduced normal equations are not finite: a simulation nearly diverged"
+                )
             # On a singular matrix, only NumPy's solver gives the same bits every time; torch's (gelsy) does not.
             solution = np.linalg.lstsq(scaled.numpy(), wanted.numpy(), rcond=None)[0]
             move[free] = torch.from_numpy(solution) / scale

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 from deepkoco.systems import Parameter
 
 
@@ -43,10 +44,7 @@ class Prior:
     def precision(self, names: Iterable[str]) -> np.ndarray:
         """Inverse covariance of these parameters; the others are marginalised."""
         index = [self.names.index(n) for n in names]
-        block = self.covariance[np.ix_(index, index)]
-        scale = np.sqrt(np.diag(block))
-        inverse = np.linalg.pinv(block / np.outer(scale, scale), hermitian=True)
-        return inverse / np.outer(scale, scale)
+        return scaled_inverse(self.covariance[np.ix_(index, index)])
 
     def widened(self, added: Iterable[Parameter], values: Mapping[str, float]) -> Prior:
         """Add the declared prior variance of parameters to this prior, which need not contain them.

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Mapping
+from datetime import date
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from deepkoco.graph.drawing.layers import Placement, Size, place
+from deepkoco.graph.drawing.signals import MOST_ENTRIES, draw_signals, signals_of
 from deepkoco.graph.drawing.style import PALETTE, DrawingError, write_whole
 from deepkoco.graph.drawing.words import connection_words, delay_words, graph_words, loop_words, node_words
 from deepkoco.graph.episodes.episode import Episode
+from deepkoco.graph.episodes.storage.summary import Spread, summarise_episodes
 from deepkoco.graph.episodes.tables import steps_table
 from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.graph import Graph
+from deepkoco.output import picture
+from deepkoco.pages.figures import Shown, show_both
+from deepkoco.pages.links import links_between
+from deepkoco.pages.page import render_page, software
 
 MOST_STEPS = 20_000
 """Steps of an episode that a page holds; a longer one is cut."""
@@ -23,14 +31,23 @@ _NAME, _SMALL = 8.7, 6.4  # width of a character [px], bold 15 px and 12 px
 _LINE, _EDGE = 17, 20  # height of a line, empty space around [px]
 
 
-def write_page(path: str | Path, graph: Graph, episode: Episode | None = None, title: str = "Graph") -> Path:
+def write_page(
+    path: str | Path,
+    graph: Graph,
+    episode: Episode | None = None,
+    title: str = "Graph",
+    pages: Mapping[str, Path] | None = None,
+    made: date | None = None,
+) -> Path:
     """Write the page, whole or not at all.
 
     Args:
         path: file to write.
         graph: what is shown.
-        episode: shown as a timeline below; of a long one the beginning.
+        episode: shown as timeline, numbers and signals below; of a long one the timeline has the beginning.
         title: heading.
+        pages: name to file of other pages that may be there, for the navigation.
+        made: day that the page says; None takes today's, or that of SOURCE_DATE_EPOCH.
 
     Raises:
         DrawingError: the file exists.
@@ -38,29 +55,83 @@ def write_page(path: str | Path, graph: Graph, episode: Episode | None = None, t
     path = Path(path)
     if path.exists():
         raise DrawingError(f"{path}: exists; choose another name or move it away")
-    page = make_page(graph, episode, title)
+    page = make_page(graph, episode, title, path, pages, made)
     write_whole(path, lambda file: file.write(page.encode()))
     return path
 
 
-def make_page(graph: Graph, episode: Episode | None = None, title: str = "Graph") -> str:
+def make_page(
+    graph: Graph,
+    episode: Episode | None = None,
+    title: str = "Graph",
+    path: Path | None = None,
+    pages: Mapping[str, Path] | None = None,
+    made: date | None = None,
+) -> str:
     """Return the page as text; arguments as for `write_page`."""
     placed = _place(graph)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("deepkoco.graph.drawing", "pages"), autoescape=True
-    )
     timeline = None if episode is None else _timeline(graph, episode)
     nodes, edges = _nodes(graph, placed), [_edge(c, placed) for c in graph.connections]
-    return environment.get_template("page.html").render(
+    own = path or Path("graph.html")
+    return render_page(
+        "deepkoco.graph.drawing",
+        "pages/page.html",
         title=title,
+        versions=software("torch", "numpy"),
+        made=made,
+        links=links_between(own, {**(pages or {}), "Graph": own}),
         summary=graph_words(graph),
         width=round(placed.width * _PIXELS) + 2 * _EDGE,
         height=round(placed.height * _PIXELS) + 2 * _EDGE,
         nodes=nodes,
         edges=edges,
         timeline=timeline,
+        numbers=None if episode is None else _numbers(graph, episode),
+        signals=None if episode is None else _signals(graph, episode),
         data={"nodes": nodes, "edges": edges, "timeline": timeline},
     )
+
+
+def _numbers(graph: Graph, episode: Episode) -> dict[str, list[dict[str, Any]]]:
+    """Rates and delays of an episode as they are written in tables."""
+    summary = summarise_episodes(graph, [episode])
+    nodes = [
+        {
+            "name": n.name,
+            "cells": [
+                str(n.steps),
+                f"{n.rate_hz:.6g}",
+                "–" if n.realised_hz is None else f"{n.realised_hz:.2f}",
+                *_spread(n.computation),
+            ],
+            "alarms": [n.overruns, n.late],
+        }
+        for n in summary.nodes
+    ]
+    connections = [
+        {"name": c.key, "cells": [str(c.messages), *_spread(c.communication)], "alarms": [c.lost]}
+        for c in summary.connections
+    ]
+    return {"nodes": nodes, "connections": connections}
+
+
+def _spread(delay: Spread) -> list[str]:
+    values = (delay.mean_s, delay.p50_s, delay.p99_s)
+    return ["–" if value is None else f"{1000 * value:.2f}" for value in values]
+
+
+def _signals(graph: Graph, episode: Episode) -> Shown | None:
+    """The outputs over time; the numbers behind them go with the page as a file to save."""
+    if not signals_of(graph, episode):
+        return None
+    drawn = draw_signals(graph, episode)
+    caption = (
+        f"What every node sent, at the moment it sent it; a value holds until the next. Outputs of more than "
+        f"{MOST_ENTRIES} numbers, such as pictures, are left out."
+    )
+    table = drawn.table.to_csv(index=False, float_format="%.6g").encode()
+    numbers = f"data:text/csv;base64,{base64.b64encode(table).decode()}"
+    return show_both(picture.Picture("signals", "Signals", caption, drawn.figure, drawn.table), numbers)
 
 
 def _place(graph: Graph) -> Placement:

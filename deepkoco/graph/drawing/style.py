@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.resources import files
@@ -14,6 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from deepkoco.graph.model.graph import Graph
+from deepkoco.output.whole_file import whole_file, writing
 
 # Told apart by people who do not see all colours: Okabe and Ito's set, the light yellow darkened; then Tol's.
 PALETTE = (
@@ -52,13 +52,15 @@ class Picture(NamedTuple):
 
         Raises:
             DrawingError: one of the files exists.
+            WriteError: the disk is full, or the place cannot be written.
         """
         folder = Path(folder)
         png, csv = (folder / f"{name or self.name}{suffix}" for suffix in (".png", ".csv"))
         for path in (png, csv):
             if path.exists():
                 raise DrawingError(f"{path}: exists; choose another name or move it away")
-        folder.mkdir(parents=True, exist_ok=True)
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         # Without the version of matplotlib in the file, the same picture is the same bytes.
         write_whole(png, lambda file: self.figure.savefig(file, format="png", metadata={"Software": None}))
         write_whole(csv, lambda file: file.write(self.table.to_csv(index=False).encode()))
@@ -66,14 +68,13 @@ class Picture(NamedTuple):
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file under another name and then rename it."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with partial.open("xb") as file:
-            write(file)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    """Write a file with `write`, whole or not at all.
+
+    Raises:
+        WriteError: the disk is full, or the place cannot be written.
+    """
+    with whole_file(path) as partial, partial.open("xb") as file:
+        write(file)
 
 
 @contextmanager

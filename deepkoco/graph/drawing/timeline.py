@@ -126,7 +126,8 @@ def _draw_messages(
     arrived, used, lost = messages.loc[came], messages.loc[came & seen], messages.loc[~came]
     # What nobody used, and what crosses other lanes, stays in the background.
     strength = 0.8 if abs(lanes[sender] - lanes[receiver]) <= 1 else 0.4
-    strengths = np.where(seen[came], strength, 0.3 * strength)
+    # Matplotlib takes no empty list of strengths.
+    strengths = np.where(seen[came], strength, 0.3 * strength) if came.to_numpy().any() else None
     flights = [
         [(sent, leaves), (received, queue)] for sent, received in _rows(arrived, "t_sent_s", "t_received_s")
     ]

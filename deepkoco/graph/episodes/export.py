@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pandas as pd
 from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.storage.container import EpisodeFileError
 from deepkoco.graph.model.graph import Graph
+from deepkoco.output.whole_file import whole_file
 
 _INSTANT = np.dtype([("time", np.float64), ("again", np.int64)])
 
@@ -22,7 +22,8 @@ def episode_table(graph: Graph, episode: Episode) -> pd.DataFrame:
     Returns:
         One row for each instant at which anything happened, in order of time; a cell is empty where its column has
         nothing at that instant. `time_s`; at the end of each step `NODE/seq`, `NODE/computation_delay_s` and
-        `NODE/output/0...` (the output in flat order; booleans as 0 and 1); at each arrival
+        `NODE/output/0...` (the output in flat order; booleans as 0 and 1),
+        of a node with several outputs `NODE/output/PART/0...`; at each arrival
         `SENDER->RECEIVER/seq` and `.../communication_delay_s`; at the sending of a message that never arrives
         `.../lost_seq`; at the start of each step that sees a message `.../age_s` of the newest one.
     """
@@ -33,7 +34,12 @@ def episode_table(graph: Graph, episode: Episode) -> pd.DataFrame:
         parts.append((end, {f"{node.name}/{name}": values for name, values in columns.items()}))
         output = episode.outputs.get(node.name)
         if output is not None:
-            parts.append((end[: len(output)], _flat(node.name, output)))
+            named = {f"{node.name}/output": output}
+            if node.name in graph.parts:
+                split = graph.parts[node.name].split_array(output)
+                named = {f"{node.name}/output/{part}": values for part, values in split.items()}
+            for name, values in named.items():
+                parts.append((end[: len(output)], _flat(name, values)))
     for c in graph.connections:
         sent, received = episode.t_sent[c.key], episode.t_received[c.key]
         arrived, seq = np.isfinite(received), np.arange(len(sent))
@@ -68,6 +74,7 @@ def export_episodes(
 
     Raises:
         EpisodeFileError: the file exists, the format is not known, or there is no such episode.
+        WriteError: the disk is full, or the place cannot be written.
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
@@ -84,12 +91,8 @@ def export_episodes(
         table = episode_table(graph, episodes[episode or 0])
     else:
         table = _one_after_the_other([episode_table(graph, each) for each in episodes])
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with whole_file(path) as partial:
         _WRITERS[path.suffix](table, partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 
@@ -98,9 +101,9 @@ def _flat(name: str, output: np.ndarray) -> dict[str, np.ndarray]:
     if flat.dtype.kind == "b":
         flat = flat.astype(np.uint8)
     if flat.dtype.kind != "c":
-        return {f"{name}/output/{i}": flat[:, i] for i in range(flat.shape[1])}
+        return {f"{name}/{i}": flat[:, i] for i in range(flat.shape[1])}
     parts = {"real": np.real(flat), "imag": np.imag(flat)}
-    return {f"{name}/output/{i}/{part}": v[:, i] for i in range(flat.shape[1]) for part, v in parts.items()}
+    return {f"{name}/{i}/{part}": v[:, i] for i in range(flat.shape[1]) for part, v in parts.items()}
 
 
 def _on_one_axis(parts: list[tuple[np.ndarray, dict[str, np.ndarray]]]) -> pd.DataFrame:

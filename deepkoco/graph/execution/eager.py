@@ -11,10 +11,11 @@ from torch import Tensor
 from deepkoco.graph.execution import cells
 from deepkoco.graph.execution.policy import Policy, as_function, given_actions
 from deepkoco.graph.execution.schedule import Schedule
-from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.model.calls import call_init, call_initial_output, call_observe, call_step
 from deepkoco.graph.model.contract import check_action, check_batch, check_output, check_state, located
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.model.node import GraphError, Input, State, Supervisor
+from deepkoco.graph.model.node import GraphError, Input, Node, State, Supervisor
 from deepkoco.graph.supergraph import join_slots
 from deepkoco.graph.timing.computation_graph import concatenate
 
@@ -44,7 +45,7 @@ class EagerExecutor:
         schedule: Schedule,
         row: np.ndarray,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State],
     ) -> RuntimeState:
         """The state before anything has run.
@@ -73,14 +74,14 @@ class EagerExecutor:
         nodes, outputs, values = {}, {}, {}
         for position, node in enumerate(self.graph.nodes):
             values[node.name] = dict(parameters.get(node.name, {}))
-            node_state = dict(node.init(values[node.name], generator, batch))
+            node_state = _initial_state(node, values[node.name], generator, batch)
             for key, value in initial.get(node.name, {}).items():
                 if key not in node_state or value.shape != node_state[key].shape:
                     there = {k: tuple(v.shape) for k, v in node_state.items()}
                     raise ValueError(f'initial "{node.name}.{key}" {tuple(value.shape)} does not fit {there}')
                 node_state[key] = value
             nodes[node.name] = node_state
-            output = node.initial_output(values[node.name], node_state, batch)
+            output = call_initial_output(node, values[node.name], node_state, batch)
             check_batch(f'node "{node.name}": initial output', output, batch)
             for key, value in node_state.items():
                 check_batch(f'node "{node.name}": initial state "{key}"', value, batch)
@@ -149,7 +150,7 @@ class EagerExecutor:
             return state
         seen = self.inputs(state)
         try:
-            own, readings = supervisor.observe(state.parameters[name], state.nodes[name], seen, action)
+            own, readings = call_observe(supervisor, state.parameters[name], state.nodes[name], seen, action)
         except Exception as error:
             raise located(name, state.step, error) from error
         return replace(state, nodes=state.nodes | {name: own}, readings=readings)
@@ -173,7 +174,7 @@ class EagerExecutor:
             inputs = self._inputs(state, position, seq if every[slot] else np.where(runs, seq, seq.max()))
             old = nodes[node.name]
             try:
-                node_state, output = node.step(state.parameters[node.name], old, inputs)
+                node_state, output = call_step(node, state.parameters[node.name], old, inputs)
                 check_state(node_state, old)
                 check_output(output, outputs[node.name][0])
             except Exception as error:
@@ -226,7 +227,9 @@ class EagerExecutor:
                 schedule.t_received,
             )
             data = cells.read(state.outputs[connection.sender], seen)
-            inputs[connection.name] = Input(data, *(spread(t) for t in times), t_start=t_start)
+            inputs[connection.name] = Input(
+                connection.seen(data), *(spread(t) for t in times), t_start=t_start
+            )
         return inputs
 
     def merge(self, running: RuntimeState, fresh: RuntimeState, mask: np.ndarray) -> RuntimeState:
@@ -268,6 +271,19 @@ class EagerExecutor:
             outputs=outputs,
             readings=_merged(where, {"": running.readings}, {"": fresh.readings})[""],
         )
+
+
+def _initial_state(
+    node: Node, parameters: Mapping[str, Tensor], generator: Generators, batch: int
+) -> dict[str, Tensor]:
+    """What `init` returns, (B, ...); with a generator for each environment, it draws for one after the other."""
+    if isinstance(generator, torch.Generator):
+        return call_init(node, parameters, generator, batch)
+    each = []
+    for place, own in enumerate(generator):
+        values = {k: v[place : place + 1] if v.ndim and len(v) > 1 else v for k, v in parameters.items()}
+        each.append(call_init(node, values, own, 1))
+    return {key: torch.cat([state[key] for state in each]) for key in each[0]}
 
 
 def _merged(mask: Tensor, running: Any, fresh: Any) -> dict[str, dict[str, Tensor]]:

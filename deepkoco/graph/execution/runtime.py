@@ -10,7 +10,7 @@ from torch import Tensor
 from deepkoco.graph.execution.eager import EagerExecutor
 from deepkoco.graph.execution.policy import Policy, recorded_names
 from deepkoco.graph.execution.schedule import Schedule
-from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Input, State
 from deepkoco.graph.supergraph import merge_slots
@@ -70,7 +70,7 @@ class BatchedRuntime:
     def reset(
         self,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State] | None = None,
         *,
         timing: ComputationGraph | None = None,
@@ -83,7 +83,8 @@ class BatchedRuntime:
 
         Args:
             parameters: by node name; a node that is not named has none. Scalars or (B, ...).
-            generator: passed to each node's `init`.
+            generator: passed to each node's `init`; or one for each environment, whose draws are then those
+                of a batch of one with its generator.
             initial: by node name, states or parts of states (B, ...) that replace those of `init`.
             timing: fresh schedules for the whole batch; of a part of the batch, the rows of the
                 environments in `mask` are used. None: those that `state` runs, or of the constructor.
@@ -114,6 +115,8 @@ class BatchedRuntime:
         if not len(row):
             raise ValueError("no rows: a batch has at least one environment")
         self._check_pure(len(row))
+        if not isinstance(generator, torch.Generator) and len(generator) != len(row):
+            raise ValueError(f"{len(generator)} generators for {len(row)} environments")
         fresh = self._executor.start(schedule, row, parameters, generator, initial or {})
         fresh = self._executor.begin(fresh, trace)
         if state is not None and mask is not None:
@@ -148,7 +151,7 @@ class BatchedRuntime:
         self,
         state: RuntimeState,
         policy: Policy,
-        steps: int,
+        steps: int | None = None,
         *,
         parameters: Mapping[str, Tensor] | None = None,
         record: Sequence[str] | None = None,
@@ -160,7 +163,7 @@ class BatchedRuntime:
             policy: a pure function of its parameters and of what the supervisor reads (of what it sees, if
                 it reads nothing), a torch module of the reading "observation", or the actions themselves,
                 (steps, B, M) or (steps, 1, M) for all.
-            steps: number of actions to take.
+            steps: number of actions to take; None: as many as there are given actions.
             parameters: of the policy, shared by all environments; None: those of the module, or none.
             record: names of readings, and "action"; None: all of them.
 
@@ -169,8 +172,12 @@ class BatchedRuntime:
 
         Raises:
             HorizonError: the timing of an environment ends before the last step; nothing has been done.
-            ValueError: a name or shape does not fit.
+            ValueError: a name or shape does not fit, or nothing says how many steps to take.
         """
+        if steps is None:
+            if not isinstance(policy, Tensor) or policy.ndim == 0:
+                raise ValueError("a rollout of a policy: say how many steps to take (steps=)")
+            steps = len(policy)
         if steps < 1:
             raise ValueError(f"a rollout of {steps} steps: take at least one")
         names = recorded_names(None if record is None else tuple(record), state)

@@ -1,15 +1,18 @@
 """States: what a batch of environments remembers between two actions."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.model.node import State
 
 NodeParameters = Mapping[str, Mapping[str, Tensor]]
+Generators = torch.Generator | Sequence[torch.Generator]
+"""Where the draws of `init` come from: for the whole batch, or for each environment."""
 Trace = list[tuple[int, np.ndarray, Tensor]]
 """What ran: node, its step in each environment (-1: none; one number if all the same), outputs (B, ...)."""
 

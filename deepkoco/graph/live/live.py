@@ -69,6 +69,14 @@ class LiveRuntime(ABC):
         self._episode = 0
         self._others = [node.name for node in graph.nodes if node.name != graph.supervisor]
 
+    def __getstate__(self) -> dict[str, Any]:
+        if self._crew is not None:
+            raise TypeError(
+                "this runtime has nodes in running threads and processes: it cannot be copied or pickled; close "
+                "it first, or make another one from the graph"
+            )
+        return dict(self.__dict__)
+
     def __enter__(self) -> Any:
         return self
 

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.live.plan import Window
+from deepkoco.graph.model.calls import call_init, call_initial_output, call_observe, call_step
 from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.contract import check_action, check_batch, check_finite, check_output, check_state
 from deepkoco.graph.model.node import Input, Node, State, Supervisor
@@ -51,7 +52,7 @@ class Runner:
             NotFiniteError: the initial output is not finite, and the node has not `finite = False`.
         """
         self._parameters = dict(parameters)
-        self.state = dict(self.node.init(self._parameters, generator, 1))
+        self.state = call_init(self.node, self._parameters, generator, 1)
         for key, value in self.state.items():
             check_batch(f'initial state "{key}"', value, 1)
         for key, value in initial.items():
@@ -61,7 +62,7 @@ class Runner:
                     f'initial "{self.node.name}.{key}" {tuple(value.shape)} does not fit {there}'
                 )
             self.state[key] = value
-        output = self.node.initial_output(self._parameters, self.state, 1)
+        output = call_initial_output(self.node, self._parameters, self.state, 1)
         check_batch("initial output", output, 1)
         self.check_finite("initial output", output)
         self._first = self._own(output)
@@ -93,7 +94,7 @@ class Runner:
             data = [held[seq] if seq >= 0 else self._initial[place] for seq in window.seq]
             assert connection.name is not None
             seen[connection.name] = Input(
-                data=data[0].unsqueeze(1) if len(data) == 1 else torch.stack(data, dim=1),
+                data=connection.seen(data[0].unsqueeze(1) if len(data) == 1 else torch.stack(data, dim=1)),
                 seq=torch.tensor([window.seq], dtype=torch.int64),
                 t_sent=torch.tensor([window.t_sent], dtype=torch.float64),
                 t_received=torch.tensor([window.t_received], dtype=torch.float64),
@@ -118,7 +119,7 @@ class Runner:
             GraphError: the output or the state has another shape or type than the initial one.
             NotFiniteError: the output is not finite, and the node has not `finite = False`.
         """
-        state, output = self.node.step(self._parameters, self.state, inputs)
+        state, output = call_step(self.node, self._parameters, self.state, inputs)
         check_state(state, self.state)
         check_output(output, self._first)
         self.check_finite("output", output)
@@ -148,7 +149,7 @@ class Runner:
         """Let the supervisor work out its readings, with the action of the step before."""
         if not isinstance(self.node, Supervisor):
             return {}
-        state, readings = self.node.observe(self._parameters, self.state, inputs, action)
+        state, readings = call_observe(self.node, self._parameters, self.state, inputs, action)
         check_state(state, self.state)
         self.state = state
         return readings

@@ -1,12 +1,15 @@
 """Connections: which output is whose input, and how it travels."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Any
 
+from torch import Tensor
+
 from deepkoco.graph.delay import Delay, DelayError, Deterministic, make_delay
 from deepkoco.graph.model.node import GraphError
+from deepkoco.graph.model.parts import Parts
 
 JITTERS = ("latest", "buffer")
 LONGEST_WINDOW = 1024
@@ -27,6 +30,7 @@ class Connection:
         jitter: "latest" takes a message as soon as it is there, "buffer" not before its nominal arrival.
         fifo: messages cannot overtake each other.
         name: name of the input; None takes the sender's.
+        parts: of the sender's output, where it has several; the graph fills it in.
     """
 
     sender: str
@@ -38,6 +42,7 @@ class Connection:
     jitter: str = "latest"
     fifo: bool = True
     name: str | None = None
+    parts: Parts | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.name is None:
@@ -63,6 +68,10 @@ class Connection:
         """Name of the connection in the graph: "sender->receiver", with ":input" if the input has its own."""
         own = "" if self.name == self.sender else f":{self.name}"
         return f"{self.sender}->{self.receiver}{own}"
+
+    def seen(self, data: Tensor) -> Any:
+        """What the receiver sees of messages (B, window, ...)."""
+        return data if self.parts is None else self.parts.split(data)
 
     @property
     def law(self) -> Delay:

@@ -1,6 +1,7 @@
 """Graphs: nodes and connections that fit together."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -12,8 +13,10 @@ from deepkoco.graph.delay import (
     make_correlation,
     make_stalls,
 )
+from deepkoco.graph.model.calls import check_asked
 from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.node import GraphError, Node, Supervisor
+from deepkoco.graph.model.parts import Parts, PartsError
 
 
 class Graph:
@@ -28,6 +31,10 @@ class Graph:
         supervisor: name of the node whose output comes from outside.
         correlations: rank correlations between delays of one publisher, or their descriptions.
         stalls: stalls that hold up several channels at once, or their descriptions.
+
+    Attributes:
+        parts: by node name, where the tensors of an output lie that is a dict; `parts[name].split_array`
+            takes apart what an episode has of the node.
 
     Raises:
         GraphError: names the node, connection or cycle that does not fit.
@@ -50,6 +57,11 @@ class Graph:
         self.kept: dict[str, Any] = {}
         """What others work out of this graph once and keep with it."""
         self._check()
+        self.parts = self._parts()
+        self.connections = tuple(
+            replace(c, parts=self.parts.get(c.sender)) if c.parts or c.sender in self.parts else c
+            for c in self.connections
+        )
         self.order = self._topological_order()
         self.phases = self._phases()
         self.correlations, self.stalls = check_coupling(self, correlations, stalls)
@@ -82,6 +94,7 @@ class Graph:
                     f'node "{node.name}" is a Supervisor, but the supervisor is "{self.supervisor}"; '
                     "a graph has one"
                 )
+            check_asked(node)
         seen: set[str] = set()
         for connection in self.connections:
             for end in (connection.sender, connection.receiver):
@@ -101,6 +114,22 @@ class Graph:
             for name in node.inputs or ():
                 if f"{node.name}.{name}" not in seen:
                     raise GraphError(f'input "{name}" of node "{node.name}" is not connected')
+
+    def _parts(self) -> dict[str, Parts]:
+        """The parts of the outputs that are dicts, by node name."""
+        found = {}
+        for node in self.nodes:
+            if node.outputs is None:
+                continue
+            if node.name == self.supervisor:
+                raise GraphError(
+                    f'supervisor "{node.name}": its output is the action, one tensor; leave outputs out'
+                )
+            try:
+                found[node.name] = Parts.of(node.outputs)
+            except PartsError as error:
+                raise GraphError(f'node "{node.name}": outputs: {error}') from error
+        return found
 
     def _topological_order(self) -> tuple[int, ...]:
         """Order the nodes so that messages that are not skipped go forward; first named, first placed."""

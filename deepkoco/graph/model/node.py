@@ -10,9 +10,11 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.delay import Delay, DelayError, exact_fraction, make_delay
+from deepkoco.graph.model.parts import Declared
 
 State = dict[str, Tensor]
 Parameters = Mapping[str, Tensor]
+Output = Tensor | Mapping[str, Tensor]
 SCHEDULINGS = ("frequency", "phase")
 
 
@@ -27,14 +29,14 @@ class Input(NamedTuple):
     seq -window..-1 and both times minus infinity (it has always been there).
 
     Attributes:
-        data: (B, window, ...) outputs of the sender.
+        data: (B, window, ...) outputs of the sender; by name where the sender declares several.
         seq: (B, window) int64 step of the sender that made each output.
         t_sent: (B, window) float64, end of that step [s].
         t_received: (B, window) float64, arrival [s].
         t_start: (B,) float64, start of the step that reads [s].
     """
 
-    data: Tensor
+    data: Any
     seq: Tensor
     t_sent: Tensor
     t_received: Tensor
@@ -58,6 +60,9 @@ class Node(ABC):
 
     inputs: ClassVar[tuple[str, ...] | None] = None
     """Names of the inputs that `step` reads; each must be connected. None: takes whatever is connected."""
+
+    outputs: Declared | None = None
+    """Shape and type of each tensor where the output is a dict of several; None: it is one tensor."""
 
     pure: ClassVar[bool] = True
     """Whether `init` and `step` are functions of their arguments alone and take any batch. A node that holds
@@ -95,17 +100,20 @@ class Node(ABC):
         self.advance = advance
         self.phase = None if phase is None else exact_fraction(phase)
 
-    @abstractmethod
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
-        """Return the state before the first step, every tensor (B, ...); an empty dict for no state."""
+        """Return the state before the first step, every tensor (B, ...); no state unless overridden."""
+        return {}
 
     @abstractmethod
-    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
+    def initial_output(self, parameters: Parameters, state: State, batch: int) -> Output:
         """Return what receivers see before the first message has arrived, (B, ...)."""
 
     @abstractmethod
-    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
+    def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Output]:
         """Run one tick of every environment.
+
+        A subclass may ask for its period and for noise by name, after a star:
+        ``def step(self, parameters, state, inputs, *, dt, noise)``.
 
         Args:
             parameters: this node's parameters, each a scalar or (B, ...).
@@ -113,7 +121,7 @@ class Node(ABC):
             inputs: by name of the connection.
 
         Returns:
-            The next state (same keys and shapes) and the output (B, ...).
+            The next state (same keys and shapes) and the output (B, ...), by name where there are several.
         """
 
     def open(self) -> None:  # noqa: B027 - most nodes have nothing to acquire
@@ -140,9 +148,6 @@ class Supervisor(Node):
     ) -> None:
         super().__init__(name, rate, **options)
         self.initial_action = initial_action
-
-    def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
-        return {}
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
         return self.initial_action.expand(batch, *self.initial_action.shape)

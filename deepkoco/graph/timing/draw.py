@@ -15,12 +15,14 @@ from deepkoco.graph.delay import DelayError, RankCorrelation, RecordedDelays, St
 from deepkoco.graph.model.graph import Graph, check_coupling
 from deepkoco.graph.timing.computation_graph import ComputationGraph
 from deepkoco.graph.timing.drawn import DrawnDelays
-from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, Times, run_rows
+from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, Draws, Times, run_rows
 from deepkoco.graph.timing.origin import Origin
 from deepkoco.graph.timing.overrides import Delays, TimingError, read_overrides
 from deepkoco.graph.timing.plan import plan_of
+from deepkoco.graph.timing.waiting import Waiting
 
 __all__ = ["Delays", "TimingError", "draw_timing", "extend_timing"]
+_AT_ONCE = 100_000  # steps of nodes that are worked out between two looks at the clock
 _MOST_STRETCH = 64  # an episode that takes this many times its nominal steps is not going to end
 
 
@@ -112,12 +114,11 @@ def _work_out(origin: Origin, steps: int, row: np.ndarray) -> ComputationGraph:
     rules = plan.rules(resolution)
     capacity = planned = plan.capacity(steps)
     drawn = DrawnDelays(graph, origin, resolution)
-    nothing = np.zeros((len(drawn.kept), 0), dtype=np.int64)
     while True:
         layout, columns = plan.columns(capacity, resolution)
         draws = drawn.up_to(capacity)
         times = empty_times(layout, len(drawn.kept), steps)
-        status = run_rows(steps, rules, columns, draws, nothing, times)
+        status = _run(steps, rules, columns, draws, times)
         if status == DONE:
             return ComputationGraph(layout, resolution, steps, row, *times, origin=origin)
         if status == UNSTALLED:
@@ -131,6 +132,25 @@ def _work_out(origin: Origin, steps: int, row: np.ndarray) -> ComputationGraph:
                 f'supervisor "{graph.supervisor}" does not come to its step {steps}: delays hold it up, or '
                 "nodes with advance=True and only blocking inputs drive each other without any tick"
             )
+
+
+def _run(steps: int, rules: Any, columns: Any, draws: Draws, times: Times) -> int:
+    """Fill the times of all schedules, a part of them at a time so that who waits can see how far it is."""
+    rows, size = len(draws.values), max(1, _AT_ONCE // max(1, times.t_start.shape[1]))
+    with Waiting("drawing schedules", rows) as waiting:
+        for first in range(0, rows, size):
+            part = slice(first, first + size)
+            own = draws._replace(
+                values=draws.values[part],
+                stall_begin=draws.stall_begin[part],
+                stall_end=draws.stall_end[part],
+            )
+            nothing = np.zeros((len(own.values), 0), dtype=np.int64)
+            status = run_rows(steps, rules, columns, own, nothing, Times(*(t[part] for t in times)))
+            if status != DONE:
+                return status
+            waiting.advance(len(own.values))
+    return DONE
 
 
 def empty_times(layout: Any, rows: int, steps: int) -> Times:

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import os
-import shutil
 import stat
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
+
+from deepkoco.output.new_folder import new_folder
 
 Array = NDArray[np.float64]
 WEIGHTS_FILE = "model.safetensors"
@@ -45,19 +46,19 @@ def write_files(folder: Path, config: dict[str, Any], arrays: Mapping[str, Array
 
     Raises:
         ModelFolderError: The folder exists.
+        WriteError: The disk is full, or the place cannot be written.
     """
     if folder.exists():
         raise ModelFolderError(f"{folder}: exists already; choose another folder")
     weights = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
     config = {"format": FORMAT, "version": FORMAT_VERSION, **config}
     config = {**config, CHECKSUMS: {CONFIG_FILE: _digest(config), WEIGHTS_FILE: _sha256(weights)}}
-    partial = folder.with_name(folder.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    (partial / WEIGHTS_FILE).write_bytes(weights)
-    (partial / CONFIG_FILE).write_text(json.dumps(config, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    (partial / CARD_FILE).write_text(card, encoding="utf-8")
-    os.replace(partial, folder)
+    with new_folder(folder) as partial:
+        (partial / WEIGHTS_FILE).write_bytes(weights)
+        (partial / CONFIG_FILE).write_text(
+            json.dumps(config, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
+        (partial / CARD_FILE).write_text(card, encoding="utf-8")
 
 
 def read_files(folder: Path, root: Path | None = None) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -105,7 +106,7 @@ def _read_file(path: Path, limit: int, root: Path) -> bytes:
         inside = resolved.is_relative_to(root.resolve(strict=True))
     except (OSError, RuntimeError, ValueError) as error:
         raise ModelFolderError(
-            f"{path.parent}: no {path.name}; give the folder of an exported model"
+            f"{path.parent}: no {path.name}; give the folder of a finished training run, or of an exported model"
         ) from error
     if not inside:
         raise ModelFolderError(f"{path}: a link that leaves its folder; copy the file itself")

@@ -13,6 +13,8 @@ from deepkoco.logs.formats.log_file import HEADER, RECEIVED, LogError, Table
 
 MOST_ELEMENTS = 64
 """Longer lists (images, scans) are read only if one of their fields is requested."""
+MOST_CELLS = 1 << 27
+"""Values of a topic: messages times fields, whether a message has the field or not."""
 NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name")
 """Fields with names of the elements of the lists beside and below them (JointState, JointTrajectory)."""
 NANO = 10**9
@@ -54,8 +56,17 @@ class TopicColumns:
             self._columns.setdefault(name, []).append((row, value))
 
     def table(self) -> Table:
-        """The messages as a table, the usual time column first."""
+        """The messages as a table, the usual time column first.
+
+        Raises:
+            LogError: the table would have more than `MOST_CELLS` values.
+        """
         rows = len(self._received)
+        if rows * len(self._columns) > MOST_CELLS:
+            raise LogError(
+                f"its {rows} messages have {len(self._columns)} different fields, more than {MOST_CELLS} values in "
+                "all; name the fields that are channels in the mapping"
+            )
         received = np.array([stamp - self.origin for stamp in self._received], dtype=np.float64) / NANO
         columns: dict[str, Any] = {RECEIVED: received}
         absent: dict[str, np.ndarray] = {}

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from mcap.exceptions import McapError
 from mcap.records import Channel, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
 
+from deepkoco.graph.episodes.storage.mcap_records import DAMAGE, mcap_records
 from deepkoco.logs.formats.fields import TopicColumns
 from deepkoco.logs.formats.log_file import LogError, LogFile, Table
 from deepkoco.logs.formats.wanted import Wanted
 
 MAGIC = b"\x89MCAP0\r\n"
 Decoder = Callable[[bytes], Any]
-_DAMAGE = (McapError, ZstdError, struct.error, ValueError, OverflowError, RuntimeError, MemoryError)
 _OWN = "deepkoco"  # name of the first metadata record of our own recordings
 
 
@@ -44,21 +40,20 @@ def read_mcap(path: Path, wanted: Wanted = None) -> LogFile:
 
 def _records(path: Path) -> Iterator[McapRecord]:
     count = 0
-    with path.open("rb") as file:
-        records = iter(StreamReader(file, validate_crcs=True).records)
-        while True:
-            try:
-                record = next(records)
-            except StopIteration:
-                return
-            except _DAMAGE as damage:
-                reason = " ".join(str(damage).split()) or type(damage).__name__
-                raise LogError(
-                    f"{path}: truncated or damaged after {count} messages ({reason[:160]}); copy it again, or "
-                    'repair it with "mcap recover"'
-                ) from damage
-            count += isinstance(record, Message)
-            yield record
+    records = mcap_records(path)
+    while True:
+        try:
+            record = next(records)
+        except StopIteration:
+            return
+        except DAMAGE as damage:
+            reason = " ".join(str(damage).split()) or type(damage).__name__
+            raise LogError(
+                f"{path}: truncated or damaged after {count} messages ({reason[:160]}); copy it again, or "
+                'repair it with "mcap recover"'
+            ) from damage
+        count += isinstance(record, Message)
+        yield record
 
 
 def _is_own(path: Path) -> bool:
@@ -84,6 +79,10 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
             channels[record.id] = record
         elif isinstance(record, Message):
             origin = record.log_time if origin is None else origin
+            if record.channel_id not in channels:
+                raise LogError(
+                    f"{path}: is damaged: it does not describe channel {record.channel_id}; copy it again"
+                )
             channel = channels[record.channel_id]
             topic = channel.topic
             if topic in skipped or (wanted is not None and topic not in wanted):
@@ -97,14 +96,16 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
                     continue
                 fields = None if wanted is None else wanted[topic]
                 topics.setdefault(topic, TopicColumns(schema.name if schema else "", origin, fields))
+            number = len(topics[topic]) + 1
             try:
-                content = decoders[channel.id](record.data)
-            except Exception as error:  # decoders raise errors of many kinds on damaged bytes
+                topics[topic].add(record.log_time, decoders[channel.id](record.data))
+            except (
+                Exception
+            ) as error:  # decoders of other libraries raise many kinds of errors on damaged bytes
                 raise LogError(
-                    f'{path}: topic "{topic}": message {len(topics[topic]) + 1} is not {channel.message_encoding}: '
+                    f'{path}: topic "{topic}": message {number} is no {channel.message_encoding}: '
                     f"{' '.join(str(error).split())[:160]}"
                 ) from error
-            topics[topic].add(record.log_time, content)
     tables = {topic: columns.table() for topic, columns in topics.items()}
     return LogFile(path, "MCAP", tables, skipped, origin or 0)
 
@@ -120,7 +121,11 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decoder:
         raise LogError("its messages have no schema and cannot be decoded")
     from deepkoco.logs.formats.ros_bag import message_decoder
 
-    return message_decoder(schema.name, schema.encoding, schema.data.decode(), channel.message_encoding)
+    try:
+        text = schema.data.decode()
+    except UnicodeDecodeError as error:
+        raise LogError(f'the definition of "{schema.name}" is no text in UTF-8') from error
+    return message_decoder(schema.name, schema.encoding, text, channel.message_encoding)
 
 
 def _own_recording(path: Path) -> LogFile:

@@ -9,8 +9,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from deepkoco.extras import install_command
 from deepkoco.logs.formats.fields import TopicColumns
 from deepkoco.logs.formats.log_file import LogError, LogFile
+from deepkoco.logs.formats.ros_definition import Definitions, check_size, check_text
 from deepkoco.logs.formats.wanted import Wanted
 
 FALLBACK = "ROS2_HUMBLE"
@@ -22,7 +24,7 @@ def _rosbags() -> SimpleNamespace:
         from rosbags import highlevel, serde, typesys
     except ImportError as error:
         raise LogError(
-            'ROS messages need the library rosbags; install it with pip install "deepkoco[ros]"'
+            f"ROS messages need the library rosbags; install it with {install_command('ros')}"
         ) from error
     return SimpleNamespace(highlevel=highlevel, serde=serde, typesys=typesys)
 
@@ -43,6 +45,7 @@ def message_decoder(name: str, schema_encoding: str, text: str, encoding: str) -
     full = name if "/msg/" in name else name.replace("/", "/msg/")
     stores = rosbags.typesys.Stores
     store = rosbags.typesys.get_typestore(stores.ROS1_NOETIC if encoding == "ros1" else stores[FALLBACK])
+    check_text(name, text)
     if text.strip():
         parse = (
             rosbags.typesys.get_types_from_idl
@@ -58,6 +61,7 @@ def message_decoder(name: str, schema_encoding: str, text: str, encoding: str) -
             raise LogError(f'the definition of "{name}" cannot be read: {_one_line(error)}') from error
     if full not in store.fielddefs:
         raise LogError(f'the type "{name}" is not known and the file does not define it')
+    check_size(full, store.fielddefs)
     if encoding == "ros1":
         return lambda data: store.deserialize_ros1(data, full)
     return lambda data: store.deserialize_cdr(data, full)
@@ -97,23 +101,33 @@ def _read(path: Path, reader: Any, wanted: Wanted) -> LogFile:
         fields = None if wanted is None else wanted[connection.topic]
         if connection.msgtype not in reader.typestore.fielddefs:
             skipped[connection.topic] = f'its type "{connection.msgtype}" is not defined in the bag'
+        elif (wrong := _too_large(connection.msgtype, reader.typestore.fielddefs)) is not None:
+            skipped[connection.topic] = wrong
         else:
             topics.setdefault(connection.topic, TopicColumns(connection.msgtype, origin, fields))
     for connection, received, data in reader.messages(connections):
         if connection.topic in skipped:
             continue
         columns = topics[connection.topic]
+        number = len(columns) + 1
         try:
-            message = reader.deserialize(data, connection.msgtype)
+            columns.add(received, reader.deserialize(data, connection.msgtype))
         except Exception as error:  # damaged bytes raise errors of several kinds
             raise LogError(
-                f'{path}: topic "{connection.topic}": message {len(columns) + 1} is not a valid {connection.msgtype}: '
+                f'{path}: topic "{connection.topic}": message {number} is no {connection.msgtype}: '
                 f"{_damage(error)}"
             ) from error
-        columns.add(received, message)
     tables = {topic: columns.table() for topic, columns in topics.items() if len(columns)}
     form = "ROS 2 bag" if reader.is2 else "ROS 1 bag"
     return LogFile(path, form, tables, skipped, origin)
+
+
+def _too_large(name: str, definitions: Definitions) -> str | None:
+    try:
+        check_size(name, definitions)
+    except LogError as error:
+        return str(error)
+    return None
 
 
 def _damage(error: BaseException) -> str:

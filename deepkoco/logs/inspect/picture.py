@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from deepkoco.logs.inspect.clock import stamps
 from deepkoco.logs.inspect.proposal import Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.output.picture import Picture, house_style
+from deepkoco.output.whole_file import whole_file
 
 MOST = 24  # largest number of drawn columns
 POINTS = 4000  # longer series are reduced to the lowest and highest value of each stretch
@@ -62,7 +62,8 @@ def save_picture(picture: Picture, path: Path) -> None:
         path: File of the picture; its suffix selects the format.
 
     Raises:
-        FileExistsError: One of the two files exists.
+        FileExistsError: One of the two is there already.
+        WriteError: The disk is full, or the place cannot be written.
         ValueError: The format is not known.
     """
     table = path.with_name(f"{path.stem}_data.csv")
@@ -70,15 +71,11 @@ def save_picture(picture: Picture, path: Path) -> None:
         if target.exists():
             raise FileExistsError(f"{target}: exists; choose another name or move it away")
     for target in (path, table):
-        partial = target.with_name(f".{target.stem}.{os.getpid()}.tmp{target.suffix}")
-        try:
+        with whole_file(target) as partial:
             if target is path:
                 picture.figure.savefig(partial)
             else:
                 picture.table.to_csv(partial, index=False)
-            os.replace(partial, target)
-        finally:
-            partial.unlink(missing_ok=True)
 
 
 def _along(survey: Survey, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 
 import qpsolvers
 
+from deepkoco.extras import install_command
 from deepkoco.planning.errors import UnknownSolverError
 from deepkoco.planning.solvers.daqp_solver import DaqpBox
 from deepkoco.planning.solvers.interface import Array, BoxSolver, SparseMatrix, SparseSolver
@@ -67,7 +68,7 @@ def check_solver(name: str, form: str) -> str:
         return name
     if name in OPTIONAL and find_spec(name) is None:
         raise UnknownSolverError(
-            f'solver "{name}" is not installed; pip install "deepkoco[solvers]", '
+            f'solver "{name}" is not installed; {install_command("solvers")}, '
             f"or choose one of auto, {', '.join(known)}"
         )
     if name in solver_names("condensed"):

@@ -21,7 +21,7 @@ class JointState(NamedTuple):
     speed: Tensor  # per second
     effort: Tensor  # of the command that drives this joint, in its unit; 0 where none does
     time: Tensor | None  # log time [s]; None where the caller keeps none
-    smoothing: Tensor | None  # speed over which a sign changes; None for the effect's own
+    smoothing: Tensor | float  # speed over which the sign of dry friction changes, per second
 
 
 class JointLanes:
@@ -53,9 +53,10 @@ class JointLanes:
         return None if self._state.time is None else self._cut(self._state.time)
 
     @property
-    def smoothing(self) -> Tensor | None:
+    def smoothing(self) -> Tensor | float:
         """As :class:`JointState`'s."""
-        return None if self._state.smoothing is None else self._cut(self._state.smoothing)
+        smoothing = self._state.smoothing
+        return self._cut(smoothing) if isinstance(smoothing, Tensor) else smoothing
 
     def _cut(self, value: Tensor) -> Tensor:
         return in_lanes(value, self._start, self._stop)
@@ -111,6 +112,7 @@ class Effect:
         site: What the effect belongs to: there is one for each joint, command, or channel, or one in all.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
+        dry: Whether it is dry friction, which changes its sign with the speed.
     """
 
     name: str
@@ -121,6 +123,7 @@ class Effect:
     apply: Callable[..., Any] = _carried_out_elsewhere
     site: Site = "joint"
     acting: Callable[[Parameters], Parameters] = _all_of
+    dry: bool = False
 
 
 class PlacedEffect(NamedTuple):
@@ -138,8 +141,8 @@ class PlacedEffect(NamedTuple):
 def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     """The effect at every site of a system where it makes sense.
 
-    Names of joints and commands count from 1 and are left out where there is one only: ``coulomb``, or
-    ``coulomb(joint 2)``; a channel is always named: ``noise_level(theta)``.
+    A joint, or that of a command, is named where there are several: ``coulomb``, or ``coulomb(joint 2)``; a channel
+    is always named: ``noise_level(theta)``.
     """
     if effect.site == "system":
         names = [effect.name]
@@ -147,6 +150,6 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
         names = [f"{effect.name}({c.name})" for c in system.measurements]
     else:
         joints = range(system.joints) if effect.site == "joint" else system.command_joints
-        names = [effect.name if system.joints == 1 else f"{effect.name}(joint {j + 1})" for j in joints]
+        names = [system.at_joint(effect.name, j) for j in joints]
     placed = (PlacedEffect(name, effect, i) for i, name in enumerate(names))
     return tuple(p for p in placed if p.parameters(system))

@@ -12,14 +12,14 @@ from torch import Tensor
 from deepkoco.systems.effects.effect import Effect, JointState
 from deepkoco.systems.system import Parameter, Parameters, System
 
-# Speed over which the sign of a dry friction is smoothed [rad/s]. A caller may override it for a joint: a
-# simulator with long steps softens it where the speed changes fast.
-SMOOTHING = 0.05
+# Stribeck speeds, as multiples of the speed over which the sign of dry friction is smoothed: below that one the
+# friction at standstill cannot be seen.
+STRIBECK_SPEED, FASTEST_STRIBECK = 20.0, 400.0
 
 
 def smooth_sign(joint: JointState) -> Tensor:
     """tanh(speed / smoothing), elementwise."""
-    return torch.tanh(joint.speed / (SMOOTHING if joint.smoothing is None else joint.smoothing))
+    return torch.tanh(joint.speed / joint.smoothing)
 
 
 def _viscous(system: System, joint: int = 0) -> tuple[Parameter, ...]:
@@ -45,11 +45,12 @@ def _stribeck(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     if not system.dry_friction:
         return ()
     limit, unit = system.load_scales[joint], system.load_units[joint]
-    speed_unit = system.state_units[system.joints + joint]
+    speed_unit, slowest = system.state_units[system.joints + joint], system.smoothing_speeds[joint]
+    usual, fastest = STRIBECK_SPEED * slowest, FASTEST_STRIBECK * slowest
     return (
         Parameter("coulomb", 0.0, unit, -limit, limit, 0.2 * limit, "Fc, friction at speed"),
         Parameter("breakaway", 0.0, unit, 0.0, limit, 0.2 * limit, "Fs - Fc, excess near standstill"),
-        Parameter("speed", 1.0, speed_unit, 0.05, 20.0, 2.0, "vs, Stribeck speed"),
+        Parameter("speed", usual, speed_unit, slowest, fastest, 2.0 * usual, "vs, Stribeck speed"),
     )
 
 
@@ -84,9 +85,17 @@ def _load_friction_load(joint: JointState, p: Parameters) -> Tensor:
 VISCOUS = Effect(
     "viscous", "friction", "load", _viscous, "friction in proportion to the speed", _viscous_load
 )
-COULOMB = Effect("coulomb", "friction", "load", _coulomb, "dry friction of constant size", _coulomb_load)
+COULOMB = Effect(
+    "coulomb", "friction", "load", _coulomb, "dry friction of constant size", _coulomb_load, dry=True
+)
 STRIBECK = Effect(
-    "stribeck", "friction", "load", _stribeck, "dry friction that is larger near standstill", _stribeck_load
+    "stribeck",
+    "friction",
+    "load",
+    _stribeck,
+    "dry friction that is larger near standstill",
+    _stribeck_load,
+    dry=True,
 )
 QUADRATIC = Effect(
     "quadratic", "friction", "load", _quadratic, "drag in proportion to the speed squared", _quadratic_load
@@ -98,4 +107,5 @@ LOAD_FRICTION = Effect(
     _load_friction,
     "dry friction that grows with what the actuator delivers",
     _load_friction_load,
+    dry=True,
 )

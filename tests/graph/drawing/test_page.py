@@ -1,17 +1,23 @@
 """The page holds every node, connection and step, and needs nothing from outside."""
 
+import base64
+import io
 import json
 import re
+from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
 from deepkoco.graph import Connection, Gaussian, Graph, Supervisor, draw_timing
-from deepkoco.graph.drawing import DrawingError, make_page, page, write_page
+from deepkoco.graph.drawing import DrawingError, draw_signals, make_page, page, write_page
 from deepkoco.graph.episodes.episode import episode_of_timing
 from deepkoco.graph.episodes.storage import RecordedNode
+from deepkoco.graph.episodes.storage.summary import summarise_episodes
 
 GRAPH = Graph(
     [
@@ -85,15 +91,68 @@ def test_nothing_comes_from_outside(with_episode):
     text = make_page(GRAPH, episode_of_timing(GRAPH, timing) if with_episode else None)
     elements = Elements(text)
     assert not {"link", "img", "iframe", "object"} & {tag for tag, _ in elements.found}
-    assert not any(
-        {"src", "href", "xlink:href", "srcset"} & attributes.keys() for _, attributes in elements.found
-    )
+    addresses = {value for _, attributes in elements.found for name, value in attributes.items()
+                 if name in {"src", "href", "xlink:href", "srcset"}}  # fmt: skip
+    assert all(address.startswith(("data:", "#")) for address in addresses)
     outside = set(re.findall(r"\w+://[^\s\"'<>]*", text))
     assert outside <= {"http://www.w3.org/2000/svg"}  # the name of SVG, which is not fetched
     assert not re.search(r"@import|url\((?!#)|fetch\(|XMLHttpRequest|import\(", text)
     assert "prefers-color-scheme: dark" in text
     assert 'name="viewport"' in text
     assert ("timeline" in [a.get("id") for _, a in elements.found]) == with_episode
+
+
+def with_outputs(episode):
+    """The world sends two numbers a step, the camera pictures."""
+    steps = len(episode.t_end["</script><b>world"])
+    outputs = {
+        "</script><b>world": np.stack([np.arange(steps), -np.arange(steps)], axis=1).astype(np.float32),
+        "camera": np.zeros((len(episode.t_end["camera"]), 8, 8, 3), np.uint8),
+    }
+    return replace(episode, outputs=outputs)
+
+
+def test_the_page_has_the_rates_delays_and_losses_of_the_episode():
+    timing = draw_timing(GRAPH, np.random.default_rng(0), 5, batch=1)
+    episode = episode_of_timing(GRAPH, timing)
+    text = make_page(GRAPH, episode)
+    summary = summarise_episodes(GRAPH, [episode])
+    for node in summary.nodes:
+        row = next(line for line in text.splitlines() if f"<td>{escape(node.name)}</td>" in line)
+        cells = re.findall(r"<td[^>]*>([^<]*)</td>", row)
+        assert cells[1] == str(node.steps)
+        assert float(cells[2]) == node.rate_hz
+        assert [int(c) for c in cells[-2:]] == [node.overruns, node.late]
+    row = next(line for line in text.splitlines() if "<td>camera-&gt;agent</td>" in line)
+    assert ">30.00</td>" in row
+    assert "Rates and delays" not in make_page(GRAPH)
+
+
+def test_signals_are_those_of_nodes_that_send_few_numbers_and_go_with_the_page(tmp_path):
+    episode = with_outputs(episode_of_timing(GRAPH, draw_timing(GRAPH, np.random.default_rng(0), 5, batch=1)))
+    drawn = draw_signals(GRAPH, episode)
+    assert set(drawn.table["node"]) == {"</script><b>world"}
+    first = drawn.table[drawn.table["entry"] == 0]
+    np.testing.assert_array_equal(first["value"], np.arange(len(first)))
+    np.testing.assert_allclose(first["t_s"], episode.t_end["</script><b>world"])
+    text = make_page(GRAPH, episode)
+    assert text.count("<svg viewBox=") == 2  # wide and for a phone
+    assert not {"b", "i"} & {tag for tag, _ in Elements(text).found}
+    encoded = re.search(r'href="data:text/csv;base64,([^"]+)"', text).group(1)
+    table = pd.read_csv(io.BytesIO(base64.b64decode(encoded)))
+    assert len(table) == len(drawn.table)
+    with pytest.raises(DrawingError, match="no signal"):
+        draw_signals(
+            GRAPH, episode_of_timing(GRAPH, draw_timing(GRAPH, np.random.default_rng(0), 5, batch=1))
+        )
+
+
+def test_the_page_leads_to_the_pages_that_are_there(tmp_path):
+    (tmp_path / "index.html").write_text("")
+    pages = {"Demo": tmp_path / "index.html", "Model": tmp_path / "model.html"}
+    text = write_page(tmp_path / "graph.html", GRAPH, pages=pages).read_text()
+    assert '<a href="index.html">Demo</a><b aria-current="page">Graph</b>' in text
+    assert "model.html" not in text
 
 
 def test_names_do_not_break_out_of_the_page():

@@ -72,3 +72,15 @@ def test_drawn_timings_are_shown_like_recorded_ones():
     timing = draw_timing(GRAPH, np.random.default_rng(0), 3, batch=1)
     picture = draw_timeline(GRAPH, episode_of_timing(GRAPH, timing), stop=1.0)
     assert (picture.table.kind == "step").sum() == sum(timing.count(0, n) for n in range(2))
+
+
+def test_an_episode_in_which_no_message_arrived_is_drawn():
+    graph = Graph(
+        [RecordedNode("world", 100, kind="World"), Supervisor(rate=50, initial_action=torch.zeros(1))],
+        [Connection("world", "agent"), Connection("agent", "world", skip=True)],
+    )
+    times = {name: np.arange(3) / 50 for name in ("world", "agent")}
+    sent = {c.key: times[c.sender] for c in graph.connections}
+    never = {key: np.full(3, np.inf) for key in sent}
+    picture = draw_timeline(graph, Episode(times, times, {}, sent, never, {}))
+    assert len(picture.table) > 0

@@ -136,6 +136,9 @@ def test_an_episode_that_has_ended_is_complete_although_the_program_fails_afterw
     def run():
         with EpisodeWriter(tmp_path / "run.mcap", GRAPH) as writer:
             writer.begin()
+            for node, starts in times.items():
+                for seq, start in enumerate(starts):
+                    writer.step(node, seq, start, start)
             writer.end(episode)
             raise ZeroDivisionError
 

@@ -108,6 +108,27 @@ def test_bic_finds_family_and_number_of_components(law, kind, size):
     assert [type(component) for component in components] == [kind] * size
 
 
+@pytest.mark.parametrize("law", [TWO, Gaussian(0.02, 0.002), LogNormal(0.01, 0.6)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mixture_does_not_hang_on_rounding_or_order(law, seed):
+    rng = np.random.default_rng(seed)
+    samples = law.sample(rng, (1000,))
+    first = fit_mixture(samples)
+    other = fit_mixture(rng.permutation(samples * (1.0 + 1e-12 * rng.standard_normal(1000))))
+    levels = np.array([0.01, 0.1, 0.5, 0.9, 0.99])
+    np.testing.assert_allclose(other.quantile(levels), first.quantile(levels), rtol=1e-8)
+    assert type(other) is type(first)
+
+
+def test_a_constant_delay_between_rounded_stamps_is_constant():
+    sent = 0.02 * np.arange(500)
+    delays = (sent + 0.01) - sent
+    assert len(np.unique(delays)) > 1
+    law = fit_delays({"sensor": delays}).laws["sensor"]
+    assert law.constant
+    assert law.mean == pytest.approx(0.01, abs=1e-9)
+
+
 def test_arrays_with_rates_and_an_empirical_law():
     samples = TWO.sample(np.random.default_rng(0), (500,))
     model = fit_delays({"sensor": samples}, {"sensor": 50.0}, family="empirical", warm_up=2.0)

@@ -42,10 +42,7 @@ class Integrator(Node):
 
 
 class Relay(Node):
-    """Passes the last message on."""
-
-    def init(self, parameters, generator, batch):
-        return {}
+    """Passes the last message on; it has no state, so no `init`."""
 
     def initial_output(self, parameters, state, batch):
         return torch.zeros(batch, 1, dtype=torch.float64)
@@ -249,6 +246,21 @@ def test_wrong_names_and_shapes_are_refused():
         runtime.reset({}, torch.Generator(), {"world": {"x": torch.zeros(3, 1)}})
     with pytest.raises(ValueError, match="no timing"):
         BatchedRuntime(graph).reset({}, torch.Generator())
+
+
+@pytest.mark.parametrize("executor", ["eager", "fused"])
+def test_a_rollout_takes_as_many_steps_as_there_are_actions(executor):
+    timing = draw_timing(loop(), np.random.default_rng(0), 6, 2)
+    runtime = BatchedRuntime(loop(), timing, executor=executor)
+    state, _ = runtime.reset({}, torch.Generator())
+    actions = torch.ones(4, 1, 1, dtype=torch.float64)
+    after, taken = runtime.rollout(state, actions)
+    assert after.step.tolist() == [4, 4]
+    assert taken["action"].shape == (4, 2, 1)
+    with pytest.raises(ValueError, match="for 3 steps"):
+        runtime.rollout(state, actions, 3)
+    with pytest.raises(ValueError, match="say how many steps"):
+        runtime.rollout(state, lambda parameters, seen: actions[0])
 
 
 def test_a_schedule_without_randomness_runs_every_node_once_per_step():

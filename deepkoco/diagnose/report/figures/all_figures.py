@@ -19,6 +19,10 @@ from deepkoco.diagnose.report.figures.timing_figure import timing
 from deepkoco.output.picture import Picture, house_style
 
 MOST_BARS = 24  # windows of which each gets its bars
+REFIT_WORSE = (
+    "The refit without the cause is worse here than the simulation as given: it bends the simulation's own parameters "
+    "until they imitate the cause on the windows that it is fitted to, and other windows show that they are wrong."
+)
 
 
 def draw_all(diagnosis: Diagnosis, layout: Layout = DESKTOP) -> list[Picture]:
@@ -112,7 +116,7 @@ def error_by_horizon(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
             axis.plot(gain.curve_time, curve, color=COLOURS[model], label=label)
             frame[f"{model}_{channel.name}"] = curve
         axis.set_ylim(bottom=0.0)
-        axis.set_xlabel("time since the start of the simulation [s]")
+        axis.set_xlabel("time simulated so far [s]")
         axis.set_ylabel(f"error of {channel.name} [{channel.unit}]")
     for axis in axes[len(gain.channels) :]:
         axis.set_visible(False)
@@ -124,6 +128,8 @@ def error_by_horizon(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
         f"over {gain.windows} held-out windows of {gain.horizon:.2g} s. The start state is "
         f"fitted on each window. {diagnosis.gain_note}"
     )
+    if gain.channels[0].refit > gain.channels[0].baseline and "extended" in shown_models(diagnosis):
+        caption += f" {REFIT_WORSE}"
     title = "How far ahead the simulation holds"
     return Picture("error_by_horizon", title, caption, figure, pd.DataFrame(frame))
 

@@ -40,12 +40,12 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     mesh = None
     for axis, (name, (across, up, mean)) in zip(axes.ravel(), cells.items(), strict=True):
-        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis")
+        mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis", rasterized=True)
         axis.set_title(LABELS[name])
         axis.grid(visible=False)
-    of_joint = f" of joint {joint + 1}" if system.joints > 1 else ""
+    of_joint = f" of {system.joint_names[joint]}" if system.joints > 1 else ""
     for axis in axes[-1]:
-        what = f"angle{of_joint}, one turn" if turning else "position"
+        what = f"angle{of_joint}, one turn" if turning else f"position{of_joint}"
         axis.set_xlabel(f"{what} [{system.state_units[joint]}]")
     for axis in axes[:, 0]:
         axis.set_ylabel(f"speed{of_joint} [{system.state_units[system.joints + joint]}]")
@@ -57,7 +57,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     )
     caption = (
         "Every cell is a region of position and speed that the log visits; its colour says how wrong the simulation is "
-        "there (root mean square). Yellow is wrong, dark is right; white was never visited."
+        "there (root mean square). Yellow is wrong, dark blue is right; where there is no colour, the log never was."
     )
     return Picture("error_map", "Where the simulation is wrong", caption, figure, table)
 

@@ -14,6 +14,9 @@ LABELS = {
 }
 
 
+PANEL_INCHES = 2.9  # least width of a panel, so that the labels of neighbours do not meet
+
+
 class Layout(NamedTuple):
     """Room that the pictures have.
 
@@ -28,9 +31,10 @@ class Layout(NamedTuple):
     entries: int
 
     def grid(self, panels: int) -> tuple[int, int]:
-        """Rows and columns for so many panels."""
-        columns = min(panels, self.columns)
-        return -(-panels // columns), columns
+        """Rows and columns for so many panels, in rows of equal length where that can be."""
+        most = min(self.columns, max(int(self.width / PANEL_INCHES), 1))
+        rows = -(-panels // most)
+        return rows, -(-panels // rows)
 
 
 DESKTOP = Layout(9.0, 4, 5)

@@ -21,17 +21,17 @@ def missing_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> P
     missing = details.missing[joint_shown(details)]
     system = details.system
     motion = motion_of(details.windows, missing, system)
-    of_joint = f", joint {missing.joint + 1}" if system.joints > 1 else ""
+    of_joint = f", {missing.name}" if system.joints > 1 else ""
     position, speed = system.state_units[missing.joint], system.state_units[system.joints + missing.joint]
     turning = position == "rad"
-    load = "torque" if turning else "force"
+    load = missing.load
     command_unit = details.command_units[min(missing.joint, len(details.command_units) - 1)]
     torque = missing.torque.ravel()
     named = diagnosis.verdict in ("cause", "ambiguous") and details.final is not details.refit
     curve = expected_missing_torque(details, missing.joint).ravel() if named else None
     axes_of = {
         f"speed{of_joint} [{speed}]": motion.omega,
-        f"angle{of_joint}, one turn [rad]" if turning else f"position [{position}]": (
+        f"angle{of_joint}, one turn [rad]" if turning else f"position{of_joint} [{position}]": (
             one_turn(motion.theta) if turning else motion.theta
         ),
         f"command{of_joint} [{command_unit}]": motion.command,
@@ -52,15 +52,16 @@ def missing_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> P
         axis.set_ylabel(f"missing {load} [{missing.unit}]")
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(3, layout.entries), markerscale=3)
+    newton = "nm" if turning else "n"
     table = pd.DataFrame(
         {
             "time_s": motion.time,
-            "angle_rad": motion.theta,
-            "speed_rad_s": motion.omega,
+            "angle_rad" if turning else "position_m": motion.theta,
+            "speed_rad_s" if turning else "speed_m_s": motion.omega,
             "command": motion.command,
-            "missing_torque_nm": torque,
-            "sd_nm": missing.sd.ravel(),
-            "named_cause_nm": curve if curve is not None else np.nan,
+            f"missing_{load}_{newton}": torque,
+            f"sd_{newton}": missing.sd.ravel(),
+            f"named_cause_{newton}": curve if curve is not None else np.nan,
         }
     )
     caption = (

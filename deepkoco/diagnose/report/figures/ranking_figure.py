@@ -28,8 +28,9 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     axis = figure.subplots()
     colours = [COLOURS["extended"] if n in named else OTHERS for n in names[:shown]]
     axis.barh(range(shown), score[:shown], color=colours)
-    axis.set_yticks(range(shown), [spoken(n) for n in names[:shown]])
-    axis.invert_yaxis()
+    spoken_names = [spoken(n) for n in names[:shown]]
+    axis.set_yticks(range(shown), spoken_names)
+    axis.set_ylim(shown - 0.4, -1.3)
     axis.set_xscale("symlog", linthresh=10.0)
     # Decades from ten on, and no more than fit side by side.
     top = max(float(score.max(initial=0.0)), 100.0)
@@ -41,7 +42,7 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     axis.set_xticks(thinned, [f"{t:,.0f}" for t in thinned])
     axis.axvline(diagnosis.detection, color="#222222", lw=1, ls="--")
     axis.text(
-        diagnosis.detection, shown - 0.4, " named beyond this line", fontsize=8, va="bottom", color="#222222"
+        diagnosis.detection, -0.9, " least evidence to be named", fontsize=8, va="center", color="#222222"
     )
     for place, value in enumerate(score[:shown]):
         axis.text(max(value, 0.0), place, f" {value:,.0f}", fontsize=8, va="center")
@@ -51,8 +52,18 @@ def candidates(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pictur
     caption = (
         "Every cause of the catalogue was tried on the same windows. The longer its bar to the right, the better the "
         "cause explains the log beyond what its extra parameters cost (mind the logarithmic scale); bars left of zero "
-        "explain nothing. Coloured bars are causes that these data do not tell apart."
+        "explain nothing. "
     )
+    if named:
+        caption += (
+            "The coloured bar was named: it explains the most. Grey bars beyond the dashed line explain part of the "
+            "same, and nothing more once the named cause is in the simulation."
+            if len(named) == 1
+            else "Coloured bars are causes that these data do not tell apart. Grey bars beyond the dashed line explain "
+            "part of the same, and less."
+        )
+    else:
+        caption += "None was named: a cause must pass the dashed line and explain what the refit leaves."
     if len(names) > shown:
         caption += f" The {len(names) - shown} weakest are left out here."
     return Picture("candidates", "Which cause explains it", caption, figure, table)

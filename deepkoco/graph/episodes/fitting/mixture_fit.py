@@ -10,6 +10,7 @@ from deepkoco.graph.delay import Delay, Deterministic, Gaussian, LogNormal, Mixt
 _GROUPS = 512  # neighbours in rank are one weighted sample: the steps cost the same for long recordings
 _STEPS = 300
 _PATIENCE = 2  # sizes that are tried beyond the best so far
+_CONSTANT = 1e-9  # range of a constant delay [s]: differences of stamps round
 _NARROWEST = 0.02  # standard deviation of a component, as a part of that between the quartiles
 
 
@@ -33,8 +34,8 @@ def fit_mixture(samples: np.ndarray, most: int = 8) -> Delay:
         most: largest number of components K.
     """
     samples = np.sort(np.asarray(samples, dtype=np.float64))
-    if samples[0] == samples[-1]:
-        return Deterministic(float(samples[0]))
+    if samples[-1] - samples[0] <= _CONSTANT:
+        return Deterministic(float(np.median(samples)))
     found = [(fit.bic, 0, fit) for fit in _fits(samples, most, 0.0)]
     if samples[0] > 0:
         # The density of x is that of log x over x.

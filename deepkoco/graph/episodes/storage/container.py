@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -24,6 +23,7 @@ from deepkoco.graph.episodes.storage.messages import (
     step_schema,
 )
 from deepkoco.graph.model.graph import Graph
+from deepkoco.output.whole_file import whole_file
 
 FORMAT = "1"
 MAGIC = b"\x89MCAP0\r\n"
@@ -192,8 +192,7 @@ def json_object(path: Path, content: Mapping[str, Any] | None) -> dict[str, Any]
 def index_journal(journal: Path, path: Path) -> None:
     """Rewrite a finished stream of single messages with compressed, indexed chunks; whole or not at all."""
     check_target(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with whole_file(path) as partial:
         with journal.open("rb") as source, partial.open("xb") as target:
             writer = _writer(target, chunked=True)
             writer.start(library="deepkoco")
@@ -203,9 +202,6 @@ def index_journal(journal: Path, path: Path) -> None:
                 _copy(record, writer)
             writer.finish()
         check_target(path)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _copy(record: Any, writer: Writer) -> None:
@@ -231,4 +227,5 @@ def _copy(record: Any, writer: Writer) -> None:
 
 def _writer(stream: IO[bytes], chunked: bool) -> Writer:
     compression = CompressionType.ZSTD if chunked else CompressionType.NONE
-    return Writer(stream, _CHUNK, compression, use_chunking=chunked)
+    # Without chunks the library leaves the last records out of the checksum of all.
+    return Writer(stream, _CHUNK, compression, use_chunking=chunked, enable_data_crcs=chunked)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from torch import Tensor
@@ -26,6 +26,7 @@ from deepkoco.graph.episodes.storage.container import (
 )
 from deepkoco.graph.episodes.storage.messages import LEVELS
 from deepkoco.graph.model.graph import Graph
+from deepkoco.output.whole_file import WriteError, writing
 
 _BATCH = 4096  # messages that go to the file in one write
 _MOST_WAITING = 200_000  # messages in memory before a sender is slowed down
@@ -49,6 +50,7 @@ class EpisodeWriter:
 
     Raises:
         EpisodeFileError: the file exists, its folder does not, or `meta` is no JSON.
+        WriteError: the disk is full, or the place cannot be written.
     """
 
     def __init__(
@@ -75,9 +77,15 @@ class EpisodeWriter:
         self._begun, self._ended, self._closed = False, False, False
         self._failure: BaseException | None = None
         self._origin = origin_ns
-        self._file = self.journal.open("xb")
-        self._container = Container(self._file, graph, meta, chunked=False)
-        self._file.flush()
+        with writing(self.path, self.journal):
+            self._file = self.journal.open("xb")
+            try:
+                self._container = Container(self._file, graph, meta, chunked=False)
+                self._file.flush()
+            except BaseException:
+                _close(self._file)
+                self.journal.unlink()
+                raise
         self._thread = threading.Thread(target=self._work, name=f"writes {self.path.name}", daemon=True)
         self._thread.start()
 
@@ -211,11 +219,17 @@ class EpisodeWriter:
         try:
             if self._failure is None:
                 self._container.finish()
+                self._file.flush()
         except OSError as error:
             self._failure = error
-        self._file.close()
+        _close(self._file)
         self._raise_failure()
-        index_journal(self.journal, self.path)
+        try:
+            index_journal(self.journal, self.path)
+        except WriteError as error:
+            raise EpisodeFileError(
+                f"{error}; the whole recording is in {self.journal}, which can be read in its place"
+            ) from error
         self.journal.unlink()
 
     def __enter__(self) -> EpisodeWriter:
@@ -266,7 +280,13 @@ class EpisodeWriter:
 
     def _raise_failure(self) -> None:
         if self._failure is not None:
-            raise self._wrong(f"not written any further: {self._failure}") from self._failure
+            reason = str(self._failure)
+            if isinstance(self._failure, OSError):
+                reason = str(WriteError(self.journal, self._failure))
+            raise self._wrong(
+                f"not written any further: {reason}; what could be written can be read with partial=True from "
+                f"{self.journal}"
+            ) from self._failure
 
     def _check_connection(self, connection: str) -> None:
         if connection not in self._connections:
@@ -278,3 +298,9 @@ class EpisodeWriter:
 
     def _wrong(self, text: str) -> EpisodeFileError:
         return EpisodeFileError(f"{self.path}: {text}")
+
+
+def _close(file: IO[bytes]) -> None:
+    """Close a file; the bytes that a full disk has refused already are no news."""
+    with contextlib.suppress(OSError):
+        file.close()

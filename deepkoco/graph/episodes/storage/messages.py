@@ -64,7 +64,9 @@ def stack_outputs(messages: Sequence[Mapping[str, Any]]) -> np.ndarray:
     stacked = np.empty((len(messages), *shape), dtype=dtype)
     for place, message in enumerate(messages):
         if "raw" in message:
-            stacked[place] = np.frombuffer(base64.b64decode(message["raw"]), dtype=dtype).reshape(shape)
+            stacked[place] = np.frombuffer(
+                base64.b64decode(message["raw"], validate=True), dtype=dtype
+            ).reshape(shape)
         else:
             stacked[place] = np.array(message["values"], dtype=dtype).reshape(shape)
     return stacked

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,18 +9,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Footer, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
 
 from deepkoco.graph.episodes.episode import Episode, Note
+from deepkoco.graph.episodes.storage.checks import (
+    LATEST_NS,
+    ContentError,
+    check_extent,
+    check_message,
+    check_note,
+    check_step,
+    decimal,
+    json_object,
+    text_entry,
+    whole,
+)
 from deepkoco.graph.episodes.storage.container import FORMAT, MAGIC, EpisodeFileError
 from deepkoco.graph.episodes.storage.description import graph_from_description
+from deepkoco.graph.episodes.storage.mcap_records import DAMAGE, mcap_records
 from deepkoco.graph.episodes.storage.messages import LEVELS, stack_outputs
 from deepkoco.graph.model.graph import Graph
 
-_DAMAGE = (McapError, ZstdError, struct.error, ValueError, OverflowError)
 _LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 Content = dict[str, Any]
 
@@ -63,6 +70,8 @@ class _Contents:
     """Messages of a file, sorted by what they are about."""
 
     graph: Graph | None = None
+    windows: dict[str, dict[str, int]] = field(default_factory=dict)
+    connections: frozenset[str] = frozenset()
     meta: dict[str, Any] | None = None
     begun: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
     extents: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -99,9 +108,7 @@ def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
     for record, channel in _records(path, contents):
         try:
             _sort_in(path, record, channel, contents)
-        except EpisodeFileError:
-            raise
-        except (*_DAMAGE, KeyError, TypeError) as damage:
+        except ContentError as damage:
             contents.damage = damage
             break
     if contents.meta is None or contents.graph is None:
@@ -110,13 +117,8 @@ def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
             f"{path}: holds no description of a graph{cut}; it was not written by DeepKoCo"
         )
     for number, extent in contents.extents.items():
-        try:
-            _cut(contents, number, extent)
-        except (KeyError, TypeError) as error:
-            raise EpisodeFileError(f"{path}: episode {number} has a bad end: {error!r}") from error
+        _cut(path, contents, number, extent)
     known = len(contents.begun)
-    if any(e >= known for place in (contents.steps, contents.messages, contents.notes) for e, _ in place):
-        raise EpisodeFileError(f"{path}: has messages of an episode that never began; the file is damaged")
     episodes = tuple(_episode(path, contents.graph, contents, e) for e in range(known))
     run = RecordedRun(
         path=path,
@@ -129,70 +131,137 @@ def read_episodes(path: str | Path, *, partial: bool = False) -> RecordedRun:
         messages=contents.count,
     )
     if contents.damage is not None and not partial:
-        raise EpisodeFileError(_cut_off(run))
+        wrong = contents.damage if isinstance(contents.damage, ContentError) else None
+        raise EpisodeFileError(_cut_off(run, wrong))
     return run
 
 
 def _records(path: Path, contents: _Contents) -> Iterator[tuple[McapRecord, Channel | None]]:
     """Give the records up to the end, or up to the damage, of which `contents` takes note."""
     channels: dict[int, Channel] = {}
-    with path.open("rb") as file:
-        records = iter(StreamReader(file, validate_crcs=True).records)
-        while True:
-            try:
-                record = next(records)
-            except StopIteration:
-                return
-            except _DAMAGE as damage:
-                contents.damage = damage
-                return
-            if isinstance(record, Footer):
-                continue  # the magic that follows must be there too
-            if isinstance(record, Channel):
-                channels[record.id] = record
-            yield record, channels.get(record.channel_id) if isinstance(record, Message) else None
+    records = mcap_records(path)
+    while True:
+        try:
+            record = next(records)
+        except StopIteration:
+            return
+        except DAMAGE as damage:
+            contents.damage = damage
+            return
+        if isinstance(record, Footer):
+            continue  # the magic that follows must be there too
+        if isinstance(record, Channel):
+            channels[record.id] = record
+        yield record, channels.get(record.channel_id) if isinstance(record, Message) else None
 
 
 def _sort_in(path: Path, record: McapRecord, channel: Channel | None, contents: _Contents) -> None:
+    """Take a record in.
+
+    Raises:
+        ContentError: an entry of it is wrong.
+        EpisodeFileError: the file is of another format, or no graph can be made of its description.
+    """
     match record:
-        case Message() if channel is not None:
-            content = json.loads(record.data)
+        case Message():
+            _sort_in_message(record, channel, contents)
             contents.count += 1
-            for kind, place in (
-                ("node", contents.steps),
-                ("connection", contents.messages),
-                ("notes", contents.notes),
-            ):
-                if kind in channel.metadata:
-                    place[content["episode"], channel.metadata[kind]].append(content)
         case Metadata(name="deepkoco"):
-            if record.metadata["format"] != FORMAT:
-                raise EpisodeFileError(
-                    f"{path}: recording of format {record.metadata['format']}; this version reads {FORMAT}"
-                )
-            contents.meta = json.loads(record.metadata["meta"])
+            if contents.meta is not None:
+                raise ContentError('the metadata "deepkoco" is there twice')
+            if record.metadata.get("format") != FORMAT:
+                form = record.metadata.get("format", "that is not named")[:50]
+                raise EpisodeFileError(f"{path}: recording of format {form}; this version reads {FORMAT}")
+            contents.meta = _meta(record)
         case Metadata(name="episode"):
-            contents.begun.append((int(record.metadata["origin_ns"]), json.loads(record.metadata["meta"])))
+            known = len(contents.begun)
+            decimal(record.metadata, "index", known, known)
+            origin = decimal(record.metadata, "origin_ns", -LATEST_NS, LATEST_NS)
+            contents.begun.append((origin, _meta(record)))
         case Metadata(name="end"):
-            contents.extents[int(record.metadata["index"])] = json.loads(record.metadata["extent"])
+            number = decimal(record.metadata, "index", 0, len(contents.begun) - 1)
+            extent = json_object(record.metadata.get("extent", ""), "the end of an episode")
+            check_extent(extent, _graph_of(contents))
+            contents.extents[number] = extent
         case Metadata(name="failure"):
-            contents.failures[int(record.metadata["index"])] = record.metadata["reason"]
+            number = decimal(record.metadata, "index", 0, len(contents.begun) - 1)
+            contents.failures[number] = text_entry(record.metadata, "reason")
         case Attachment(name="graph.json"):
-            try:
-                contents.graph = graph_from_description(json.loads(record.data))
-            except (ValueError, KeyError, TypeError) as error:
-                raise EpisodeFileError(f"{path}: its description of the graph is bad: {error}") from error
+            if contents.graph is not None:
+                raise ContentError("the description of the graph is there twice")
+            contents.graph = _read_graph(path, record.data)
+            contents.connections = frozenset(c.key for c in contents.graph.connections)
+            contents.windows = {
+                node.name: {str(c.name): c.window for c in contents.graph.inputs_of(node.name)}
+                for node in contents.graph.nodes
+            }
         case _:
             pass
 
 
-def _cut(contents: _Contents, number: int, extent: Mapping[str, Any]) -> None:
+def _sort_in_message(record: Message, channel: Channel | None, contents: _Contents) -> None:
+    _graph_of(contents)
+    if channel is None:
+        raise ContentError(f"a message of channel {record.channel_id}, which the file does not describe")
+    kinds = [kind for kind in ("node", "connection", "notes") if kind in channel.metadata]
+    if len(kinds) > 1:
+        raise ContentError(f'topic "{channel.topic[:80]}" is of more than one kind: {", ".join(kinds)}')
+    if not kinds:
+        return  # of another program
+    kind, name = kinds[0], channel.metadata[kinds[0]]
+    what = f'a message of topic "{channel.topic[:80]}"'
+    content = json_object(record.data, what)
+    try:
+        number = whole(content, "episode")
+        if number >= len(contents.begun):
+            raise ContentError(f"it is of episode {number}, which has not begun")
+        if kind == "node":
+            if name not in contents.windows:
+                raise ContentError(f'"{name[:50]}" is no node of the graph')
+            check_step(content, contents.windows[name])
+            contents.steps[number, name].append(content)
+        elif kind == "connection":
+            if name not in contents.connections:
+                raise ContentError(f'"{name[:50]}" is no connection of the graph')
+            check_message(content)
+            contents.messages[number, name].append(content)
+        else:
+            check_note(content)
+            contents.notes[number, ""].append(content)
+    except ContentError as error:
+        raise ContentError(f"{what}: {error}") from error
+
+
+def _graph_of(contents: _Contents) -> Graph:
+    if contents.graph is None:
+        raise ContentError("an episode comes before the description of the graph")
+    return contents.graph
+
+
+def _meta(record: Metadata) -> dict[str, Any]:
+    return json_object(record.metadata.get("meta", ""), f'"meta" of the metadata "{record.name}"')
+
+
+def _read_graph(path: Path, data: bytes) -> Graph:
+    try:
+        return graph_from_description(json_object(data, "it"))
+    # What the laws of delays raise depends on what they are asked for.
+    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
+        reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise EpisodeFileError(f"{path}: its description of the graph is bad: {reason[:300]}") from error
+
+
+def _cut(path: Path, contents: _Contents, number: int, extent: Mapping[str, Any]) -> None:
     """Leave out what an episode recorded beyond its end."""
     for place, counts in ((contents.steps, extent["steps"]), (contents.messages, extent["messages"])):
         for name, count in counts.items():
             place[number, name] = [content for content in place[number, name] if content["seq"] < count]
-    assert contents.graph is not None
-    supervisor = contents.graph.supervisor
+            if contents.damage is None and place is contents.steps and len(place[number, name]) < count:
+                raise EpisodeFileError(
+                    f'{path}: episode {number}: node "{name}": the end speaks of {count} steps, and '
+                    f"{len(place[number, name])} are there; the file is damaged"
+                )
+    supervisor = _graph_of(contents).supervisor
     last = extent["steps"][supervisor] - 1
     for step in contents.steps[number, supervisor]:
         if step["seq"] == last:
@@ -225,7 +294,8 @@ def _episode(path: Path, graph: Graph, contents: _Contents, number: int) -> Epis
     t_sent, t_received = {}, {}
     for c in graph.connections:
         ends = t_end[c.sender][: len(outputs.get(c.sender, ()))]
-        t_sent[c.key], t_received[c.key] = _arrivals(contents.messages[number, c.key], ends)
+        where = f'{path}: episode {number}: connection "{c.key}"'
+        t_sent[c.key], t_received[c.key] = _arrivals(where, contents.messages[number, c.key], ends)
     notes = tuple(
         Note(note["t"], _LEVEL_NAMES[note["level"]], note["name"], note["message"])
         for note in contents.notes[number, ""]
@@ -235,30 +305,36 @@ def _episode(path: Path, graph: Graph, contents: _Contents, number: int) -> Epis
     return Episode(t_start, t_end, outputs, t_sent, t_received, ordered, notes, failure)
 
 
-def _arrivals(messages: list[Content], ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    count = max([len(ends), *(message["seq"] + 1 for message in messages)])
+def _arrivals(where: str, messages: list[Content], ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    by_seq = {message["seq"]: message for message in messages}
+    if len(by_seq) < len(messages):
+        seqs = [message["seq"] for message in messages]
+        twice = next(seq for seq in by_seq if seqs.count(seq) > 1)
+        raise EpisodeFileError(f"{where}: message {twice} is there twice")
+    # A recording that was cut off may hold an arrival without the step that sent it, and gaps before it.
+    count = len(ends)
+    while count in by_seq:
+        count += 1
     sent, received = np.full(count, np.nan), np.full(count, np.inf)
     sent[: len(ends)] = ends
-    for message in messages:
-        sent[message["seq"]] = message["t_sent"]
-        received[message["seq"]] = message.get("t_received", np.inf)
-    known = ~np.isnan(sent)
-    # A recording that was cut off may hold an arrival without the step that sent it, and gaps before it.
-    whole = count if known.all() else int(np.flatnonzero(~known)[0])
-    return sent[:whole], received[:whole]
+    for seq, message in by_seq.items():
+        if seq < count:
+            sent[seq], received[seq] = message["t_sent"], message.get("t_received", np.inf)
+    return sent, received
 
 
 def _times(steps: list[Content], name: str) -> np.ndarray:
     return np.array([step[name] for step in steps], dtype=np.float64)
 
 
-def _cut_off(run: RecordedRun) -> str:
+def _cut_off(run: RecordedRun, wrong: ContentError | None) -> str:
     steps = sum(len(start) for episode in run.episodes for start in episode.t_start.values())
     ends = [[end[-1] for end in episode.t_end.values() if len(end)] for episode in run.episodes]
     seconds = sum(max(end, default=0.0) for end in ends)
     number = len(run.episodes)
+    end = "cut off" if wrong is None else f"damaged or changed by hand ({wrong})"
     return (
-        f"{run.path}: cut off after {run.messages} whole messages: {steps} steps of {len(run.graph.nodes)} nodes, "
+        f"{run.path}: {end} after {run.messages} whole messages: {steps} steps of {len(run.graph.nodes)} nodes, "
         f"{seconds:.3f} s, in {number} episode{'s' * (number != 1)}; to take what is there call "
         "read_episodes(..., partial=True), or give the command --partial"
     )

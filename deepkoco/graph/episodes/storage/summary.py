@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepkoco.graph.episodes.storage.read import RecordedRun
+from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.tables import measured_delays, steps_table
+from deepkoco.graph.model.graph import Graph
+
+if TYPE_CHECKING:
+    from deepkoco.graph.episodes.storage.read import RecordedRun
 
 
 @dataclass(frozen=True)
@@ -77,11 +83,16 @@ class RunSummary:
 
 def summarise_run(run: RecordedRun) -> RunSummary:
     """Summarise a recording."""
-    measured = measured_delays(run.graph, run.episodes)
-    tables = [steps_table(run.graph, episode) for episode in run.episodes]
+    return summarise_episodes(run.graph, run.episodes)
+
+
+def summarise_episodes(graph: Graph, episodes: Sequence[Episode]) -> RunSummary:
+    """Summarise episodes of a graph, recorded or not."""
+    measured = measured_delays(graph, episodes)
+    tables = [steps_table(graph, episode) for episode in episodes]
     nodes = []
-    for node in run.graph.nodes:
-        starts = [episode.t_start[node.name] for episode in run.episodes]
+    for node in graph.nodes:
+        starts = [episode.t_start[node.name] for episode in episodes]
         between = np.concatenate([np.zeros(0), *(np.diff(start) for start in starts)])
         mine = [table.loc[table["node"] == node.name] for table in tables]
         nodes.append(
@@ -96,15 +107,15 @@ def summarise_run(run: RecordedRun) -> RunSummary:
             )
         )
     connections = []
-    for c in run.graph.connections:
+    for c in graph.connections:
         delays = measured[c.key]
         arrived = delays[np.isfinite(delays)]
         connections.append(
             ConnectionSummary(c.key, len(delays), len(delays) - len(arrived), _spread(arrived))
         )
-    ends = [[float(end.max()) for end in e.t_end.values() if len(end)] for e in run.episodes]
+    ends = [[float(end.max()) for end in e.t_end.values() if len(end)] for e in episodes]
     seconds = sum(max(end, default=0.0) for end in ends)
-    return RunSummary(len(run.episodes), seconds, tuple(nodes), tuple(connections))
+    return RunSummary(len(episodes), seconds, tuple(nodes), tuple(connections))
 
 
 def _spread(delays: np.ndarray) -> Spread:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.storage.container import Container, EpisodeFileError, check_target, json_object
 from deepkoco.graph.model.graph import Graph
+from deepkoco.output.whole_file import whole_file
 
 Event = tuple[float, Callable[[], None]]
 
@@ -35,12 +35,12 @@ def write_episodes(
 
     Raises:
         EpisodeFileError: the file exists, or an episode does not fit the graph.
+        WriteError: the disk is full, or the place cannot be written.
     """
     path = Path(path)
     check_target(path)
     content = json_object(path, meta)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with whole_file(path) as partial:
         with partial.open("xb") as file:
             container = Container(file, graph, content, chunked=True)
             for number, episode in enumerate(episodes):
@@ -53,9 +53,6 @@ def write_episodes(
                     container.fail(episode.failure)
             container.finish()
         check_target(path)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 

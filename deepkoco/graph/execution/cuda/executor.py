@@ -24,7 +24,7 @@ from deepkoco.graph.execution.cuda.supervisor_step import Carry, SupervisorStep,
 from deepkoco.graph.execution.eager import EagerExecutor
 from deepkoco.graph.execution.policy import Policy, as_function, given_actions
 from deepkoco.graph.execution.schedule import Schedule
-from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Input, State
 
@@ -53,20 +53,21 @@ class TensorExecutor:
         self._functions: Recent[Any, SupervisorStep] = Recent(SCHEDULES)
         self._bindings: Recent[Any, Binding] = Recent(BINDINGS)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # What is captured belongs to this process and device: a copy makes its own.
+        return self.__dict__ | {"_uses": {}, "_functions": Recent(SCHEDULES), "_bindings": Recent(BINDINGS)}
+
     def start(
         self,
         schedule: Schedule,
         row: np.ndarray,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State],
     ) -> RuntimeState:
+        device = (generator if isinstance(generator, torch.Generator) else generator[0]).device
         return self._eager.start(
-            schedule,
-            row,
-            _placed(parameters, generator.device),
-            generator,
-            _placed(initial, generator.device),
+            schedule, row, _placed(parameters, device), generator, _placed(initial, device)
         )
 
     @torch.no_grad()
@@ -79,12 +80,7 @@ class TensorExecutor:
                         f'parameter "{name}.{key}" {tuple(value.shape)} is neither a number nor one for each of '
                         f"{state.batch} environments"
                     )
-        state = replace(
-            state,
-            parameters=_placed(state.parameters, self.device),
-            nodes=_placed(state.nodes, self.device),
-            outputs={n: tuple(v.to(self.device) for v in own) for n, own in state.outputs.items()},
-        )
+        state = self._on_device(state)
         if trace is not None:
             with constants(self.device):
                 return self._packed(self._eager.begin(state, trace))
@@ -94,16 +90,17 @@ class TensorExecutor:
 
     @torch.no_grad()
     def step(
-        self, state: DeviceState, action: Tensor | np.ndarray, trace: Trace | None = None
+        self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
     ) -> DeviceState:
         """Give the supervisor's output and run everything up to its next step."""
+        state = self._adopted(state)
         binding, action = state.binding, torch.as_tensor(action)
         if action.shape != binding.action.shape:
             raise ValueError(f"action {tuple(action.shape)} where {tuple(binding.action.shape)} is expected")
         if trace is not None:
             with constants(self.device):
                 placed = action.to(self.device, binding.action.dtype)
-                return self._packed(self._eager.step(_unpacked(state), placed, trace))
+                return self._packed(self._eager.step(state.unpacked(), placed, trace))
         spent = np.flatnonzero(state.steps_left <= 0)
         if len(spent):
             raise HorizonError.of(int(spent[0]), state.schedule)
@@ -116,13 +113,14 @@ class TensorExecutor:
     @torch.no_grad()
     def rollout(
         self,
-        state: DeviceState,
+        state: RuntimeState,
         policy: Policy,
         steps: int,
         parameters: Mapping[str, Tensor] | None,
         record: tuple[str, ...],
     ) -> tuple[DeviceState, dict[str, Tensor]]:
         """Take steps without a word from the host but the start of each; see `BatchedRuntime.rollout`."""
+        state = self._adopted(state)
         left = state.steps_left
         if np.any(left < steps):
             first = int(np.argmax(left < steps))
@@ -147,16 +145,18 @@ class TensorExecutor:
                 values[k].copy_(source[name])
         return binding.unload(state, steps), taken
 
-    def inputs(self, state: DeviceState) -> Mapping[str, Input]:
+    def inputs(self, state: RuntimeState) -> Mapping[str, Input]:
         """What the supervisor sees, gathered when it is looked at."""
+        state = self._adopted(state)
         names = tuple(str(connection.name) for connection in self.graph.inputs_of(self.graph.supervisor))
         return LazyInputs(names, lambda: state.binding.function.inputs(state.carry))
 
     @torch.no_grad()
-    def merge(self, running: DeviceState, fresh: DeviceState, mask: np.ndarray) -> DeviceState:
+    def merge(self, running: RuntimeState, fresh: DeviceState, mask: np.ndarray) -> DeviceState:
         """Take the environments in `mask` from `fresh`, the others from `running`."""
+        running = self._adopted(running)
         if running.binding is not fresh.binding or not _same_for_all(running, fresh):
-            return self._packed(self._eager.merge(_unpacked(running), _unpacked(fresh), mask))
+            return self._packed(self._eager.merge(running.unpacked(), fresh.unpacked(), mask))
         where = torch.from_numpy(mask).to(self.device)
         buffers = clone(fresh.fixed), clone(fresh.moving)
         for target, other in zip(_batched(fresh, *buffers), _batched(running), strict=True):
@@ -164,6 +164,19 @@ class TensorExecutor:
             target.copy_(torch.where(chosen, target, other))
         row, step = np.where(mask, fresh.row, running.row), np.where(mask, fresh.step, running.step)
         return DeviceState(fresh.binding, row, step, *buffers)
+
+    def _adopted(self, state: RuntimeState) -> DeviceState:
+        """The state in buffers on the device, also that of a copy or of another runtime."""
+        return state if isinstance(state, DeviceState) else self._packed(self._on_device(state))
+
+    def _on_device(self, state: RuntimeState) -> RuntimeState:
+        return replace(
+            state,
+            parameters=_placed(state.parameters, self.device),
+            nodes=_placed(state.nodes, self.device),
+            outputs={n: tuple(v.to(self.device) for v in own) for n, own in state.outputs.items()},
+            readings={name: value.to(self.device) for name, value in state.readings.items()},
+        )
 
     def _function(self, schedule: Schedule) -> SupervisorStep:
         def make() -> SupervisorStep:
@@ -249,15 +262,3 @@ def _same_for_all(one: DeviceState, other: DeviceState) -> bool:
     """Whether what all environments share is the same in two states."""
     pairs = zip(*(_parts(state, state.fixed, state.moving)[1] for state in (one, other)), strict=True)
     return all(torch.equal(a, b) for a, b in pairs)
-
-
-def _unpacked(state: DeviceState) -> RuntimeState:
-    return RuntimeState(
-        schedule=state.schedule,
-        row=state.row,
-        step=state.step,
-        parameters=state.parameters,
-        nodes=state.nodes,
-        outputs=state.outputs,
-        readings=state.readings,
-    )

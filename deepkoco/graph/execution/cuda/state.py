@@ -1,7 +1,8 @@
 """States of the CUDA executor: a few flat buffers on the device, looked at through views."""
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from torch import Tensor
@@ -63,6 +64,23 @@ class DeviceState(RuntimeState):
     @property
     def readings(self) -> dict[str, Tensor]:
         return self.carry.readings
+
+    def unpacked(self) -> RuntimeState:
+        """The state as the eager executor keeps it."""
+        return RuntimeState(
+            schedule=self.schedule,
+            row=self.row,
+            step=self.step,
+            parameters=self.parameters,
+            nodes=self.nodes,
+            outputs=self.outputs,
+            readings=self.readings,
+        )
+
+    def __reduce__(self) -> Any:
+        # A captured graph does not travel: a copy is packed again where it is stepped.
+        plain = self.unpacked()
+        return RuntimeState, tuple(getattr(plain, field.name) for field in fields(RuntimeState))
 
     @property
     def nbytes(self) -> int:

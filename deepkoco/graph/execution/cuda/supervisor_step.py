@@ -17,6 +17,7 @@ from deepkoco.graph.execution.cuda.modes import Watching
 from deepkoco.graph.execution.cuda.rings import Cells, merged
 from deepkoco.graph.execution.cuda.tables import PassTables, Read
 from deepkoco.graph.execution.schedule import Schedule
+from deepkoco.graph.model.calls import call_observe, call_step
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, State, Supervisor
 
@@ -119,7 +120,9 @@ class SupervisorStep:
             own, output = self._watched(
                 node.name,
                 inputs,
-                lambda node=node, inputs=inputs: node.step(parameters[node.name], nodes[node.name], inputs),
+                lambda node=node, inputs=inputs: call_step(
+                    node, parameters[node.name], nodes[node.name], inputs
+                ),
             )
             mask = None if slot.always and not first else running[s]
             nodes[node.name] = merged(node, mask, own, nodes[node.name])
@@ -136,7 +139,9 @@ class SupervisorStep:
         self.running = f'node "{name}"'
         inputs = self._supervisor_inputs(carry, self.uses.get(name))
         own, readings = self._watched(
-            name, inputs, lambda: supervisor.observe(parameters[name], carry.nodes[name], inputs, action)
+            name,
+            inputs,
+            lambda: call_observe(supervisor, parameters[name], carry.nodes[name], inputs, action),
         )
         own = merged(supervisor, None, own, carry.nodes[name])
         return Carry(carry.row, carry.step, carry.nodes | {name: own}, carry.rings, readings)
@@ -187,7 +192,7 @@ class SupervisorStep:
                 base = int(layout.step_base[self.graph.index[node]])
                 start = self._table("t_start").take(row * self.schedule.timing.t_start.shape[1] + base + step)
             chosen = start if start is not None and "t_start" in asked else self._zeros(torch.float64, batch)
-            found[name] = Input(data, *fields, t_start=chosen)
+            found[name] = Input(connection.seen(data), *fields, t_start=chosen)
         return found
 
     def _cells(self, carry: Carry) -> Cells:

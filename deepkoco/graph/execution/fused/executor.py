@@ -23,7 +23,7 @@ from deepkoco.graph.execution.fused.state import FusedState, LazyInputs, Place
 from deepkoco.graph.execution.fused.trace import TraceError
 from deepkoco.graph.execution.policy import Policy, PolicyFunction, as_function, given_actions
 from deepkoco.graph.execution.schedule import Schedule
-from deepkoco.graph.execution.state import HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, State
 
@@ -55,24 +55,23 @@ class FusedExecutor:
         self._bindings: dict[Any, Binding] = {}
         self._policies: OrderedDict[Any, CompiledPolicy | None] = OrderedDict()
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Machine code and addresses belong to this process: a copy makes its own.
+        return self.__dict__ | {"_kernels": {}, "_bindings": {}, "_policies": OrderedDict()}
+
     def start(
         self,
         schedule: Schedule,
         row: np.ndarray,
         parameters: NodeParameters,
-        generator: torch.Generator,
+        generator: Generators,
         initial: Mapping[str, State],
     ) -> RuntimeState:
         return self.eager.start(schedule, row, parameters, generator, initial)
 
     def begin(self, state: RuntimeState, trace: Trace | None = None) -> RuntimeState:
-        if self.name == "eager":
-            return self.eager.begin(state, trace)
-        try:
-            kernel = self._kernel(state)
-        except (TraceError, CompilerError) as error:
-            warnings.warn(f"{error}; this graph runs with the eager executor", RuntimeWarning, stacklevel=4)
-            self.name = "eager"
+        kernel = self._compiled(state)
+        if kernel is None:
             return self.eager.begin(state, trace)
         if trace is not None:
             return self._pack(kernel, self.eager.begin(state, trace))
@@ -83,6 +82,7 @@ class FusedExecutor:
     def step(
         self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
     ) -> RuntimeState:
+        state = self._adopted(state)
         if not isinstance(state, FusedState):
             return self.eager.step(state, torch.as_tensor(action), trace)
         binding = state.binding
@@ -107,6 +107,7 @@ class FusedExecutor:
         record: tuple[str, ...],
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
         """Take steps inside the kernel; see `BatchedRuntime.rollout`."""
+        state = self._adopted(state)
         if not isinstance(state, FusedState):
             return self.eager.rollout(state, policy, steps, parameters, record)
         if isinstance(policy, Tensor):
@@ -179,17 +180,25 @@ class FusedExecutor:
 
     def unpack(self, state: RuntimeState) -> RuntimeState:
         """The state as the eager executor keeps it."""
-        if not isinstance(state, FusedState):
+        return state.unpacked() if isinstance(state, FusedState) else state
+
+    def _adopted(self, state: RuntimeState) -> RuntimeState:
+        """The state in records, also that of a copy or of another runtime; as it is where nothing is compiled."""
+        if isinstance(state, FusedState):
             return state
-        return RuntimeState(
-            schedule=state.schedule,
-            row=state.row,
-            step=state.step,
-            parameters=state.parameters,
-            nodes=state.nodes,
-            outputs=state.outputs,
-            readings=dict(state.readings),
-        )
+        kernel = self._compiled(state)
+        return state if kernel is None else self._pack(kernel, state)
+
+    def _compiled(self, state: RuntimeState) -> Kernel | None:
+        """The graph's machine code; None if it cannot be compiled, which is said once."""
+        if self.name == "eager":
+            return None
+        try:
+            return self._kernel(state)
+        except (TraceError, CompilerError) as error:
+            warnings.warn(f"{error}; this graph runs with the eager executor", RuntimeWarning, stacklevel=5)
+            self.name = "eager"
+            return None
 
     def _kernel(self, state: RuntimeState) -> Kernel:
         lanes = 1 if state.batch <= FEW else 0

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from deepkoco.graph.execution.fused.record import NUMPY, Spec
 from deepkoco.graph.execution.fused.trace import Ref, Trace, TraceError, trace
+from deepkoco.graph.model.calls import call_observe, call_step
 from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, Node, Supervisor
@@ -101,10 +102,10 @@ def _program(
         values = part(tensors, "p.")
         before, inputs = part(tensors, "s."), make_inputs(edges, tensors)
         if isinstance(node, Supervisor):
-            after, readings = node.observe(values, before, inputs, tensors["action"])
+            after, readings = call_observe(node, values, before, inputs, tensors["action"])
             results = {f"r.{key}": value for key, value in readings.items()}
         else:
-            after, output = node.step(values, before, inputs)
+            after, output = call_step(node, values, before, inputs)
             results = {"output": output}
         return {f"s.{key}": value for key, value in after.items()} | results
 
@@ -161,7 +162,9 @@ def make_inputs(edges: tuple[Connection, ...], tensors: Mapping[str, Tensor]) ->
     """What a node sees, from the tensors of a trace."""
     return {
         str(edge.name): Input(
-            *(tensors[f"i.{edge.name}.{name}"] for name in ("data", *TIMES)), t_start=tensors["t_start"]
+            edge.seen(tensors[f"i.{edge.name}.data"]),
+            *(tensors[f"i.{edge.name}.{name}"] for name in TIMES),
+            t_start=tensors["t_start"],
         )
         for edge in edges
     }

@@ -1,6 +1,8 @@
 """States of the fused executor: flat buffers, unpacked when they are looked at."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -67,6 +69,23 @@ class FusedState(RuntimeState):
         state = object.__new__(FusedState)
         state.__dict__.update(self.__dict__, moving=moving)
         return state
+
+    def unpacked(self) -> RuntimeState:
+        """The state as the eager executor keeps it."""
+        return RuntimeState(
+            schedule=self.schedule,
+            row=self.row,
+            step=self.step,
+            parameters=self.parameters,
+            nodes=self.nodes,
+            outputs=self.outputs,
+            readings=dict(self.readings),
+        )
+
+    def __reduce__(self) -> Any:
+        # Addresses and machine code do not travel: a copy is packed again where it is stepped.
+        plain = self.unpacked()
+        return RuntimeState, tuple(getattr(plain, field.name) for field in fields(RuntimeState))
 
     @property
     def nbytes(self) -> int:

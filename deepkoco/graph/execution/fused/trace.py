@@ -112,7 +112,7 @@ class _Recorder(TorchDispatchMode):
         kwargs = kwargs or {}
         name = str(func)
         if torch.Tag.nondeterministic_seeded in func.tags:
-            raise TraceError(f"{name} draws random numbers; draw them in init and keep them in the state")
+            raise TraceError(f"{name} draws random numbers; ask for noise: def step(..., *, noise)")
         known = [self.refs[id(leaf)] for leaf in _leaves((args, kwargs), Tensor) if id(leaf) in self.refs]
         if known and name.startswith(_VALUE_READS):
             raise TraceError(f"{name} takes a value out of a tensor; use torch.where instead of if")

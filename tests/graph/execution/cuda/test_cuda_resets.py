@@ -1,5 +1,8 @@
 """Environments that start anew at any time, with nodes that read the times of their inputs."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -61,3 +64,16 @@ def test_a_part_starts_anew_with_other_parameters_or_in_other_schedules(device, 
         states.append(runtime.rollout(state, actions[3:], 5)[0])
     assert_same_state(*states)
     assert states[0].step.tolist() == np.where(mask, 5, 8).tolist()
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_copy_of_runtime_and_state_goes_on_bit_for_bit(device):
+    graph, batch = make_graph(), 5
+    timing = draw_timing(graph, np.random.default_rng(2), 9, batch, rows=batch)
+    runtime = make_runtime(graph, timing, device)
+    actions = torch.randn(9, batch, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    state, _ = runtime.reset({}, torch.Generator().manual_seed(0))
+    state, _ = runtime.rollout(state, actions[:4])
+    for other, copied in (copy.deepcopy((runtime, state)), pickle.loads(pickle.dumps((runtime, state)))):
+        assert_same_inputs(other.step(copied, actions[4])[1], runtime.step(state, actions[4])[1])
+        assert_same_state(other.rollout(copied, actions[4:])[0], runtime.rollout(state, actions[4:])[0])

@@ -1,10 +1,14 @@
-"""The agents that can be trained: a new one is its package, one line here and a file of configs/agent."""
+"""The agents that can be trained: a new one is its package, one line here and a file of configs/agent.
+
+The baselines are known by name only, so that nothing of deepkoco imports them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,7 +19,7 @@ from deepkoco.agent.collection import BatchController, VectorEnvFactory
 from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.standing import Report
 from deepkoco.envs.task_factory import TaskConfig
-from experiments.settings import EvaluateConfig, ExperimentError, TrainRunConfig
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TrainRunConfig
 
 
 class AgentSettings(Protocol):
@@ -100,13 +104,37 @@ def agent_kind(name: str) -> AgentKind:
     return AGENTS[name]
 
 
+def is_installed(name: str) -> bool:
+    """Whether the package of an agent is there; a distribution may leave the baselines out."""
+    return find_spec(agent_kind(name).settings.split(".")[0]) is not None
+
+
+def check_installed(name: str) -> None:
+    """Check that an agent can be used here.
+
+    Args:
+        name: As in configs/agent.
+
+    Raises:
+        ExperimentError: There is no such agent, or its package is not installed.
+    """
+    if not is_installed(name):
+        package = agent_kind(name).settings.split(".")[0]
+        raise ExperimentError(
+            f'agent = "{name}": its package "{package}" is not installed; install deepkoco from a checkout or from '
+            f"its wheel, which hold it, or choose another agent: {', '.join(filter(is_installed, AGENTS))}"
+        )
+
+
 def settings_class(name: str) -> type[Any]:
     """The dataclass of an agent's settings; see `agent_kind`."""
+    check_installed(name)
     return _found(agent_kind(name).settings)
 
 
 def trainer_class(name: str) -> MakeTrainer:
     """What makes an agent's trainer; see `agent_kind`."""
+    check_installed(name)
     return _found(agent_kind(name).trainer)
 
 
@@ -118,6 +146,7 @@ def load_controller(name: str, run: Path, count: int) -> Controller:
         run: Folder of a finished run.
         count: B, environments that it acts in at once.
     """
+    check_installed(name)
     return _found(agent_kind(name).controller)(run, count)
 
 
@@ -128,7 +157,7 @@ def register() -> None:
     store.store(name="train_schema", node=TrainRunConfig(agent=MISSING))
     store.store(name="evaluate_schema", node=EvaluateConfig)
     store.store(group="task", name="task_schema", node=TaskConfig)
-    for name in AGENTS:
+    for name in filter(is_installed, AGENTS):
         store.store(group="agent", name=f"{name}_schema", node=settings_class(name))
 
 

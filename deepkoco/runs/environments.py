@@ -5,7 +5,7 @@ from __future__ import annotations
 from deepkoco.agent.collection import VectorEnvFactory, box_sizes
 from deepkoco.envs.distractors import DistractorOptions
 from deepkoco.envs.task_factory import TaskConfig, TaskError, make_task_factory
-from experiments.settings import ExperimentError, TrainRunConfig
+from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 
 
 def make_factory(

@@ -1,14 +1,15 @@
-"""The check that every environment of the package makes of an action: NaN and infinity reach no actuator."""
+"""The checks that every environment of the package makes of an action: its shape, and that it is finite."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 
 class ActionError(ValueError):
-    """An action is no finite number."""
+    """An action has the wrong shape, or is no finite number."""
 
 
 def check_finite_action(action: np.ndarray, batched: bool = False) -> None:
@@ -30,4 +31,26 @@ def check_finite_action(action: np.ndarray, batched: bool = False) -> None:
     raise ActionError(
         f"action{where}{f' entry {entry}' if entry else ''} is {action[place]}; an actuator needs a finite number: "
         "look for NaN in the policy and in what it has observed"
+    )
+
+
+def check_shape(actions: Any, shape: tuple[int, ...] | None, environments: int | None = None) -> None:
+    """Check what a step is given.
+
+    Args:
+        actions: One action, or with `environments` one for each.
+        shape: What it must have: that of the action space; None: its actions are no arrays.
+        environments: Environments B of a batch; None: a single environment.
+
+    Raises:
+        ActionError: It has another shape.
+    """
+    given = np.shape(actions)
+    if shape is None or given == shape:
+        return
+    if environments is None:
+        raise ActionError(f"the action has shape {given}; give shape {shape}")
+    raise ActionError(
+        f"the actions have shape {given}; give shape {shape}: "
+        f"an action of shape {shape[1:]} for each of the {environments} environments"
     )

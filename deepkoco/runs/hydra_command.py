@@ -6,9 +6,9 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import hydra
@@ -17,20 +17,20 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from baselines.config import BaselineConfigError
 from deepkoco.agent.buffer import ReplayError
 from deepkoco.agent.checkpoint import CheckpointError
 from deepkoco.agent.collection import SpaceError
 from deepkoco.agent.config import TrainingConfigError
 from deepkoco.koopman.files.model_folder import ModelFolderError
+from deepkoco.output.whole_file import WriteError
 from deepkoco.planning import PlannerConfigError, UnknownSolverError
-from experiments.agents import register
-from experiments.settings import ExperimentError
-from experiments.sweep import Failure, SweepFailed, check_launcher
+from deepkoco.runs.agents import check_installed, register
+from deepkoco.runs.configs import CONFIGS
+from deepkoco.runs.setting_names import check_names
+from deepkoco.runs.settings import ExperimentError
+from deepkoco.runs.sweep import Failure, SweepFailed, check_launcher
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 BAD_INPUT = (
-    BaselineConfigError,
     CheckpointError,
     ExperimentError,
     ModelFolderError,
@@ -40,6 +40,7 @@ BAD_INPUT = (
     SpaceError,
     TrainingConfigError,
     UnknownSolverError,
+    WriteError,
 )
 
 
@@ -71,19 +72,24 @@ def _check_choices(arguments: list[str]) -> None:
         arguments: Of the command, without its name.
 
     Raises:
-        ExperimentError: Names the group and its files.
+        ExperimentError: Names the group and its files, or what the chosen agent lacks.
     """
+    own_folder = any(a.startswith(("--config-dir", "-cd")) for a in arguments)
     for argument in arguments:
         group, _, chosen = argument.lstrip("+").partition("=")
         # Other forms than a name or a list of names, such as glob(*), are for Hydra to read.
         if not re.fullmatch(r"\w+", group) or not re.fullmatch(r"\w+(,\w+)*", chosen):
             continue
         known = sorted(path.stem for path in (CONFIGS / group).glob("*.yaml"))
+        if own_folder and group != "agent":
+            continue
         for name in chosen.split(",") if known else []:
             if name not in known:
                 raise ExperimentError(
                     f"{group}={name}: no such file in configs/{group}; choose from {', '.join(known)}"
                 )
+            if group == "agent":
+                check_installed(name)
 
 
 @dataclass
@@ -97,19 +103,49 @@ class _Outcome:
     started: bool = False
 
 
-def run_command(name: str, task: Callable[[Any], None]) -> None:
+@contextmanager
+def _as_arguments(arguments: Sequence[str] | None) -> Iterator[list[str]]:
+    """The arguments of a command, where Hydra looks for them; None leaves those of the process."""
+    before = sys.argv
+    sys.argv = before if arguments is None else [before[0], *arguments]
+    try:
+        yield sys.argv[1:]
+    finally:
+        sys.argv = before
+
+
+def run_command(name: str, task: Callable[[Any], None], arguments: Sequence[str] | None = None) -> None:
     """Read a command's settings and run it; a sweep goes on behind a run that fails.
 
     Args:
         name: File in configs/, without its ending.
         task: Gets the typed settings.
+        arguments: NAME=VALUE and options of Hydra; None takes those of the process.
+
+    Raises:
+        SystemExit: Status 2 after bad input, 1 after a crash in a sweep; the reason is printed.
     """
+    with _as_arguments(arguments) as given:
+        _run_command(name, task, given)
+
+
+def exit_status(name: str, task: Callable[[Any], None], arguments: Sequence[str]) -> int:
+    """`run_command` for a caller that wants the exit status: 0 done, 2 bad input, 1 a run of a sweep crashed."""
+    try:
+        run_command(name, task, arguments)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    return 0
+
+
+def _run_command(name: str, task: Callable[[Any], None], arguments: list[str]) -> None:
     register()
     outcome = _Outcome()
     try:
-        _check_form(sys.argv[1:])
-        _check_choices(sys.argv[1:])
-        check_launcher(sys.argv)
+        _check_form(arguments)
+        _check_choices(arguments)
+        check_names(name, arguments)
+        check_launcher(arguments)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

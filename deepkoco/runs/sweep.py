@@ -7,7 +7,8 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from experiments.settings import ExperimentError
+from deepkoco.extras import install_command
+from deepkoco.runs.settings import ExperimentError
 
 # hydra/launcher=NAME -> (the plugin's module, the extra that installs it). A new launcher is one line and
 # one file in configs/hydra/launcher.
@@ -48,7 +49,7 @@ def check_launcher(arguments: Sequence[str]) -> None:
     for name in (a.removeprefix(_OPTION) for a in arguments if a.startswith(_OPTION)):
         module, extra = LAUNCHERS.get(name, (None, ""))
         if module is not None and not _installed(module):
-            raise ExperimentError(f'{_OPTION}{name} is not installed; pip install -e ".[{extra}]"')
+            raise ExperimentError(f"{_OPTION}{name} is not installed; {install_command(extra)}")
 
 
 def _installed(module: str) -> bool:

@@ -1,0 +1,78 @@
+"""`deepkoco trial`: trained policies on a unit."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from deepkoco.cli.input_error import InputError
+
+DESCRIPTION = """\
+Run trained policies on a unit, all from the same start states, and print the cost of an episode with its 95 % bootstrap
+interval. Give two runs, such as one of the simulator as given and one of the extended simulator, to compare them."""
+EXAMPLE = """\
+example:
+  deepkoco trial runs/first runs/extended --unit unit.yaml --episodes 20 --out trials"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `deepkoco trial`."""
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folders of finished training runs")
+    parser.add_argument("--unit", type=Path, required=True, metavar="UNIT.yaml", help="the unit")
+    parser.add_argument(
+        "--episodes", type=int, default=20, metavar="N", help="episodes for each policy (default 20)"
+    )
+    parser.add_argument(
+        "--clock", choices=("wall", "simulated"), default="wall", help="real or virtual time (default wall)"
+    )
+    parser.add_argument(
+        "--parallel", type=int, default=8, metavar="N", help="units that run at once (default 8)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="which set of start states (default 0)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="new folder for trials.csv and films")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the trials.
+
+    Raises:
+        InputError: A run, the unit or an option cannot be used, or the new folder exists.
+        UnitError: A unit failed.
+    """
+    from deepkoco.agent.policy import ObservationError
+    from deepkoco.runs.hydra_command import BAD_INPUT
+    from deepkoco.runs.unit_trials import FEWEST_EPISODES, as_json, run_trials, summarise, write_trials
+    from deepkoco.unit import UnitSpecError, load_unit
+
+    if args.out is not None and args.out.exists():
+        raise InputError(f"{args.out}: exists already; choose another --out")
+    if args.episodes < 1 or args.parallel < 1:
+        raise InputError("--episodes and --parallel take 1 or more")
+    if args.seed < 0:
+        raise InputError(f"--seed {args.seed}: give 0 or more")
+    try:
+        unit = load_unit(args.unit)
+        trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel)
+        if args.out is not None:
+            write_trials(args.out, trials, args.runs, unit, args.clock, args.seed)
+    except (*BAD_INPUT, ObservationError, UnitSpecError, OSError) as error:
+        raise InputError(str(error)) from error
+    summary = summarise(trials)
+    if args.json:
+        sys.stdout.write(as_json(summary) + "\n")
+        return 0
+    for name, row in summary.items():
+        sys.stdout.write(
+            f"{name}: cost {row['mean']:.1f} [{row['low']:.1f}, {row['high']:.1f}], "
+            f"median {row['median']:.1f}, "
+            f"upright {100 * row['upright']:.0f} % of {row['episodes']}, late steps {row['overruns']}\n"
+        )
+    if 1 < args.episodes < FEWEST_EPISODES:
+        sys.stdout.write(
+            f"[ ]: lowest and highest cost; a 95 % interval takes {FEWEST_EPISODES} episodes or more\n"
+        )
+    return 0

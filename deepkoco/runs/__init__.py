@@ -1,0 +1,1 @@
+"""Training runs: their settings, folders and commands (train, evaluate, sweep, aggregate)."""

@@ -1,0 +1,53 @@
+"""Proposals for mistyped settings of a Hydra command, whose own words run over six lines and name no other setting."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from deepkoco.runs.agents import AGENTS, settings_class
+from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TrainRunConfig
+from deepkoco.suggestion import did_you_mean
+
+DEFAULT_AGENT = "deepkoco"
+
+
+def check_names(command: str, arguments: Sequence[str]) -> None:
+    """Refuse a setting that there is not, where another one is near.
+
+    Args:
+        command: File in configs/, without its ending.
+        arguments: Of the command, without its name.
+
+    Raises:
+        ExperimentError: Proposes the nearest setting. What is like no other is left for Hydra to refuse.
+    """
+    known = _known_settings(command, arguments)
+    for argument in arguments:
+        name = argument.partition("=")[0]
+        # Added (+) and removed (~) settings, options and files of groups are Hydra's to judge.
+        if not re.fullmatch(r"\w+(\.\w+)*", name) or name.split(".")[0] == "hydra" or name in known:
+            continue
+        if suggestion := did_you_mean(name, known):
+            raise ExperimentError(f"{name}: there is no such setting{suggestion}")
+
+
+def _known_settings(command: str, arguments: Sequence[str]) -> set[str]:
+    if command == "evaluate":
+        return set(_names(asdict(EvaluateConfig())))
+    chosen = [a.removeprefix("agent=").split(",") for a in arguments if a.startswith("agent=")]
+    agents = [name for name in (chosen[-1] if chosen else [DEFAULT_AGENT]) if name in AGENTS]
+    known: set[str] = set()
+    for name in agents:
+        known |= set(_names(asdict(TrainRunConfig(agent=settings_class(name)()))))
+    return known
+
+
+def _names(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Dotted names of settings and of the groups that they are in."""
+    for name, value in settings.items():
+        yield prefix + name
+        if isinstance(value, Mapping):
+            yield from _names(value, f"{prefix}{name}.")

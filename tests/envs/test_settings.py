@@ -1,0 +1,32 @@
+"""Which models an environment on the delay graph takes."""
+
+import pytest
+
+from deepkoco.envs.settings import EnvironmentSettings, SettingsError
+from deepkoco.systems import ExtendedSystem, make_system
+from deepkoco.systems.effects import effects_of
+
+BASE = make_system("rod_pendulum")
+ALONG_A_LOG = {"backlash", "gain_drift", "periodic", "sensor_drift"}  # they need the past, or the time
+
+
+def extended(name: str) -> ExtendedSystem:
+    """The rod pendulum with an effect at a third of the way to its bounds."""
+    declared = effects_of(BASE)[name].parameters(BASE)
+    return ExtendedSystem(
+        BASE, (name,), {f"{name}.{p.name}": p.value + (p.high - p.value) / 3 for p in declared}
+    )
+
+
+@pytest.mark.parametrize("name", sorted(effects_of(BASE)))
+def test_a_model_that_acts_along_a_log_only_is_refused_before_an_episode_begins(name):
+    if name not in ALONG_A_LOG:
+        EnvironmentSettings("rod_pendulum", model=extended(name)).make_system()
+        return
+    with pytest.raises(SettingsError, match=r"cannot be simulated step by step: .*leave that effect out"):
+        EnvironmentSettings("rod_pendulum", model=extended(name))
+
+
+@pytest.mark.parametrize("name", sorted(ALONG_A_LOG))
+def test_such_an_effect_at_its_null_value_is_taken(name):
+    EnvironmentSettings("rod_pendulum", model=ExtendedSystem(BASE, (name,)))

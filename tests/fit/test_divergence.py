@@ -1,0 +1,97 @@
+"""Simulations that diverge, at the edge of divergence and beyond it: two joints with parameters of another build."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.fit import FitError, fit
+from deepkoco.fit.fit_types import Trial
+from deepkoco.fit.request import make_request
+from deepkoco.fit.solve.scaled_inverse import NotFiniteError
+from deepkoco.logs.recording import LogError
+from tests.fit.identify_logs import TRUE, arm_log
+
+# A light forearm: the friction of its joint is faster than the steps of the integration.
+LIGHT = {"mass_2": 0.05, "length_2": 0.25}
+
+
+@pytest.fixture(scope="module")
+def request():
+    return make_request([arm_log(0)], "two_link_arm", list(TRUE))
+
+
+@pytest.fixture(scope="module")
+def problem(request):
+    return request.problem(request.windows.take(np.arange(3)))
+
+
+def chi2(request, problem, viscous: float) -> float:
+    values = request.start | LIGHT | {"viscous_2": viscous}
+    theta = np.array([[values[n] for n in problem.names]])
+    predicted = problem.predict(theta, problem.windows.state[None], problem.nuisances.none()[None])
+    return float((((problem.windows.value - predicted[0]) * problem.weight) ** 2).sum())
+
+
+@pytest.fixture(scope="module")
+def edge(request, problem) -> float:
+    """Friction [N m s/rad] between simulations that stay finite and those that diverge."""
+    low, high = 0.05, 1.0
+    while high - low > 1e-9:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.isfinite(chi2(request, problem, middle)) else (low, middle)
+    return low
+
+
+def test_fits_about_the_edge_of_divergence_are_finite_or_said_to_diverge(request, problem, edge):
+    near = edge * (1.0 + np.concatenate([np.linspace(-0.03, 0.05, 25), [-1e-6, -1e-9, 1e-9]]))
+    starts = [request.start | LIGHT | {"viscous_2": float(v)} for v in near]
+    fits = problem.fit([Trial("edge", request.free, request.prior, values) for values in starts], 6)
+    assert any(found.diverged for found in fits)
+    assert not all(found.diverged for found in fits)
+    for found, values in zip(fits, starts, strict=True):
+        assert np.isfinite(found.covariance).all()
+        assert np.isfinite(found.curvature).all()
+        assert np.isfinite(found.information).all()
+        assert torch.isfinite(found.residual).all()
+        assert torch.isfinite(found.state).all()
+        if found.diverged:
+            assert found.cost == np.inf
+            assert found.values["viscous_2"] == values["viscous_2"]
+
+
+def test_a_start_that_diverges_leaves_the_other_trials_as_they_are(request, problem, edge):
+    good = Trial("good", request.free, request.prior, request.start)
+    bad = replace(good, name="bad", values=request.start | LIGHT | {"viscous_2": 1.1 * edge})
+    alone, (beside, lost) = problem.fit([good], 6)[0], problem.fit([good, bad], 6)
+    assert lost.diverged
+    assert beside.values == pytest.approx(alone.values, rel=1e-9)
+
+
+def test_one_fit_that_has_to_be_is_refused_with_its_values(request, problem, edge):
+    values = request.start | LIGHT | {"viscous_2": 1.1 * edge}
+    with pytest.raises(NotFiniteError, match=r"two_link_arm diverges at .*mass_2 = 0.05 kg"):
+        problem.fit_one(Trial("refit", request.free, request.prior, values))
+
+
+def test_states_of_a_window_that_diverges_stay_finite(request, problem, edge):
+    values = request.start | LIGHT | {"viscous_2": edge * (1.0 - 1e-6)}
+    states, _ = problem.fit_states(values, problem.windows.state)
+    assert torch.isfinite(states).all()
+
+
+def test_a_fit_from_start_values_that_diverge_says_so():
+    with pytest.raises(FitError, match="diverges at the start values"):
+        fit([arm_log(0)], "two_link_arm", ["viscous_1"], start=LIGHT | {"viscous_2": 5.0})
+
+
+@pytest.mark.parametrize("channel", ["torque_1", "angle_2"])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_samples_that_are_not_finite_are_refused_by_their_channel(channel, wrong):
+    log = arm_log(0)
+    values = log.channels[channel].value.copy()
+    values[[3, 4]] = wrong
+    broken = replace(log, channels={**log.channels, channel: replace(log.channels[channel], value=values)})
+    with pytest.raises(LogError, match=f'"{channel}" has 2 of {len(values)} samples'):
+        fit([broken], "two_link_arm", ["mass_2"])
