@@ -16,9 +16,7 @@ from deepkoco.output.whole_file import system_error
 from deepkoco.suggestion import did_you_mean
 from deepkoco.unit.messages import UnitError
 
-DESCRIPTION = (
-    "Record a robot, show what its simulation gets wrong, extend that, and train a controller in it."
-)
+DESCRIPTION = "Record a robot, fit and diagnose its simulation, extend it, and train a controller in it."
 EXAMPLE = """\
 example, from a unit to a diagnosis and a controller:
   deepkoco record --unit configs/units/rod_pendulum_coulomb.yaml --seconds 30 --out logs/coulomb.csv
@@ -104,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         Exit status: 0 done, 1 the unit failed, 2 bad input or a place that cannot be written,
-            130 interrupted; `diagnose` adds its own.
+            130 interrupted. Some subcommands have others too.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     command = next((a for a in arguments if not a.startswith("-")), None)
@@ -141,7 +139,7 @@ def _without_settings(module: ModuleType) -> Callable[[argparse.Namespace], int]
 
 
 def _settings_of(command: str | None, arguments: Sequence[str]) -> list[str] | None:
-    """What follows a command whose arguments are for Hydra; None for others, and where help is asked for."""
+    """Arguments after a command whose arguments are for Hydra; None for other commands and for help."""
     if command is None or arguments[0] != command or {"-h", "--help"} & set(arguments):
         return None
     return list(arguments[1:]) if hasattr(import_module(COMMANDS[command][0]), "run_settings") else None

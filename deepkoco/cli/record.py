@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         elif args.policy is not None:
             excitation, trained_rate = load_policy_excitation(args.policy, spec.system)
             rate = trained_rate if rate is None else rate
-        # Before the recording, so that none is made in vain.
+        # Checked before the recording, which would otherwise be lost.
         with writing(out):
             out.parent.mkdir(parents=True, exist_ok=True)
         check_writable(out)

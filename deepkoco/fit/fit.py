@@ -74,7 +74,7 @@ class FitProblem:
         rubs = (theta[:, self._dry] != nulls[self._dry]).any(-1)
         if not rubs.any() or rubs.all():
             return self._predict(theta, initial, nuisance)
-        # Reversals under dry friction take many more steps: only the lanes that have any pay for them.
+        # Reversals under dry friction need many more steps, so lanes with and without it are simulated apart.
         result: Tensor | None = None
         for part in (rubs, ~rubs):
             pick = torch.from_numpy(np.flatnonzero(part))
@@ -200,15 +200,15 @@ class FitProblem:
             tolerance: A trial has converged when a step lowers its cost by less.
 
         Returns:
-            One fit a trial; :attr:`.Fit.diverged` where the simulation diverges at the trial's start.
+            One fit per trial; its :attr:`.Fit.diverged` is True if the simulation diverges at the start values.
         """
         return Batch(self, trials, tolerance).run(iterations) if trials else []
 
     def fit_one(self, trial: Trial, iterations: int = 25, tolerance: float = TOLERANCE) -> Fit:
-        """As :meth:`fit` for one trial that has to be fitted.
+        """As :meth:`fit` for one trial, but raises if it diverges.
 
         Raises:
-            NotFiniteError: The simulation diverges at the trial's start.
+            NotFiniteError: The simulation diverges at the start values.
         """
         fit = self.fit([trial], iterations, tolerance)[0]
         if fit.diverged:
@@ -218,7 +218,7 @@ class FitProblem:
         return fit
 
     def _far_from_nominal(self, fit: Fit) -> str:
-        """Values of the parameters that are farthest from what the system declares, in words."""
+        """Describe the parameters that are farthest from their declared values."""
         declared = [p for p in self.system.parameters if p.name in fit.values and p.prior_sd > 0.0]
         away = [abs(fit.values[p.name] - p.value) / p.prior_sd for p in declared]
         far = sorted(
@@ -292,7 +292,7 @@ class FitProblem:
             now = (residual**2).sum(-1)
             curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
             downhill = torch.einsum("skwm,kwm->kws", slope, residual)
-            # A cost may be finite and its derivatives not: one lane of them diverged.
+            # The cost can be finite although a lane of the finite differences diverged.
             better = torch.isfinite(now) & torch.isfinite(curvature).flatten(2).all(-1)
             better &= torch.isfinite(downhill).all(-1) & (now <= cost)
             # At the minimum, rounding can make the cost of a step slightly larger than before.

@@ -45,7 +45,7 @@ class Fit:
         information: (p, p) information of the data without priors; initial states and nuisances are eliminated.
         state: (W, S) initial states.
         nuisance: (z,) nuisances of the logs: encoder zeros [rad], then differences of parameters from their mean.
-        chi2: Sum of squared residuals in noise standard deviations; infinite where the simulation diverged.
+        chi2: Sum of squared residuals in noise standard deviations; infinite if the simulation diverged.
         penalty: Prior's share of the cost.
         residual: (W, N, M) measured minus predicted, in noise standard deviations, 0 where padded.
         curvature: (p + z, p + z) curvature of the cost in the free parameters and the z nuisances, priors included.
@@ -69,7 +69,7 @@ class Fit:
 
     @property
     def diverged(self) -> bool:
-        """Whether the simulation diverged at the start: there was nothing to fit, the values are the start's."""
+        """Whether the simulation diverged at the start values; nothing was fitted, the values are the start values."""
         return not math.isfinite(self.chi2)
 
     @property

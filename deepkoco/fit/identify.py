@@ -91,7 +91,7 @@ def fit(
             before = held(shared, request.start, solution.fit.state, zero)
         except FloatingPointError as error:
             raise FitError(
-                f"the simulation diverges at the start values; give others, or shorter windows ({error})"
+                f"the simulation diverges at the start values; give other ones or shorter windows ({error})"
             ) from error
     convergence = Convergence(
         method.name,

@@ -140,19 +140,19 @@ def test_hidden_delays_recover_a_mixture():
     assert isinstance(result.law, Mixture)
 
 
-def test_a_mixture_does_not_hang_on_the_last_bits_of_a_log():
+def test_hidden_delays_of_a_mixture_are_independent_of_rounding_of_the_log():
     other = hidden_delays(fitted(rounded_otherwise(rod_log(drawn("mixture")))), components=2)
     assert_the_same(mixture(), other, 0.02)
 
 
-def test_a_mixture_does_not_hang_on_draws_order_and_start():
+def test_hidden_delays_of_a_mixture_are_independent_of_draws_order_and_start():
     # Other draws fall to each message: what differs is the error of the Monte Carlo average.
     other = other_order(other_start(found("mixture"), 0.004))
     assert_the_same(mixture(), hidden_delays(other, components=2, seed=1), 0.2)
 
 
 @pytest.mark.parametrize("kind", ["constant", "gaussian"])
-def test_a_normal_law_does_not_hang_on_rounding_or_order(kind):
+def test_hidden_delays_of_a_normal_law_are_independent_of_rounding_and_order(kind):
     first = hidden_delays(found(kind))
     for other in (fitted(rounded_otherwise(rod_log(drawn(kind)))), other_order(found(kind))):
         again = hidden_delays(other)

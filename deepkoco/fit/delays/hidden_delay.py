@@ -23,9 +23,9 @@ from deepkoco.fit.threads import one_thread
 from deepkoco.graph.delay import Delay, Deterministic, Gaussian, Mixture
 
 SHIFT = 1e-3  # finite difference of one message's delay [s]
-ROUNDS, MIXTURE_ROUNDS = 8, 4  # linearisations about the delays found so far, at most
-SETTLED = 0.1  # movement of the delays, in their standard deviations, after which they stay
-LARGEST_STEP = 0.01  # of a delay from one linearisation to the next [s]
+ROUNDS, MIXTURE_ROUNDS = 8, 4  # largest number of linearisations
+SETTLED = 0.1  # the delays have converged if their root mean square change is smaller [standard deviations]
+LARGEST_STEP = 0.01  # largest change of a delay from one linearisation to the next [s]
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,13 @@ class HiddenDelays:
 def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> HiddenDelays:
     r"""Estimate the distribution of the commands' delays by marginal likelihood.
 
-    A command that acts eps later than usual gives the joint, to first order, a known impulse. With every window's
-    initial state left free, the residuals r are linear in the delays of its messages, r = G eps + J x + noise; the
-    states x (and with them all but A = G' P G and h = G' P r) are projected out. Under a normal law of eps the
-    marginal likelihood is closed-form and maximised directly. A mixture adds the component of each message; the law
-    then follows from stochastic-approximation EM with Gibbs draws of the components, all delays integrated out.
-    Dynamics and delays take turns: parameters are fitted again under the messages' posterior mean delays, and the
-    residuals linearised there, until the delays settle.
+    A command that acts eps later than usual gives the joint a known impulse, to first order. The residuals r of a
+    window are therefore linear in the delays of its messages: r = G eps + J x + noise. A projection P removes the
+    initial states x. Then A = G' P G and h = G' P r contain all information about the delays. For a normal law of
+    eps, the marginal likelihood has a closed form, which is maximised. A mixture adds one unknown component per
+    message. It is fitted by stochastic-approximation EM with Gibbs draws of the components; the delays are integrated
+    out. After each estimate, the parameters are fitted again at the posterior mean delays. The residuals are then
+    linearised there, until the delays converge.
 
     Args:
         found: A fit, best with the delay of the commands among its parameters. Messages are assumed to keep their
@@ -101,8 +101,8 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
         seed: Seed of the Gibbs draws.
 
     Raises:
-        FitError: No command changes in the windows, there are too few changes for so many components, the commands
-            do not move the joint, or the simulation diverges when one of them acts later.
+        FitError: Fewer than 10 commands per component change inside the windows, or they do not move the joint. Or
+            the simulation diverges when a command acts later.
 
     Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999).
     """
@@ -123,7 +123,7 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
             single = normal_law(linear)
             if not math.isfinite(single.mean_sd):
                 raise FitError(
-                    "the commands that change do not move the joint; the log shows nothing of their delay"
+                    "the commands that change do not move the joint, so the log has no information about their delay"
                 )
             size = np.ones(len(shift))
             posterior = linear.posterior(single.mean * size, single.spread * size)
@@ -212,9 +212,10 @@ class _Messages:
         return self.request.problem(replace(self.windows, commands=tuple(commands)))
 
     def towards(self, shift: np.ndarray, wanted: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Delays nearer to those wanted, and whether they hardly moved, by their standard deviations.
+        """Move ``shift`` towards ``wanted`` by at most `LARGEST_STEP`, so that no delay becomes negative.
 
-        A step stays within reach of the linearisation, and no delay falls below zero.
+        Returns:
+            The new shift, and whether it has converged (`SETTLED`).
         """
         step = np.clip(wanted - shift, -LARGEST_STEP, LARGEST_STEP)
         moved = np.maximum(shift + step, -self.base)

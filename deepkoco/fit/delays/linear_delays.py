@@ -56,14 +56,14 @@ def mixture_law(
 ) -> MixtureLaw:
     """Fit a normal mixture to the delays by stochastic-approximation EM.
 
-    Only the component of each message is drawn; the delays are integrated out, in closed form. A sampler that also
-    draws the delays stays for ever in the first assignment that fits: a message cannot change its component while
-    its neighbours' delays are held, because together they explain one motion. With the delays integrated out, the
-    neighbours give way, and the law forgets where the draws began.
+    Gibbs sampling draws the component of each message; the delays are integrated out in closed form. A sampler that
+    also draws the delays cannot leave the first assignment that fits. Neighbouring messages explain one motion
+    together, so a message could not change its component while their delays are fixed. With the delays integrated
+    out, the result is independent of the start.
 
     Args:
-        linear: What the data say of the delays; every message acts in one window.
-        start: A law to go on from, or (K,) rough delays [s].
+        linear: Likelihood of the delays; every message acts in one window.
+        start: A law to start from, or (K,) approximate delays [s].
         components: Number of components.
         generator: Generator of all draws.
 
@@ -100,7 +100,7 @@ def mixture_law(
 
 
 class _Components:
-    """Components of the messages, drawn with all delays integrated out; the j-th messages of all windows at once."""
+    """Gibbs sampler of the messages' components, with all delays integrated out, for all windows at once."""
 
     def __init__(self, linear: LinearDelays, labels: np.ndarray) -> None:
         most = max(len(own) for own in linear.members)
@@ -120,12 +120,12 @@ class _Components:
         weights: np.ndarray,
         generator: np.random.Generator,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Components (K, C) as zeros and ones after a sweep, and the delays given all of them.
+        """Draw all components once, and compute the delays given all components.
 
-        Neighbours are drawn in pairs, since one may explain what the other does.
+        Neighbouring messages are drawn in pairs, because their delays are correlated.
 
         Returns:
-            Components, means (K,) and variances (K,) of the delays.
+            Components (K, C) as zeros and ones, means (K,) [s] and variances (K,) [s^2] of the delays.
         """
         covariance, pull = self._posterior(means, spreads)
         places = self.index.shape[1]
@@ -148,17 +148,17 @@ class _Components:
         weights: np.ndarray,
         generator: np.random.Generator,
     ) -> None:
-        """Draw the components of one or two messages of every window together; the posterior follows."""
+        """Draw the components of one or two messages of every window together, and update the posterior."""
         count = len(pair)
         combined = np.array(list(itertools.product(range(len(means)), repeat=count)))  # (choices, count)
         precision, tilt = spreads**-2, means / spreads**2
         old = self.labels[:, pair]
-        # What all other messages and the data say of these: exp(-eps' own eps / 2 + rest' eps).
+        # Likelihood of these delays given all other messages: exp(-eps' own eps / 2 + rest' eps).
         inverse = np.linalg.inv(covariance[:, pair[:, None], pair])
         centre = np.einsum("wpj,wj->wp", covariance[:, pair], pull)
         own = inverse - precision[old][:, :, None] * np.eye(count)
         rest = np.einsum("wpq,wq->wp", inverse, centre) - tilt[old]
-        # The law of each choice put in: how probable all that is seen is then.
+        # Log marginal likelihood of each choice of components.
         total = own[:, None] + precision[combined][:, :, None] * np.eye(count)
         right = rest[:, None] + tilt[combined]
         score = np.log(weights / spreads)[combined].sum(1) - 0.5 * (means * tilt)[combined].sum(1)
@@ -172,7 +172,7 @@ class _Components:
             now, was = new[changed], was[changed]
             self.labels[changed, place] = now
             pull[changed, place] += tilt[now] - tilt[was]
-            # Sherman-Morrison: the precision of one delay changes.
+            # Sherman-Morrison update for the changed precision of one delay.
             more = precision[now] - precision[was]
             column = covariance[changed, place]
             change = more / (1.0 + more * column[:, place])

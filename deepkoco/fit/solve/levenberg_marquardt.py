@@ -63,7 +63,7 @@ class Batch:
             normals = self._linearise(active, trial_theta, trial_initial, trial_nuisance)
             for k, normal in zip(active, normals, strict=True):
                 decrease = self.cost[k] - normal.cost
-                # A cost may be finite and its derivatives not: one lane of them diverged.
+                # The cost can be finite although a lane of the finite differences diverged.
                 if normal.finite and decrease >= 0:
                     self.normal[k] = normal
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
@@ -191,7 +191,7 @@ class Batch:
         )
 
     def _diverged(self, k: int) -> Fit:
-        """Of a trial whose simulation diverges: the start, of which the data say nothing."""
+        """Result of a trial whose simulation diverges: start values and prior, without information of the data."""
         trial, prior = self.trials[k], self.precision[k].numpy()
         p = len(self.columns[k])
         curvature = np.diag(np.append(np.zeros(p), self.problem.nuisances.precision.numpy()))

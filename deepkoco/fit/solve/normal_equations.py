@@ -84,7 +84,7 @@ class NormalEquations:
 
     @property
     def finite(self) -> bool:
-        """Whether neither the residuals nor any derivative diverged."""
+        """Whether all residuals and derivatives are finite."""
         parts = (self.hpp, self.hps, self.hss, self.gp, self.gs)
         return math.isfinite(self.cost) and all(bool(torch.isfinite(part).all()) for part in parts)
 
@@ -94,7 +94,7 @@ class NormalEquations:
         blocks = self.hss + torch.diag_embed(damping * diagonal + 1e-9)
         inverse, singular = torch.linalg.inv_ex(blocks)
         if singular.any():
-            # Two states that the measurements do not tell apart: the step leaves their difference as it is.
+            # If the measurements do not distinguish two states, the step does not change their difference.
             again = torch.from_numpy(scaled_inverse(blocks.numpy()))
             inverse = torch.where((singular > 0)[:, None, None], again, inverse)
         through = self.hps @ inverse  # (W, q, S)
@@ -114,7 +114,7 @@ class NormalEquations:
             Moves of parameters and nuisances (q,), of states (W, S), predicted decrease of the cost.
 
         Raises:
-            NotFiniteError: The reduced system overflows.
+            NotFiniteError: The reduced equations overflow.
         """
         matrix, right, inverse = self.reduced(damping)
         free = torch.ones(len(right), dtype=torch.bool)
@@ -127,7 +127,7 @@ class NormalEquations:
             wanted = (right - matrix @ move)[free] / scale
             if not (torch.isfinite(scaled).all() and torch.isfinite(wanted).all()):
                 raise NotFiniteError(
-                    "the reduced normal equations are not finite: a simulation nearly diverged"
+                    "the reduced normal equations are not finite: the residuals of a simulation are too large"
                 )
             # On a singular matrix, only NumPy's solver gives the same bits every time; torch's (gelsy) does not.
             solution = np.linalg.lstsq(scaled.numpy(), wanted.numpy(), rcond=None)[0]

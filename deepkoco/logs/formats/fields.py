@@ -14,7 +14,7 @@ from deepkoco.logs.formats.log_file import HEADER, RECEIVED, LogError, Table
 MOST_ELEMENTS = 64
 """Longer lists (images, scans) are read only if one of their fields is requested."""
 MOST_CELLS = 1 << 27
-"""Values of a topic: messages times fields, whether a message has the field or not."""
+"""Largest number of values of a topic: messages times fields."""
 NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name")
 """Fields with names of the elements of the lists beside and below them (JointState, JointTrajectory)."""
 NANO = 10**9
@@ -56,7 +56,7 @@ class TopicColumns:
             self._columns.setdefault(name, []).append((row, value))
 
     def table(self) -> Table:
-        """The messages as a table, the usual time column first.
+        """Convert the messages to a table, the usual time column first.
 
         Raises:
             LogError: the table would have more than `MOST_CELLS` values.

@@ -81,7 +81,7 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
             origin = record.log_time if origin is None else origin
             if record.channel_id not in channels:
                 raise LogError(
-                    f"{path}: is damaged: it does not describe channel {record.channel_id}; copy it again"
+                    f"{path}: damaged: it does not describe channel {record.channel_id}; copy it again"
                 )
             channel = channels[record.channel_id]
             topic = channel.topic
@@ -103,7 +103,7 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
                 Exception
             ) as error:  # decoders of other libraries raise many kinds of errors on damaged bytes
                 raise LogError(
-                    f'{path}: topic "{topic}": message {number} is no {channel.message_encoding}: '
+                    f'{path}: topic "{topic}": message {number} is not {channel.message_encoding}: '
                     f"{' '.join(str(error).split())[:160]}"
                 ) from error
     tables = {topic: columns.table() for topic, columns in topics.items()}
@@ -124,7 +124,7 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decoder:
     try:
         text = schema.data.decode()
     except UnicodeDecodeError as error:
-        raise LogError(f'the definition of "{schema.name}" is no text in UTF-8') from error
+        raise LogError(f'the definition of "{schema.name}" is not UTF-8') from error
     return message_decoder(schema.name, schema.encoding, text, channel.message_encoding)
 
 

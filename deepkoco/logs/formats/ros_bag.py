@@ -114,7 +114,7 @@ def _read(path: Path, reader: Any, wanted: Wanted) -> LogFile:
             columns.add(received, reader.deserialize(data, connection.msgtype))
         except Exception as error:  # damaged bytes raise errors of several kinds
             raise LogError(
-                f'{path}: topic "{connection.topic}": message {number} is no {connection.msgtype}: '
+                f'{path}: topic "{connection.topic}": message {number} is not a valid {connection.msgtype}: '
                 f"{_damage(error)}"
             ) from error
     tables = {topic: columns.table() for topic, columns in topics.items() if len(columns)}
