@@ -1,4 +1,4 @@
-"""Simulations that diverge, at the edge of divergence and beyond it: two joints with parameters of another build."""
+"""Fits of two joints with start values at which the simulation diverges or nearly diverges."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from deepkoco.fit.solve.scaled_inverse import NotFiniteError
 from deepkoco.logs.recording import LogError
 from tests.fit.identify_logs import TRUE, arm_log
 
-# A light forearm: the friction of its joint is faster than the steps of the integration.
+# With a light forearm, the time constant of the joint friction is shorter than the integration step.
 LIGHT = {"mass_2": 0.05, "length_2": 0.25}
 
 

@@ -1,4 +1,4 @@
-"""The normal law of delays against the multivariate normal of scipy."""
+"""normal_law against the multivariate normal distribution of SciPy."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from deepkoco.fit.delays.normal_law import DROP_95, NormalLaw, normal_law
 
 
 def linear(mean: float, spread: float, seed: int, windows: int = 12, each: int = 8) -> LinearDelays:
-    """Delays seen through random linear responses with noise of 2 ms."""
+    """Delays measured by random linear responses with noise of 2 ms."""
     rng = np.random.default_rng(seed)
     members = np.array_split(np.arange(windows * each), windows)
     information, pull = [], []
@@ -24,7 +24,7 @@ def linear(mean: float, spread: float, seed: int, windows: int = 12, each: int =
 
 
 def log_likelihood(data: LinearDelays, mean: float, spread: float) -> float:
-    """Of a law: A^-1 h is the delays and noise of covariance A^-1."""
+    """Log likelihood of a law: A^-1 h is the sum of the delays and noise with covariance A^-1."""
     total = 0.0
     for a, h in zip(data.information, data.pull, strict=True):
         noise = np.linalg.inv(a)
@@ -82,7 +82,7 @@ def test_normal_law_is_independent_of_rounding(mean, spread, seed):
     def off(x: np.ndarray) -> np.ndarray:
         return x * (1.0 + 1e-13 * rng.standard_normal(x.shape))
 
-    # The information stays symmetric, as every product of a response with itself is.
+    # The information must stay symmetric.
     moved = [0.5 * (a + a.T) for a in map(off, data.information)]
     first = normal_law(data)
     other = normal_law(LinearDelays(data.members, moved, [off(h) for h in data.pull]))

@@ -1,4 +1,4 @@
-"""The scaled inverse by hand and by its properties."""
+"""scaled_inverse by hand and by its properties."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
 
 
 def positive(size: int, seed: int, units: float = 0.0) -> np.ndarray:
-    """A random positive definite matrix whose rows have units that differ by 10^(+-units)."""
+    """A random positive definite matrix; the units of its rows differ by 10^(+-units)."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((size, 2 * size))
     scale = 10.0 ** rng.uniform(-units, units, size)
@@ -23,7 +23,7 @@ def test_scaled_inverse_of_a_diagonal_matrix_by_hand():
 @settings(max_examples=50, deadline=None)
 @given(size=st.integers(1, 8), seed=st.integers(0, 1000))
 def test_scaled_inverse_inverts_in_all_units(size, seed):
-    # The plain pseudo-inverse drops what is 1e-15 of the largest.
+    # The plain pseudo-inverse sets eigenvalues below 1e-15 of the largest to 0.
     matrix = positive(size, seed, units=12.0)
     root = np.sqrt(np.diag(matrix))
     result = scaled_inverse(matrix) * root[:, None] * root

@@ -1,4 +1,4 @@
-"""Integration steps with a reversal under dry friction, against motions worked out by hand."""
+"""Integration steps with a reversal under dry friction, against motions in closed form."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def rubbing(motion):
 
 
 def exact(speed, force):
-    """Place and speed after a step that begins at 0 with a speed above 0 under a constant force."""
+    """Position and speed after a step from position 0 with a positive speed under a constant force."""
     braking = (force - FRICTION) / MASS
     if speed + braking * H >= 0.0:
         return speed * H + 0.5 * braking * H**2, speed + braking * H
@@ -79,7 +79,7 @@ def test_divided_step_equals_the_whole_step_of_a_smooth_motion(angle, speed, for
     part = divided(law, start, fast, drive, width, (0.01,), H, torch.tensor([0]), PARTS)
     for a, b in zip(part[:3], whole[:3], strict=True):
         assert float(a[0]) == pytest.approx(float(b[0][0]), abs=1e-9)
-    # The acceleration at the end is that of the last stage, whose state is right to a lower order.
+    # The acceleration at the end comes from the last stage, whose state has a lower order.
     assert float(part.last[0]) == pytest.approx(float(whole.last[0][0]), abs=1e-4)
 
 
@@ -96,7 +96,7 @@ def test_replaced_changes_only_the_windows_that_reverse():
     assert len(reversing(before, whole.speed, width, (1,))) == 0
 
 
-def test_sharpest_widths_depend_on_the_unit_of_the_joint():
+def test_dry_friction_scales_have_the_unit_of_the_joint():
     cart, arm = CartPole(), make_system("two_link_arm")
     assert arm.smoothing_speeds == (0.05, 0.05)
     assert arm.reversal_steps == (1, 1)
