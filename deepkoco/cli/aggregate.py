@@ -9,7 +9,7 @@ from deepkoco.cli.input_error import InputError
 
 DESCRIPTION = """\
 Average the finished runs below a folder over their seeds: learning curves (curves.csv, learning_curve.png) and the
-cost at the end (table.csv, final.csv). Runs that differ in nothing but the seed are one condition."""
+cost at the end (table.csv, final.csv). Runs that differ only in the seed are one condition."""
 EXAMPLE = """\
 example:
   deepkoco aggregate runs --out runs_summary"""
@@ -17,7 +17,7 @@ example:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco aggregate`."""
-    parser.add_argument("runs", type=Path, metavar="RUNS", help="folder that holds runs, at any depth")
+    parser.add_argument("runs", type=Path, metavar="RUNS", help="folder with runs, at any depth")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="new folder (default RUNS_summary, beside RUNS)"
     )

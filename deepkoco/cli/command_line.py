@@ -1,4 +1,4 @@
-"""`deepkoco`: one command with subcommands; the work is done in the packages that own it."""
+"""`deepkoco`: parse the command line and run one subcommand."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from deepkoco.output.whole_file import system_error
 from deepkoco.suggestion import did_you_mean
 from deepkoco.unit.messages import UnitError
 
-DESCRIPTION = (
-    "Record a robot, show what its simulation gets wrong, extend that, and train a controller in it."
-)
+DESCRIPTION = "Record a robot, fit and diagnose its simulation, extend it, and train a controller in it."
 EXAMPLE = """\
 example, from a unit to a diagnosis and a controller:
   deepkoco record --unit configs/units/rod_pendulum_coulomb.yaml --seconds 30 --out logs/coulomb.csv
@@ -26,26 +24,26 @@ example, from a unit to a diagnosis and a controller:
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out report
   deepkoco train task.id=deepkoco/RodPendulumDelay-v0 +task.kwargs.model=report/model.yaml run=runs/extended
 
-"deepkoco COMMAND --help" says more about each."""
+"deepkoco COMMAND --help" describes each command."""
 # subcommand: (module with add_arguments, DESCRIPTION, EXAMPLE and run, or run_settings where the arguments are for
 # Hydra; one line for the list)
 COMMANDS = {
     "record": ("deepkoco.cli.record", "drive a unit with an excitation and write a measured log"),
     "inspect": (
         "deepkoco.cli.inspect",
-        "show what a log holds (CSV, Parquet, MCAP, ROS bags) and propose what its columns mean",
+        "show the contents of a log (CSV, Parquet, MCAP, ROS bags) and propose a mapping of its columns",
     ),
     "identify": (
         "deepkoco.cli.identify",
-        "find parameters and delays of a system from logs, with intervals",
+        "fit parameters and delays of a system to logs, with intervals",
     ),
     "diagnose": (
         "deepkoco.cli.diagnose",
-        "name what the simulation of a logged robot gets wrong, and extend it",
+        "name the effects that the simulation of a logged robot lacks, and extend it",
     ),
     "design-experiment": (
         "deepkoco.cli.design_experiment",
-        "find the commands that tell causes apart best, to be played by record",
+        "design the commands that distinguish causes best; record plays them",
     ),
     "train": ("deepkoco.cli.train", "train an agent in a task, and write its model"),
     "evaluate": ("deepkoco.cli.evaluate", "run a trained agent in noise-free episodes"),
@@ -54,7 +52,7 @@ COMMANDS = {
     "trial": ("deepkoco.cli.trial", "run trained policies on a unit and compare their costs"),
     "show": (
         "deepkoco.cli.show",
-        "show what a recording of a graph holds, or what a trained model has learned",
+        "show the contents of a recording of a graph, or analyse a trained model",
     ),
     "export": ("deepkoco.cli.export", "write a recording of a graph as CSV or Parquet"),
     "export-model": (
@@ -69,8 +67,7 @@ def build_parser(command: str | None = None) -> CommandParser:
     """Parser of the command line.
 
     Args:
-        command: Subcommand to declare in full; the others are only listed, so that no subcommand waits
-            for another one's imports.
+        command: Subcommand to declare completely. The others are only listed, so that their modules are not imported.
     """
     parser = CommandParser(
         prog="deepkoco",
@@ -101,11 +98,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand.
 
     Args:
-        arguments: Command line without the program's name; None takes the process's.
+        arguments: Command line without the name of the program; None takes that of the process.
 
     Returns:
         Exit status: 0 done, 1 the unit failed, 2 bad input or a place that cannot be written,
-            130 interrupted; `diagnose` adds its own.
+            130 interrupted. Some subcommands have others too.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     command = next((a for a in arguments if not a.startswith("-")), None)
@@ -142,7 +139,7 @@ def _without_settings(module: ModuleType) -> Callable[[argparse.Namespace], int]
 
 
 def _settings_of(command: str | None, arguments: Sequence[str]) -> list[str] | None:
-    """What follows a command whose arguments are for Hydra; None for others, and where help is asked for."""
+    """Arguments after a command whose arguments are for Hydra; None for other commands and for help."""
     if command is None or arguments[0] != command or {"-h", "--help"} & set(arguments):
         return None
     return list(arguments[1:]) if hasattr(import_module(COMMANDS[command][0]), "run_settings") else None

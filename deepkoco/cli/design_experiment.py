@@ -1,4 +1,4 @@
-"""`deepkoco design-experiment`: find the commands that tell named causes apart best."""
+"""`deepkoco design-experiment`: design the commands that distinguish given causes best."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from deepkoco.diagnose.experiment_design.design import Design
 
 DESCRIPTION = """\
-Find the command sequence, within the limits of the actuator and those given, after which a diagnosis tells the
-named causes apart best. Writes commands.csv, which `deepkoco record --commands` plays, design.yaml (what is
-expected of it) and pictures.
+Design the command sequence after which a diagnosis distinguishes the given causes best. The sequence keeps the limits
+of the actuator and those of --limits. Writes commands.csv, which `deepkoco record --commands` plays, design.yaml (the
+expected result) and pictures.
 
-Exit status: 0 designed, 2 bad input, 3 no command can tell these causes apart."""
+Exit status: 0 designed, 2 bad input, 3 no commands distinguish these causes."""
 EXAMPLE = """\
 example:
   deepkoco design-experiment --system rod_pendulum --distinguish coulomb viscous --out separate
@@ -32,25 +32,21 @@ INSEPARABLE = 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco design-experiment`."""
     parser.add_argument(
-        "--system", metavar="SYSTEM", help="name of the system; default: as the model or log says"
+        "--system", metavar="SYSTEM", help="name of the system; default: the system of the model or log"
     )
     parser.add_argument(
         "--distinguish", nargs="+", required=True, metavar="CAUSE", help="two or more causes of the catalogue"
     )
-    parser.add_argument(
-        "--model", type=Path, metavar="model.yaml", help="start from this extended simulation"
-    )
+    parser.add_argument("--model", type=Path, metavar="model.yaml", help="extended simulation to start from")
     parser.add_argument(
         "--recording",
         type=Path,
         nargs="+",
         default=[],
         metavar="LOG",
-        help="log at hand, whose fits give the sizes",
+        help="existing log; fits of the causes to it give their sizes",
     )
-    parser.add_argument(
-        "--map", type=Path, metavar="MAP.yaml", help="sidecar of the log, where it is not LOG.yaml"
-    )
+    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar of the log; default: LOG.yaml")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="length [s] (default 10)")
     parser.add_argument(
         "--limits",
@@ -63,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--strength",
         type=float,
         metavar="ES",
-        help="size of each cause (default: as the log shows, else 0.5)",
+        help="effect size of each cause (default: that in the log, else 0.5)",
     )
     parser.add_argument(
         "--rate", type=float, default=50.0, metavar="HZ", help="commands per second (default 50)"
@@ -72,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor-rate", type=float, default=100.0, metavar="HZ", help="samples per second (default 100)"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default 0)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder; must not exist (default: A_or_B)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="new folder (default: A_or_B)")
     parser.add_argument("--json", action="store_true", help="print design.yaml as JSON instead of a table")
 
 
@@ -91,15 +87,15 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.output.whole_file import system_error
 
     if args.model is not None and args.system is not None and args.system.endswith((".yaml", ".yml")):
-        raise InputError("--model and --system both name a file; give one of them")
+        raise InputError("--model and --system: both are files; give only one of them")
     if args.seed < 0 or (args.strength is not None and not 0.0 < args.strength <= 100.0):
-        raise InputError("--seed takes 0 or more, --strength a number between 0 and 100")
+        raise InputError("--seed must be 0 or more, --strength above 0 and at most 100")
     out = args.out or Path("_or_".join(name.replace(" ", "_") for name in args.distinguish))
     try:
         check_new(out)
         args.system, args.fill = (str(args.model) if args.model else args.system), None
         if not args.recording and args.system is None:
-            raise InputError("--system: name one, or give --model or --recording")
+            raise InputError("--system: give a system, or --model or --recording")
         system, logs = read_logs(args, args.recording, None)
         found = design_experiment(
             system,
@@ -160,7 +156,7 @@ def _print(design: Design, commands: Path) -> None:
                     f"{first} against {second}", f"expected likelihood ratio {design.ratio[a, b]:.3g}"
                 )
     usual = ", ".join(
-        f"{family}: none keeps the limits" if math.isnan(value) else f"{family} {value:.3g}"
+        f"{family}: all exceed the limits" if math.isnan(value) else f"{family} {value:.3g}"
         for family, value in design.typical.items()
     )
     table.add_row("usual sequences", f"{usual} (to first order)")
@@ -179,11 +175,12 @@ def _print(design: Design, commands: Path) -> None:
 
 
 def headline(design: Design) -> str:
-    """What is expected of an experiment, in one line."""
+    """Expected result of an experiment in one line."""
     family, chance = design.family, 100.0 * design.chance
+    sequence = f"{family.capitalize()}, {design.stage.frame.seconds:g} s"
     if design.settles:
-        return f"{family.capitalize()}, {design.stage.frame.seconds:g} s: tells them apart with {chance:.0f} % chance"
+        return f"{sequence}: distinguishes them with a probability of {chance:.0f} %"
     return (
-        f"{family.capitalize()}, {design.stage.frame.seconds:g} s: tells them apart with {chance:.0f} % chance only; "
-        f"about {design.seconds_needed:.3g} s of it would be needed, or wider limits, or a cause of more strength"
+        f"{sequence}: distinguishes them only with a probability of {chance:.0f} %; "
+        f"needed: about {design.seconds_needed:.3g} s of it, or wider limits, or larger causes"
     )

@@ -1,4 +1,4 @@
-"""`deepkoco diagnose`: name what the simulation of a logged robot gets wrong, and extend it."""
+"""`deepkoco diagnose`: name the effects that the simulation of a logged robot lacks, and extend it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from deepkoco.systems import System
 
 DESCRIPTION = """\
-Compare logs of a robot with its simulation, name what the simulation gets wrong, and write a report, the
-extended simulation (model.yaml) and what it is worth on data kept away from every fit.
+Compare logs of a robot with its simulation, and name the effects that the simulation lacks. Writes a report, the
+extended simulation (model.yaml) and its errors on held-out data, which no fit uses.
 
-Exit status: 0 diagnosed (also when nothing is wrong), 2 bad input, 3 the data do not suffice."""
+Exit status: 0 diagnosed (also without any fault), 2 bad input, 3 the data do not suffice."""
 EXAMPLE = """\
 example:
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out coulomb_report
@@ -38,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="log to explain (CSV, Parquet, MCAP or a ROS bag)",
     )
     parser.add_argument(
-        "--system", metavar="SYSTEM", help="name of the system, or a model.yaml; default: as the log says"
+        "--system",
+        metavar="SYSTEM",
+        help="name of the system, or a model.yaml; default: the system in the sidecar",
     )
     parser.add_argument(
         "--healthy",
@@ -46,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="LOG",
-        help="logs of the same unit in which nothing is wrong",
+        help="logs of the same unit without the fault",
     )
     parser.add_argument(
         "--holdout",
@@ -54,13 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="LOG",
-        help="logs that are never fitted; default: keep one window in four",
+        help="logs that no fit uses; default: hold out one window in four",
     )
+    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs; default: LOG.yaml")
     parser.add_argument(
-        "--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs, where it is not LOG.yaml"
-    )
-    parser.add_argument(
-        "--fill", choices=("drop", "hold"), help="what to do with missing values; default: refuse them"
+        "--fill", choices=("drop", "hold"), help="rule for missing values; default: refuse them"
     )
     parser.add_argument(
         "--window", type=float, metavar="S", help="length of a window [s]; default: about one period"
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="DIR",
-        help="folder for the report; must not exist; default: LOG_diagnosis beside the first log",
+        help="new folder for the report; default: LOG_diagnosis beside the first log",
     )
     parser.add_argument("--json", action="store_true", help="print report.json instead of a table")
 
@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Doing:
-    """What is being done and for how long, on a terminal's stderr."""
+    """Line on the stderr of a terminal with the current step and its duration."""
 
     def __init__(self, quiet: bool) -> None:
         from rich.console import Console
@@ -150,10 +150,10 @@ class _Doing:
 def read_logs(
     args: argparse.Namespace, paths: Sequence[Path], system: System | None
 ) -> tuple[System, list[Recording]]:
-    """Read logs of one system; where none is given yet, the one that the arguments or the first log name.
+    """Read logs of one system. Without ``system``, the arguments or the first log name it.
 
     Raises:
-        InputError: The system is unknown, or none is named.
+        InputError: The system is unknown, or neither names it.
         LogError: A log cannot be read.
     """
     from deepkoco.logs.recording import read_log
@@ -168,7 +168,7 @@ def read_logs(
             said = read_log(path, args.map, systems=tuple(SYSTEMS), fill=args.fill).system
             if said is None:
                 raise InputError(
-                    f"{path}: the sidecar names no system; give --system, one of {', '.join(SYSTEMS)}"
+                    f"{path}: the sidecar does not name the system; give --system, one of {', '.join(SYSTEMS)}"
                 )
             system = named_system(said)
         channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
@@ -180,10 +180,10 @@ def read_logs(
 
 
 def named_system(name: str) -> System:
-    """System of a name, or of a model.yaml.
+    """Make the system with this name, or load a model.yaml.
 
     Raises:
-        InputError: There is none.
+        InputError: The name is unknown, or the file cannot be read.
     """
     from deepkoco.systems import ModelFileError, UnknownSystemError, load_model, make_system
 

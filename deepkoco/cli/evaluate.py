@@ -1,4 +1,4 @@
-"""`deepkoco evaluate`: the settings are Hydra's; the work is done in `deepkoco.runs`."""
+"""`deepkoco evaluate`: run a trained agent by `deepkoco.runs`, with settings of Hydra."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ example:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the help lists; `run_settings` gets the arguments as they are."""
+    """Declare the arguments in the help; `run_settings` gets the arguments unparsed."""
     parser.add_argument("run", metavar="RUN", help="folder of a finished run (or run=RUN)")
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE", help="settings, such as episodes=50")
 

@@ -1,4 +1,4 @@
-"""`deepkoco export`: a recording of a graph as a table."""
+"""`deepkoco export`: write a recording of a graph as a table."""
 
 from __future__ import annotations
 
@@ -21,10 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco export`."""
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="recording to read, .mcap")
     parser.add_argument("out", type=Path, metavar="OUT", help="table to write, .csv or .parquet")
-    parser.add_argument("--episode", type=int, metavar="N", help="write this one only (first: 0)")
-    parser.add_argument(
-        "--partial", action="store_true", help="take what is there of a file that was cut off"
-    )
+    parser.add_argument("--episode", type=int, metavar="N", help="write only this episode (first: 0)")
+    parser.add_argument("--partial", action="store_true", help="read the complete part of a truncated file")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`deepkoco export-model`: a trained or imported model for other programs."""
+"""`deepkoco export-model`: write a trained or imported model for other programs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from deepkoco.cli.input_error import InputError
 
 DESCRIPTION = """\
 Export a model for other programs: ONNX or torch.export of (observation, action) -> (latent, B, C), or plain
-arrays (.npz, .mat, .json) for a controller of your own."""
+arrays (.npz, .mat, .json) for your own controller."""
 EXAMPLE = """\
 example:
   deepkoco export-model runs/first --to onnx --out first.onnx
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("model", metavar="RUN", help="folder of a run or a model, or ORG/NAME of the hub")
     parser.add_argument("--to", required=True, choices=FORMS, help="format")
-    parser.add_argument("--out", required=True, metavar="FILE", help="file to write; it must not exist")
+    parser.add_argument("--out", required=True, metavar="FILE", help="new file")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: The model or the file cannot be used.
     """
-    # Imported here so that --help does not wait for them.
+    # Imported here so that --help is fast.
     from deepkoco.interchange.exporters import ExportError, export
     from deepkoco.interchange.hub import HubError
     from deepkoco.interchange.loaded_model import load

@@ -1,4 +1,4 @@
-"""`deepkoco identify`: parameters and delays of a system from logs of it."""
+"""`deepkoco identify`: fit parameters and delays of a system to logs of it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from deepkoco.logs.recording import Recording
 
 DESCRIPTION = """\
-Find parameters and delays of a system from logs of it, with 95 % intervals, and say which combinations of them the logs
-cannot tell apart. Writes identify.json, model.yaml (a system like any other) and pictures with their tables.
+Fit parameters and delays of a system to logs of it, with 95 % intervals. Name the combinations of parameters that the
+logs do not identify. Writes identify.json, model.yaml (the fitted system) and pictures, each with a table of its data.
 
 Exit status: 0 fitted, 2 bad input."""
 EXAMPLE = """\
@@ -32,19 +32,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco identify`."""
     parser.add_argument("recording", type=Path, nargs="+", metavar="LOG", help="log of the unit")
     parser.add_argument(
-        "--system", metavar="SYSTEM", help="name of the system, or a model.yaml; default: as the log says"
+        "--system",
+        metavar="SYSTEM",
+        help="name of the system, or a model.yaml; default: the system in the sidecar",
     )
     parser.add_argument(
         "--parameters",
         nargs="+",
         metavar="NAME",
-        help='what to find, such as mass or coulomb.torque ("deepkoco systems" lists them); default: the system\'s own',
+        help='parameters to fit, such as mass or coulomb.torque ("deepkoco systems" lists them); default: all',
     )
     parser.add_argument(
         "--delays",
         nargs="*",
         metavar="CHANNEL",
-        help="find the delay of the commands too, and those of the channels named here",
+        help="fit the delay of the commands too, and the delays of the named channels",
     )
     parser.add_argument(
         "--hidden-delays",
@@ -52,41 +54,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=1,
         metavar="N",
-        help="recover the distribution of the commands' delays too, from N normal components (default 1)",
+        help="fit the distribution of the commands' delays too, with N normal components (default 1)",
     )
     parser.add_argument(
         "--method", default="lm", help="lm: Levenberg-Marquardt; cma: CMA-ES (extra cma); default lm"
     )
     parser.add_argument("--population", type=int, metavar="N", help="points in a generation of cma")
-    parser.add_argument("--generations", type=int, metavar="N", help="most generations of cma")
+    parser.add_argument("--generations", type=int, metavar="N", help="largest number of generations of cma")
     parser.add_argument(
-        "--bounds", nargs="+", default=[], metavar="NAME=LOW:HIGH", help="where to look for a parameter"
+        "--bounds", nargs="+", default=[], metavar="NAME=LOW:HIGH", help="bounds of a parameter"
     )
     parser.add_argument(
-        "--prior", nargs="+", default=[], metavar="NAME=MEAN:SD", help="what is known of a parameter"
+        "--prior", nargs="+", default=[], metavar="NAME=MEAN:SD", help="normal prior of a parameter"
     )
     parser.add_argument(
         "--start",
         nargs="+",
         default=[],
         metavar="NAME=VALUE",
-        help="value at the start; of a parameter that is not found: its known value",
+        help="start value; for a parameter that is not fitted, its known value",
     )
+    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs; default: LOG.yaml")
     parser.add_argument(
-        "--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs, where not LOG.yaml"
+        "--fill", choices=("drop", "hold"), help="rule for missing values; default: refuse them"
     )
-    parser.add_argument("--fill", choices=("drop", "hold"), help="what to do with missing values")
     parser.add_argument("--window", type=float, metavar="S", help="length of a window [s]")
     parser.add_argument(
-        "--zero-sd", type=float, metavar="RAD", help="spread of the angle sensor's zero from log to log [rad]"
+        "--zero-sd",
+        type=float,
+        metavar="RAD",
+        help="standard deviation of the angle sensor's zero from log to log [rad]",
     )
     parser.add_argument(
         "--varies",
         nargs="+",
         default=[],
         metavar="NAME=SD",
-        help="parameters that vary from log to log, by this standard deviation: every log has its own, and the mean of "
-        "all is found",
+        help="the parameter differs from log to log, with this standard deviation around a fitted common mean",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of cma's draws (default 0)")
     parser.add_argument(
@@ -156,7 +160,7 @@ def _check(args: argparse.Namespace) -> None:
     if args.window is not None and not 0.05 <= args.window <= 60.0:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
     if args.zero_sd is not None and not 0.0 <= args.zero_sd < 10.0:
-        raise InputError(f"--zero-sd {args.zero_sd:g}: give a spread between 0 and 10 rad")
+        raise InputError(f"--zero-sd {args.zero_sd:g}: give a standard deviation between 0 and 10 rad")
     if args.hidden_delays is not None and not 1 <= args.hidden_delays <= 8:
         raise InputError(f"--hidden-delays {args.hidden_delays}: give 1 to 8 components")
 
@@ -168,15 +172,15 @@ def _method(args: argparse.Namespace) -> Any:
         raise InputError(f'--method "{args.method}" is none of {", ".join(METHODS)}')
     given = {k: getattr(args, k) for k in ("population", "generations") if getattr(args, k) is not None}
     if given and args.method != "cma":
-        raise InputError(f"--{next(iter(given))} belongs to --method cma")
+        raise InputError(f"--{next(iter(given))} needs --method cma")
     for name, value in given.items():
         if value < (4 if name == "population" else 1):
-            raise InputError(f"--{name} {value}: too few")
+            raise InputError(f"--{name} {value}: give at least {4 if name == 'population' else 1}")
     return METHODS[args.method](**given)
 
 
 def _numbers(option: str, items: list[str], count: int) -> dict[str, tuple[float, ...]]:
-    """NAME=A:B:... as numbers."""
+    """Parse items NAME=A:B:... with ``count`` numbers each."""
     wanted = "NAME=" + ":".join(["NUMBER"] * count)
     result = {}
     for item in items:
@@ -216,7 +220,7 @@ def _read(args: argparse.Namespace) -> tuple[Any, list[Recording]]:
         name = read_log(args.recording[0], args.map, systems=known, fill=args.fill).system
     if name is None:
         raise InputError(
-            f"{args.recording[0]}: the sidecar names no system; give --system, one of {', '.join(known)}"
+            f"{args.recording[0]}: the sidecar does not name the system; give --system, one of {', '.join(known)}"
         )
     system = _system(name)
     channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
@@ -236,7 +240,7 @@ def _system(name: str) -> Any:
 
 
 class _Progress:
-    """A progress bar on stderr: stage, iteration and cost."""
+    """Progress bar on stderr with stage, iteration and cost."""
 
     def __init__(self, quiet: bool) -> None:
         from rich.console import Console

@@ -1,5 +1,5 @@
-"""What the subcommands share."""
+"""Error of wrong input, shared by the subcommands."""
 
 
 class InputError(ValueError):
-    """What the user gave cannot be used; shown as one line, exit status 2."""
+    """Input of the user is wrong. The command prints one line and exits with status 2."""

@@ -1,4 +1,4 @@
-"""`deepkoco inspect`: show what a log holds and propose what it means."""
+"""`deepkoco inspect`: show the contents of a log and propose a mapping."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from deepkoco.logs.recording import Recording
 
 DESCRIPTION = """\
-Look at a log (CSV, Parquet, MCAP, a bag of ROS 1 or ROS 2): its columns with types, ranges and gaps, its
-clocks with rate, jitter and resets, and whatever asks for a second look. With a sidecar beside it (or --map)
-its channels are shown in SI units. Without one a mapping is proposed: which column is which channel of the
-system, in which unit, how sure that is and why; --out writes it as a sidecar.
+Show the contents of a log (CSV, Parquet, MCAP, a bag of ROS 1 or ROS 2): columns with types, ranges and missing
+values, clocks with rate, jitter, gaps and resets, and possible mistakes. With a sidecar (LOG.yaml or --map), its
+channels are shown in SI units. Without one, a mapping of columns to channels of the system is proposed, with units,
+confidence and reasons. --out writes it as a sidecar.
 
 Exit status: 0 shown, 2 the log or its sidecar cannot be used."""
 EXAMPLE = """\
@@ -32,27 +32,25 @@ example:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco inspect`."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="log: a file, or the folder of a ROS 2 bag")
+    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar; default: LOG.yaml")
     parser.add_argument(
-        "log", type=Path, metavar="LOG", help="log to read, a file or the folder of a ROS 2 bag"
-    )
-    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar, where it is not LOG.yaml")
-    parser.add_argument(
-        "--system", metavar="SYSTEM", help="system to propose a mapping for; default: the one that fits best"
+        "--system",
+        metavar="SYSTEM",
+        help="system of the proposed mapping; default: the system that fits best",
     )
     parser.add_argument(
         "--out", type=Path, metavar="MAP.yaml", help="write the proposed mapping as a sidecar; must not exist"
     )
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw all channels over time (.png, .svg, .pdf)"
+        "--plot", type=Path, metavar="FILE", help="draw all columns over time (.png, .svg, .pdf)"
     )
-    parser.add_argument(
-        "--fill", choices=("drop", "hold"), help="what to do with missing values of a mapped log"
-    )
+    parser.add_argument("--fill", choices=("drop", "hold"), help="rule for missing values of a mapped log")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what a log holds.
+    """Print the contents of a log.
 
     Raises:
         InputError: The log cannot be used, or an output file exists.
@@ -66,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         if target is not None and target.exists():
             raise InputError(f"{target}: exists; choose another name or move it away")
         if target is not None and not target.parent.is_dir():
-            raise InputError(f"{target}: there is no folder {target.parent}; make it first")
+            raise InputError(f"{target}: the folder {target.parent} does not exist; create it first")
     try:
         found = survey_log(open_log(args.log))
     except LogError as error:
@@ -108,7 +106,7 @@ def _fitting(found: Survey, system: str | None, out: Path | None) -> tuple[Fitti
 
 
 def _read(args: argparse.Namespace) -> tuple[Recording | None, str | None]:
-    """The mapped log, and what speaks against using it."""
+    """The mapped log, and the problem that forbids its use; None for a log or problem that does not exist."""
     from deepkoco.logs.recording import LogError, read_log
 
     def read(implausible: bool) -> Recording:
@@ -140,7 +138,7 @@ def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | No
 
     if fitting.alike and system is None:
         raise InputError(
-            f"{path}: the log fits {', '.join((fitting.proposal.system, *fitting.alike))} alike; choose with --system"
+            f"{path}: the log fits {', '.join((fitting.proposal.system, *fitting.alike))} equally well; give --system"
         )
     sure = {c.channel.name: c.sureness for c in fitting.proposal.choices if c.column is not None}
     meta = {"proposed by": "deepkoco inspect", "how sure": sure}

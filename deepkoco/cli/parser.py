@@ -1,4 +1,4 @@
-"""The parser of `deepkoco` and its subcommands, which refuse a mistyped option with a proposal and their own usage."""
+"""Parser of `deepkoco` and its subcommands; for a mistyped option it prints usage and a proposal."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from deepkoco.suggestion import did_you_mean
 class CommandParser(argparse.ArgumentParser):
     """An `ArgumentParser` that proposes an option for a mistyped one.
 
-    argparse hands what a subcommand does not know back to the parser above, whose usage names no option.
+    argparse returns unknown arguments of a subcommand to the main parser, whose usage names no options.
     """
 
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         args = sys.argv[1:] if args is None else args
-        # Before argparse misses the required option that was mistyped; what follows a subcommand is for its parser.
+        # argparse would report a mistyped required option as missing. Subcommands parse their own arguments.
         for argument in [] if self._subparsers else args:
             if argument == "--":
                 break
@@ -33,10 +33,10 @@ class CommandParser(argparse.ArgumentParser):
         return found, unknown
 
     def refuse(self, argument: str) -> NoReturn:
-        """End with status 2, the usage and what was probably meant.
+        """End with status 2, the usage and the most similar option.
 
         Args:
-            argument: That this command does not know.
+            argument: Argument that is unknown to this command.
         """
         if not argument.startswith("-"):
             self.error(f'"{argument}": one argument too many')

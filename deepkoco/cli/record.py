@@ -1,4 +1,4 @@
-"""`deepkoco record`: arguments, progress and errors of recording a unit."""
+"""`deepkoco record`: drive a unit with an excitation and write a log."""
 
 from __future__ import annotations
 
@@ -14,39 +14,45 @@ if TYPE_CHECKING:
     from deepkoco.logs.recording import Recording
 
 DESCRIPTION = """\
-Drive a unit, a stand-in for a real robot, with an excitation and write what was measured as LOG.csv with
-LOG.yaml beside it. The unit runs in a process of its own, in wall-clock time, and is reached only through
-its command and its sensor channel; time stamps are those of real sending and receiving."""
+Drive a unit, which stands for a real robot, with an excitation. Write commands and measurements as LOG.csv with the
+sidecar LOG.yaml. The unit runs in its own process, in wall-clock time. Only its commands and sensor messages are
+accessible; time stamps are the times at which they are sent and received."""
 EXAMPLE = """\
 example:
   deepkoco record --system rod_pendulum --unit configs/units/rod_pendulum_coulomb.yaml \\
       --seconds 30 --excitation chirp --out logs/coulomb.csv"""
 EXCITATIONS = ("chirp", "steps", "prbs", "bang-bang", "policy")
-BETWEEN_UPDATES = 0.5  # of the progress bar [s]: drawing delays the stamps of the next message
+BETWEEN_UPDATES = 0.5  # time between updates of the progress bar [s]; drawing delays the next message
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco record`."""
-    parser.add_argument("--system", help="system of the unit (default: the one UNIT.yaml names)")
+    parser.add_argument("--system", help="system of the unit (default: the system in UNIT.yaml)")
     parser.add_argument(
-        "--unit", required=True, type=Path, metavar="UNIT.yaml", help="what the unit really is"
+        "--unit",
+        required=True,
+        type=Path,
+        metavar="UNIT.yaml",
+        help="description of the unit with its true parameters and effects",
     )
     parser.add_argument(
         "--seconds", type=float, help="length of the log [s] (default: 30, or that of --commands)"
     )
-    parser.add_argument("--excitation", choices=EXCITATIONS, help="what drives it (default: chirp)")
+    parser.add_argument("--excitation", choices=EXCITATIONS, help="excitation of the unit (default: chirp)")
     parser.add_argument(
         "--commands",
         type=Path,
         metavar="FILE.csv",
-        help="play these commands instead, as `deepkoco design-experiment` writes them",
+        help="play these commands instead, for example those of `deepkoco design-experiment`",
     )
     parser.add_argument("--policy", type=Path, metavar="DIR", help="folder of a trained policy")
     parser.add_argument("--amplitude", type=float, help="largest command (default: the system's limit)")
     parser.add_argument("--rate", type=float, metavar="HZ", help="commands per second (default: 50)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the excitation (default: 0)")
     parser.add_argument(
-        "--simulated", action="store_true", help="virtual instead of wall-clock time: exact, and done at once"
+        "--simulated",
+        action="store_true",
+        help="virtual instead of wall-clock time: exact times, and no waiting",
     )
     parser.add_argument("--out", required=True, type=Path, metavar="LOG.csv", help="log to write")
 
@@ -56,10 +62,10 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: An argument or a file is wrong.
-        UnitError: The unit died on the way.
+        UnitError: The unit died during the recording.
     """
     if args.out.name in ("", ".."):
-        raise InputError(f'--out "{args.out}": names no file; give one that ends in .csv')
+        raise InputError(f'--out "{args.out}": is not a file name; give a name that ends in .csv')
     out: Path = args.out if args.out.suffix else args.out.with_suffix(".csv")
     if out.suffix != ".csv":
         raise InputError(f"{out}: logs are written as CSV; give a name that ends in .csv")
@@ -68,10 +74,10 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"{target}: exists; choose another name or move it away")
     if args.commands is not None and (args.excitation or args.policy or args.amplitude):
         raise InputError(
-            "--commands: says what drives the unit; leave --excitation, --policy and --amplitude out"
+            "--commands: the file already gives the commands; leave --excitation, --policy and --amplitude out"
         )
     if (args.policy is None) != (args.excitation != "policy"):
-        raise InputError("--policy: goes with --excitation policy; give both, or neither")
+        raise InputError("--policy: needs --excitation policy and the other way round; give both or neither")
     if args.policy is not None and args.amplitude is not None:
         raise InputError("--amplitude: a policy chooses its own commands; leave it out")
 
@@ -98,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         elif args.policy is not None:
             excitation, trained_rate = load_policy_excitation(args.policy, spec.system)
             rate = trained_rate if rate is None else rate
-        # Before the recording, so that none is made in vain.
+        # Checked before the recording, which would otherwise be lost.
         with writing(out):
             out.parent.mkdir(parents=True, exist_ok=True)
         check_writable(out)
@@ -152,7 +158,7 @@ def _progress(seconds: float, wanted: bool) -> Iterator[Callable[[float], None] 
         TextColumn("{task.completed:.1f} s"),
         TimeRemainingColumn(),
     )
-    # Drawn from the recorder's own loop: a drawing thread would hold up the time stamps at random.
+    # The loop of the recorder draws the bar, because a thread would delay time stamps at random.
     with Progress(*columns, console=console, auto_refresh=False, transient=True) as bar:
         task = bar.add_task("recording", total=seconds)
         shown = 0.0

@@ -1,4 +1,4 @@
-"""`deepkoco show`: what a recording of a graph holds, or what a trained model has learned."""
+"""`deepkoco show`: summarise a recording of a graph, or analyse a trained model."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ if TYPE_CHECKING:
     from deepkoco.graph.episodes.storage.summary import RunSummary, Spread
 
 DESCRIPTION = """\
-Show one of two things. A recording of a graph (MCAP): its nodes with the rates that were asked for and realised,
-its delays (mean, median, 99 % quantile), overruns and losses; draw it, or make an interactive page of it. A
-training run or an exported model (a folder): one page with what the latent model has learned, measured on new
-episodes (about a minute)."""
+For a recording of a graph (MCAP): show its nodes with nominal and realised rates, its delays (mean, median, 99 %
+quantile), overruns and losses. Options draw it or write an interactive page. For a training run or an exported model
+(a folder): analyse the latent model on new episodes and write one page (about a minute)."""
 EXAMPLE = """\
 example:
   deepkoco show runs/rod.mcap
   deepkoco show runs/rod.mcap --pictures runs/rod_pictures --html runs/rod.html
-  deepkoco show runs/rod.mcap.partial --partial      what a run that was killed has left
-  deepkoco show runs/first --out first.html          what a trained model has learned
-  deepkoco show model --task Pendulum-v1             a model that does not say its task"""
+  deepkoco show runs/rod.mcap.partial --partial      the complete part of a killed run
+  deepkoco show runs/first --out first.html          analysis of a trained model
+  deepkoco show model --task Pendulum-v1             a model without the name of its task"""
 OF_A_RECORDING = ("partial", "episode", "start", "stop", "pictures", "html")
 OF_A_RUN = ("out", "task", "reference", "axes", "seed")
 
@@ -45,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
     recording = parser.add_argument_group("options of a recording")
     recording.add_argument(
-        "--partial", action="store_true", help="take what is there of a file that was cut off"
+        "--partial", action="store_true", help="read the complete part of a truncated file"
     )
     recording.add_argument(
         "--episode", type=int, default=0, metavar="N", help="episode that is drawn (first: 0)"
@@ -60,21 +59,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     trained.add_argument(
         "--out", type=Path, metavar="PAGE.html", help="page to write (default: analysis.html in the folder)"
     )
-    trained.add_argument("--task", metavar="ID", help="Gymnasium id, for a model that does not say its task")
+    trained.add_argument("--task", metavar="ID", help="Gymnasium id of the task, for a model without it")
     trained.add_argument(
         "--reference", type=Path, metavar="CSV",
         help="costs to compare with, columns name, mean and, where known, standard_error, episodes",
     )  # fmt: skip
     trained.add_argument(
         "--axes", type=int, nargs=2, metavar=("I", "J"),
-        help="two inputs, counted from 0, for maps of a task without a plane (default: those that matter most)",
+        help="two inputs, counted from 0, for maps of a task without a plane (default: the most important two)",
     )  # fmt: skip
-    trained.add_argument("--seed", type=int, default=0, metavar="N", help="which start states (default: 0)")
+    trained.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the start states (default: 0)"
+    )
     parser.set_defaults(parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show what the path holds.
+    """Show a recording, or analyse a run.
 
     Raises:
         InputError: It is neither a recording nor a trained model, or an option belongs to the other one.
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _refuse(args: argparse.Namespace, names: tuple[str, ...], whose: str, given: str) -> None:
-    """Refuse options of the other kind instead of passing over them."""
+    """Refuse options of the other kind instead of ignoring them."""
     spelled = {"start": "from", "stop": "to"}
     wrong = [f"--{spelled.get(n, n)}" for n in names if getattr(args, n) != args.parser.get_default(n)]
     if wrong:
@@ -104,7 +105,7 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], whose: str, given:
 
 
 def show_recording(args: argparse.Namespace) -> int:
-    """Print the summary of a recording; draw it if asked to.
+    """Print the summary of a recording, and draw it if requested.
 
     Raises:
         InputError: The recording cannot be used, or an output exists.
@@ -163,7 +164,7 @@ def _draw(args: argparse.Namespace, recorded: RecordedRun) -> None:
     graph, episode = recorded.graph, recorded.episodes[args.episode]
     if args.pictures is not None:
         pictures = [draw_graph(graph), draw_timeline(graph, episode, args.start, args.stop)]
-        with contextlib.suppress(DrawingError):  # nothing took any time
+        with contextlib.suppress(DrawingError):  # no delay is above 0
             pictures.append(draw_delays(graph, recorded.episodes))
         with contextlib.suppress(DrawingError):  # no output is a few numbers
             pictures.append(draw_signals(graph, episode, args.start, args.stop))

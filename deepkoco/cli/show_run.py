@@ -1,4 +1,4 @@
-"""`deepkoco show RUN`: what a trained latent model has learned, on one page."""
+"""`deepkoco show RUN`: analyse a trained latent model and write one page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def show_run(args: argparse.Namespace) -> int:
     """Analyse a run and write the page.
 
     Args:
-        args: path, out, task, reference, axes, seed, json.
+        args: Arguments path, out, task, reference, axes, seed and json.
 
     Returns:
         0.

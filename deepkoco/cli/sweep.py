@@ -1,4 +1,4 @@
-"""`deepkoco sweep`: `deepkoco train` for every combination of values, gone on with where it was stopped."""
+"""`deepkoco sweep`: run `deepkoco train` for every combination of values; an interrupted sweep can be continued."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from deepkoco.cli.train import run_settings as train
 
 DESCRIPTION = """\
-Train one run for every combination of the values given. The same command goes on with a sweep that was interrupted:
-finished runs stay as they are, others continue (existing=refuse refuses folders that are there)."""
+Train one run for every combination of the given values. The same command continues an interrupted sweep: finished runs
+stay unchanged, others continue (existing=refuse refuses existing folders)."""
 EXAMPLE = """\
 example:
   deepkoco sweep seed=0,1,2,3,4 distractors=none,copies                        ten runs, one after the other
@@ -18,7 +18,7 @@ example:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the help lists; `run_settings` gets the arguments as they are."""
+    """Declare the arguments in the help; `run_settings` gets the arguments unparsed."""
     parser.add_argument(
         "settings", nargs="*", metavar="NAME=VALUE[,VALUE...]", help="settings of deepkoco train"
     )

@@ -1,4 +1,4 @@
-"""`deepkoco systems`: list the systems with their channels, parameters and hidden effects."""
+"""`deepkoco systems`: list the systems with their channels, parameters and effects."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deepkoco.cli.input_error import InputError
 if TYPE_CHECKING:
     from deepkoco.systems import System
 
-DESCRIPTION = "List the systems that the package knows: channels, parameters, units and bounds."
+DESCRIPTION = "List the systems of the package: channels, parameters, units and bounds."
 EXAMPLE = """\
 example:
   deepkoco systems
@@ -21,8 +21,8 @@ example:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco systems`."""
-    parser.add_argument("system", nargs="?", help="show this one only")
-    parser.add_argument("--effects", action="store_true", help="also the parameters of the effects")
+    parser.add_argument("system", nargs="?", help="show only this system")
+    parser.add_argument("--effects", action="store_true", help="list the parameters of the effects too")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
             signal = f"{channel['name']} ({channel['unit']}{limits})"
             console.print(f"  {channel['kind']:<12}{signal}: {channel['description']}", highlight=False)
         table = Table()
-        # Names are what users copy: only the meaning may be folded.
+        # Users copy names and values, so only the meaning is folded.
         table.add_column("parameter", no_wrap=True)
         table.add_column("value, bounds", no_wrap=True)
         table.add_column("meaning", overflow="fold")

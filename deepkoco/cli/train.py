@@ -1,4 +1,4 @@
-"""`deepkoco train`: the settings are Hydra's; the work is done in `deepkoco.runs`."""
+"""`deepkoco train`: train an agent by `deepkoco.runs`, with settings of Hydra."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Sequence
 
 DESCRIPTION = """\
-Train an agent in a task and write a folder: settings, metrics, checkpoint and, at the end, the model. What is to be
-done is told by settings NAME=VALUE. Every setting has a default; "deepkoco train --cfg job" prints all of them."""
+Train an agent in a task and write a folder: settings, metrics, checkpoint and, at the end, the model. Settings
+NAME=VALUE select task and agent. Every setting has a default; "deepkoco train --cfg job" prints all of them."""
 EXAMPLE = """\
 example:
   deepkoco train task=pendulum seed=0 distractors=none run=runs/first
@@ -16,13 +16,13 @@ example:
   deepkoco train task.id=deepkoco/RodPendulumDelay-v0 +task.kwargs.model=report/model.yaml run=runs/extended
                                    the swing-up in a simulator that diagnose has extended
   deepkoco train resume=runs/first                       go on after a kill, with the stored settings
-  deepkoco train --config-dir my_configs task=cart       task/cart.yaml in a folder of your own
+  deepkoco train --config-dir my_configs task=cart       task/cart.yaml in your own folder
 
 task names: the files of configs/task; agents: deepkoco, sac, sac_shared, deepmdp, dbc. "deepkoco sweep" trains many."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the help lists; `run_settings` gets the arguments as they are."""
+    """Declare the arguments in the help; `run_settings` gets the arguments unparsed."""
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE", help="settings, such as seed=1")
     parser.add_argument("--cfg", metavar="job", help="print all settings instead of training")
     parser.add_argument("--config-dir", metavar="DIR", help="folder with further files of settings")

@@ -1,4 +1,4 @@
-"""`deepkoco trial`: trained policies on a unit."""
+"""`deepkoco trial`: run trained policies on a unit and compare their costs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--parallel", type=int, default=8, metavar="N", help="units that run at once (default 8)"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="which set of start states (default 0)"
+        "--seed", type=int, default=0, metavar="N", help="seed of the start states (default 0)"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="new folder for trials.csv and films")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.exists():
         raise InputError(f"{args.out}: exists already; choose another --out")
     if args.episodes < 1 or args.parallel < 1:
-        raise InputError("--episodes and --parallel take 1 or more")
+        raise InputError("--episodes and --parallel must be 1 or more")
     if args.seed < 0:
         raise InputError(f"--seed {args.seed}: give 0 or more")
     try:

@@ -1,4 +1,4 @@
-"""Commands that make a log informative, and the recording of a unit that is driven by them."""
+"""Excitations: commands that give a log information. `record` drives a unit with them and records it."""
 
 from deepkoco.excitation.excitation import EXCITATIONS, make_excitation
 from deepkoco.excitation.policy import policy_excitation

@@ -1,4 +1,4 @@
-"""A sine that sweeps through the frequencies around the natural one."""
+"""Chirp: a sine whose frequency sweeps around the natural frequency."""
 
 from __future__ import annotations
 
@@ -12,14 +12,21 @@ from deepkoco.systems import System
 
 
 def chirp(system: System, seconds: float, amplitude: float, generator: Generator) -> Excitation:
-    """Sine whose frequency sweeps from a quarter to three times the natural one and back."""
+    """Sine whose frequency sweeps between 1/4 and 3 natural frequencies, up and down.
+
+    Args:
+        system: The system.
+        seconds: Length of the log [s]; the longest period of the sweep.
+        amplitude: Amplitude of the command, in its unit.
+        generator: Generator of the first phase.
+    """
     frequency = natural_frequency(system)
     low, high = 0.25 * frequency, 3.0 * frequency
-    sweep = min(seconds, 24.0 * math.pi / frequency)  # up and down once [s]
+    sweep = min(seconds, 24.0 * math.pi / frequency)  # period of the sweep [s]
     offset = generator.uniform(0.0, 2.0 * math.pi)
 
     def command(t: float, measurement: Sequence[float]) -> float:
-        # Phase of a frequency that is a triangle in time: whole sweeps, then the part of this one.
+        # The frequency is a triangle wave; its integral is summed over whole sweeps and the rest.
         whole, part = divmod(t, sweep)
         up = min(part, 0.5 * sweep)
         down = part - up

@@ -1,4 +1,4 @@
-"""The excitations by name; a new one is a file beside this one and a line here."""
+"""Excitations by name. A new excitation is one file in this folder and one line in `EXCITATIONS`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from deepkoco.systems import System, one_joint
 def make_excitation(
     kind: str, system: str, seconds: float, seed: int = 0, amplitude: float | None = None
 ) -> Excitation:
-    """Excitation for a system, its time scale taken from the system's natural period.
+    """Make an excitation for a system; its time scale is the natural period of the system.
 
     Args:
         kind: One of :data:`EXCITATIONS`.
         system: Name of the system.
         seconds: Length of the log [s].
-        seed: Seed of the excitation's own draws.
+        seed: Seed of the draws of the excitation.
         amplitude: Largest command, in the command's unit; None takes the system's limit.
 
     Raises:
@@ -46,9 +46,10 @@ def make_excitation(
 
 
 def _speed_guard(excitation: Excitation, amplitude: float, frequency: float) -> Excitation:
-    """Brake at full amplitude from 3 natural frequencies down to 2, the speed of a fall from the top.
+    """Brake with full amplitude when the speed exceeds 3 natural frequencies, until it is below 2.
 
-    Without it a resonant or strong command ends in fast whirling, where gravity averages out.
+    A pendulum that falls from the top reaches 2 natural frequencies. Without the guard, a resonant or strong command
+    makes the pendulum rotate fast, and the effect of gravity then averages out.
     """
     braking = False
 

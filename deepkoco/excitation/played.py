@@ -1,4 +1,4 @@
-"""Commands from a file, played to a unit as they stand there."""
+"""Play commands from a file to a unit."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ TIME = "t"  # column of the stamps [s]
 
 
 class CommandFileError(ValueError):
-    """A file of commands cannot be read, or does not fit the unit."""
+    """A file of commands cannot be read, or does not suit the unit."""
 
 
 @dataclass(frozen=True)
 class PlayedCommands:
-    """A sequence of commands, each of which holds until the next one.
+    """A sequence of commands. Each one holds until the next.
 
     Attributes:
         t: (n,) stamps [s], increasing.
@@ -38,29 +38,29 @@ class PlayedCommands:
         return (len(self.t) - 1) / float(self.t[-1] - self.t[0])
 
     def rate_on(self, sensor_rate: float) -> float:
-        """Commands per second at which a unit plays the sequence as it is [Hz].
+        """Rate of commands at which a unit plays the whole sequence [Hz].
 
         Args:
-            sensor_rate: Of the unit, which takes at most one command for each sample [Hz].
+            sensor_rate: Sensor rate of the unit [Hz], which takes at most one command per sample.
 
         Raises:
-            CommandFileError: The sequence is faster, so that commands would be left out.
+            CommandFileError: The sequence is faster than the sensor.
         """
         if self.rate > sensor_rate * (1.0 + 1e-6):
             raise CommandFileError(
-                f"{self.rate:.4g} commands per second, but the unit's sensor gives {sensor_rate:.4g} samples: give "
-                f"at most as many commands, or --rate {sensor_rate:.4g} to leave some out"
+                f"the file has {self.rate:.4g} commands per second, the unit's sensor {sensor_rate:.4g} samples: give "
+                f"at most one command per sample, or --rate {sensor_rate:.4g} to leave commands out"
             )
         return min(self.rate, sensor_rate)
 
     @property
     def seconds(self) -> float:
-        """Time from the first command until the last one has been held as long as the others [s]."""
+        """Length of the sequence, with one mean period for the last command [s]."""
         return float(self.t[-1] - self.t[0]) + 1.0 / self.rate
 
     def excitation(self) -> Excitation:
-        """The sequence as an excitation; after its end the last command is kept."""
-        # A tick may come a little before its time; a quarter of a period decides which command it is for.
+        """Convert the sequence to an excitation; after its end the last command holds."""
+        # A tick can be early by jitter. Up to a quarter of a period early, it still gets its own command.
         stamps = self.t - self.t[0] - 0.25 / self.rate
 
         def command(t: float, measurement: Sequence[float]) -> float:
@@ -73,8 +73,8 @@ def load_commands(path: str | Path, system: JointSystem) -> PlayedCommands:
     """Read a CSV of commands: a column ``t`` [s] and one with the name of the command, in its unit.
 
     Raises:
-        CommandFileError: The file cannot be read, lacks a column, holds something that is not a number, its stamps do
-            not increase, or a command is outside the limits of the system.
+        CommandFileError: The file cannot be read, lacks a column or contains a cell that is not a finite number. Stamps
+            do not increase, or a command exceeds the limits of the system.
     """
     path, channel = Path(path), system.commands[0]
     try:
@@ -92,10 +92,12 @@ def load_commands(path: str | Path, system: JointSystem) -> PlayedCommands:
     except ValueError as error:
         raise CommandFileError(f"{path}: {error}") from error
     if len(t) < 2 or not math.isfinite(float(np.sum(t) + np.sum(value))):
-        raise CommandFileError(f"{path}: needs at least two rows, all of them numbers")
+        raise CommandFileError(f"{path}: needs at least two rows of finite numbers")
     late = np.flatnonzero(np.diff(t) <= 0.0)
     if len(late):
-        raise CommandFileError(f"{path}: the time in row {late[0] + 3} does not come after the one before it")
+        raise CommandFileError(
+            f"{path}: the time in row {late[0] + 3} is not later than in the row before; sort the rows"
+        )
     outside = np.flatnonzero((value < channel.low - 1e-9) | (value > channel.high + 1e-9))
     if len(outside):
         raise CommandFileError(

@@ -1,4 +1,4 @@
-"""Commands of a trained policy, in closed loop."""
+"""Excitation in closed loop by a trained policy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from deepkoco.systems import one_joint
 
 
 def policy_excitation(policy: Callable[[Sequence[float]], float], limits: tuple[float, float]) -> Excitation:
-    """Closed loop under a policy.
+    """Make an excitation from a policy, in closed loop.
 
     Args:
         policy: Measurement -> command.
-        limits: Commands are cut to (low, high), in the command's unit.
+        limits: Limits (low, high) of the command, in its unit.
     """
 
     def command(t: float, measurement: Sequence[float]) -> float:
@@ -26,19 +26,19 @@ def policy_excitation(policy: Callable[[Sequence[float]], float], limits: tuple[
 
 
 def load_policy_excitation(folder: str | Path, system: str) -> tuple[Excitation, float]:
-    """Closed loop under a trained policy, which sees what the system's task shows it.
+    """Load a trained policy as an excitation in closed loop; it gets the observations of the system's task.
 
     Args:
         folder: Folder of the trained policy.
         system: Name of the system.
 
     Returns:
-        The excitation and the rate it was trained at [Hz].
+        The excitation, and the control rate of the training [Hz].
 
     Raises:
-        ExcitationError: The folder holds no policy, or one for other observations or commands.
+        ExcitationError: The folder contains no policy, or one for other observations or commands.
     """
-    # Imported here: agent and envs are heavy, and every other excitation does without them.
+    # Imported here because agent and envs are slow to import and other excitations do not need them.
     import torch
 
     from deepkoco.agent.policy import KoopmanPolicy, load_model
@@ -48,7 +48,7 @@ def load_policy_excitation(folder: str | Path, system: str) -> tuple[Excitation,
     try:
         model, planner, low, high = load_model(folder)
     except (OSError, ValueError) as error:
-        raise ExcitationError(f"{folder}: holds no policy: {error}") from error
+        raise ExcitationError(f"{folder}: contains no policy: {error}") from error
     width = len(task.observation_bounds)
     if model.observation_size != width:
         raise ExcitationError(

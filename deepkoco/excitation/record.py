@@ -1,4 +1,4 @@
-"""Record a unit: drive it with an excitation and keep what was really sent and received, and when."""
+"""Record a unit: drive it with an excitation, and log commands and measurements with their real times."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from deepkoco.unit.process import Unit
 from deepkoco.unit.simulated import SimulatedUnit
 from deepkoco.unit.spec import UnitSpec
 
-DEFAULT_RATE = 50.0  # of the commands [Hz]
+DEFAULT_RATE = 50.0  # rate of the commands [Hz]
 CLOCKS: dict[str, type[Unit] | type[SimulatedUnit]] = {"wall": Unit, "simulated": SimulatedUnit}
 
 
 class RecordError(ValueError):
-    """The clock, the length or the control rate of a recording does not fit the unit."""
+    """The clock, the length or the control rate of a recording is wrong, or a command is not finite."""
 
 
 def record(
@@ -41,19 +41,19 @@ def record(
 ) -> Recording:
     """Drive a unit and record it.
 
-    The recorder acts on the measurements as they come: each is stamped when it is received, and where a
-    control tick is due a command goes out, stamped when it is sent. The first command is zero.
+    Each measurement gets the time at which it is received. If a control tick is due then, a command is sent and gets
+    the time at which it is sent. The first command is zero.
 
     Args:
         spec: The unit.
         excitation: Name of an excitation, or (time [s], measurement) -> command.
         seconds: Length of the log [s].
-        control_rate: Commands per second [Hz]; None takes 50, or the sensor's rate where that is less.
-        clock: ``"wall"`` runs the unit in its own process in real time, ``"simulated"`` in virtual time,
-            exactly and as fast as it computes.
+        control_rate: Commands per second [Hz]; None takes 50, or the sensor's rate if that is smaller.
+        clock: ``"wall"`` runs the unit in its own process in real time. ``"simulated"`` runs it in virtual time,
+            with exact times and without waiting.
         seed: Seed of the excitation.
         amplitude: Largest command of a named excitation; None takes the system's limit.
-        meta: Further facts to keep in the log.
+        meta: Further facts for the log.
         progress: Called with the time recorded so far [s], after each measurement.
 
     Returns:
@@ -68,13 +68,15 @@ def record(
     if clock not in CLOCKS:
         raise RecordError(f'unknown clock "{clock}"; known: {", ".join(CLOCKS)}')
     if not 0.0 < seconds < math.inf:
-        raise RecordError(f"a log of {seconds:g} s cannot be recorded; give its length in seconds")
+        raise RecordError(
+            f"seconds: {seconds:g} s is not the length of a log; give a positive number of seconds"
+        )
     sensor_rate = spec.sensor.rate_hz
     rate = min(DEFAULT_RATE, sensor_rate) if control_rate is None else control_rate
     if not 1.0 / spec.heartbeat < rate <= sensor_rate:
         raise RecordError(
-            f"control rate {rate:g} Hz does not fit the unit: its sensor gives {sensor_rate:g} Hz and its "
-            f"heartbeat wants more than {1.0 / spec.heartbeat:g} Hz"
+            f"control rate {rate:g} Hz does not suit the unit: give at most {sensor_rate:g} Hz (its sensor) "
+            f"and more than {1.0 / spec.heartbeat:g} Hz (its heartbeat)"
         )
     named = excitation if isinstance(excitation, str) else "given"
     drive = (
@@ -87,7 +89,7 @@ def record(
     if messages[-1].stops:
         raise UnitError(
             f'unit "{spec.name}" stopped itself {messages[-1].stops} times: no command came within '
-            f"{spec.heartbeat:g} s, so the log would be wrong; free the machine or raise the heartbeat"
+            f"{spec.heartbeat:g} s, so the log is not valid; stop other programs or raise the heartbeat"
         )
     facts = {
         "clock": clock,
@@ -107,7 +109,7 @@ def _drive(
     rate: float,
     progress: Callable[[float], None] | None,
 ) -> tuple[list[SensorMessage], list[tuple[float, float]]]:
-    # A tick is due half a sensor period early: which measurement triggers it is then not up to jitter.
+    # A tick is due half a sensor period early, so that jitter does not change the measurement that triggers it.
     early = 0.5 / unit.spec.sensor.rate_hz
     message = unit.reset()
     start = message.t_received
@@ -123,8 +125,8 @@ def _drive(
             command = excitation(message.t_received, message.values)
             if not math.isfinite(command):
                 raise RecordError(
-                    f"the excitation gives the command {command} at {message.t_received:.3f} s, which is no finite "
-                    f"number; it had measured {message.values}"
+                    f"the excitation gives the command {command} at {message.t_received:.3f} s, which is not a finite "
+                    f"number, for the measurement {message.values}"
                 )
             sent.append((unit.send(command), command))
             tick = int((message.t_received - start + early) * rate + 1e-9) + 1
@@ -136,7 +138,7 @@ def _drive(
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Keep Python's collector, which can take tens of milliseconds, out of the timing."""
+    """Switch off Python's garbage collector, whose pauses of tens of milliseconds would change the timing."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

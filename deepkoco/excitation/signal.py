@@ -1,4 +1,4 @@
-"""What an excitation is: a command from time and the last measurement."""
+"""Type of an excitation: a function of time and the last measurement that gives a command."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Excitation = Callable[[float, Sequence[float]], float]
 
 
 class ExcitationError(ValueError):
-    """An excitation is unknown, or asks for more than the unit takes."""
+    """An excitation is unknown, or its commands exceed the limits of the unit."""
 
 
 def natural_frequency(system: System) -> float:
-    """Small oscillations of the nominal system about hanging [rad/s]."""
+    """Angular frequency of small oscillations of the nominal system about the hanging position [rad/s]."""
     assert isinstance(system, JointSystem)
     return math.sqrt(system.load_scale / float(system.inertia(system.default_parameters())))

@@ -1,4 +1,4 @@
-"""Levels that are held: random steps, and a pseudo-random binary sequence."""
+"""Piecewise constant excitations: random steps, and a pseudo-random binary sequence."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.random import Generator
 from deepkoco.excitation.signal import Excitation, natural_frequency
 from deepkoco.systems import System
 
-LEVELS = 7  # of the steps
+LEVELS = 7  # number of levels of the steps
 
 
 def steps(system: System, seconds: float, amplitude: float, generator: Generator) -> Excitation:
-    """Random levels, each held between a quarter of the natural period and one and a half."""
+    """Random levels; each one holds for 0.25 to 1.5 natural periods."""
     period = 2.0 * math.pi / natural_frequency(system)
     levels = np.linspace(-amplitude, amplitude, LEVELS)
 
@@ -27,7 +27,7 @@ def steps(system: System, seconds: float, amplitude: float, generator: Generator
 
 
 def prbs(system: System, seconds: float, amplitude: float, generator: Generator) -> Excitation:
-    """Pseudo-random binary sequence: either limit, drawn anew eight times per natural period."""
+    """Pseudo-random binary sequence: one of both limits, drawn eight times per natural period."""
     period = 2.0 * math.pi / natural_frequency(system)
     return _held(
         seconds,
@@ -37,7 +37,7 @@ def prbs(system: System, seconds: float, amplitude: float, generator: Generator)
 
 
 def _held(seconds: float, draw: Callable[[float], float], hold: Callable[[], float]) -> Excitation:
-    """Piecewise constant signal: ``draw`` gives the next level from the last, ``hold`` its length [s]."""
+    """Piecewise constant signal: ``draw`` maps a level to the next one, ``hold`` gives its duration [s]."""
     ends, values, level = [0.0], [0.0], 0.0
     while ends[-1] <= seconds:
         level = draw(level)

@@ -1,4 +1,4 @@
-"""Parameters, delays and states of a system from recorded logs."""
+"""Estimate parameters, delays and states of a system from recorded logs."""
 
 from deepkoco.fit.data.noise import Noise, estimate_noise
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length

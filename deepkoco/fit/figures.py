@@ -1,4 +1,4 @@
-"""Pictures of a fit, each with the table behind it."""
+"""Draw the pictures of a fit, each with a table of its data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHOWN_WINDOWS = 4
 
 
 def draw_all(found: Identification, hidden: HiddenDelays | None = None) -> list[Picture]:
-    """Replay, intervals, correlation (of two parameters or more), convergence, and the law of hidden delays."""
+    """Draw replay, intervals, correlation (from two parameters on), convergence and the law of the hidden delays."""
     drawings = (replay, intervals, correlation, convergence)
     with house_style():
         pictures = [draw(found) for draw in drawings]
@@ -25,7 +25,7 @@ def draw_all(found: Identification, hidden: HiddenDelays | None = None) -> list[
 
 
 def replay(found: Identification) -> Picture:
-    """Every channel, measured and simulated before and after the fit, over a few windows."""
+    """Draw the measurements of a few windows, and their simulation before and after the fit."""
     windows, channels = found.request.windows, found.system.measurements
     count = min(SHOWN_WINDOWS, len(windows))
     chosen = np.unique(np.linspace(0, len(windows) - 1, count).round().astype(int))
@@ -50,14 +50,13 @@ def replay(found: Identification) -> Picture:
     handles, labels = grid[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3)
     caption = (
-        "What the sensors measured and what the simulation says under the same commands, from an initial state fitted "
-        "to each window."
+        "Measurements, and simulations under the same commands. The initial state of each window is fitted."
     )
     return Picture("replay", "Replay of the log", caption, figure, pd.concat(rows))
 
 
 def intervals(found: Identification) -> Picture:
-    """Each parameter with its 95 % interval, and where it started."""
+    """Draw each parameter with its 95 % interval and its start value."""
     estimates = list(found.estimates.values())
     figure = Figure(figsize=(9.0, 0.9 * len(estimates) + 0.6))
     axes = figure.subplots(len(estimates), 1, squeeze=False)[:, 0]
@@ -89,13 +88,13 @@ def intervals(found: Identification) -> Picture:
         ]
     )
     caption = (
-        "Each on its own scale. A bar over the whole axis means that the log says little about the parameter."
+        "Each parameter has its own scale. A bar across the whole axis: the log hardly limits the parameter."
     )
     return Picture("intervals", "Parameters", caption, figure, table)
 
 
 def correlation(found: Identification) -> Picture | None:
-    """Correlation matrix of the estimates."""
+    """Draw the correlation matrix of the estimates; None for a single parameter."""
     names = list(found.estimates)
     if len(names) < 2:
         return None
@@ -114,12 +113,12 @@ def correlation(found: Identification) -> Picture | None:
     figure.colorbar(image, ax=axis, label="correlation", shrink=0.8)
     table = pd.DataFrame(matrix, columns=names)
     table.insert(0, "parameter", names)
-    caption = "Two parameters with a correlation near 1 or -1 stand in for each other: the log tells their combination."
-    return Picture("correlation", "Which parameters go together", caption, figure, table)
+    caption = "Near 1 or -1, the log identifies a combination of the two parameters, not each of them."
+    return Picture("correlation", "Correlation of the estimates", caption, figure, table)
 
 
 def convergence(found: Identification) -> Picture:
-    """Cost of every iteration of every stage."""
+    """Draw the cost of every iteration of every stage."""
     figure = Figure(figsize=(9.0, 3.0))
     axis = figure.subplots()
     rows, begin = [], 1
@@ -137,7 +136,7 @@ def convergence(found: Identification) -> Picture:
 
 
 def delays(hidden: HiddenDelays) -> Picture:
-    """Delay of each command message, and the law that they follow."""
+    """Draw the delay of each command message, and the density of the fitted law."""
     figure = Figure(figsize=(9.0, 3.0))
     left, right = figure.subplots(1, 2, width_ratios=[3, 1], sharey=True)
     late, sd = 1e3 * hidden.delay, 1e3 * hidden.delay_sd
@@ -155,5 +154,5 @@ def delays(hidden: HiddenDelays) -> Picture:
     table = pd.DataFrame(
         {"log": hidden.log + 1, "sent_s": hidden.sent, "delay_s": hidden.delay, "delay_sd_s": hidden.delay_sd}
     )
-    caption = "Each message as the motion shows it, with its standard deviation, and the distribution of the delays."
+    caption = "Left: estimated delay of each message and its standard deviation. Right: fitted density of the delays."
     return Picture("delays", "Hidden delays of the commands", caption, figure, table)

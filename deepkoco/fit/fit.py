@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on multiple shooting, many trials in one batch, initial states eliminated."""
+"""Fit trials by Levenberg-Marquardt on multiple shooting: one batch of simulations, initial states eliminated."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ SENSING_RANGE = 0.1  # longest delay of one channel [s]
 class FitProblem:
     """Windows of measurements of one system, to which trials are fitted.
 
-    The cost of a trial is the squared whitened simulation error over all windows, plus the prior's
-    penalty. Initial states of the windows and the nuisances of the logs (encoder zeros, and differences of
-    parameters that vary from log to log) are free in every trial; the states are eliminated from the normal
-    equations by their Schur complement, so that the cost of a step grows linearly with the number of windows.
+    The cost of a trial is the squared whitened simulation error over all windows, plus the prior's penalty. Every
+    trial also fits the initial states of the windows and the nuisances of the logs. Nuisances are encoder zeros and
+    differences of parameters that vary from log to log. A Schur complement eliminates the initial states from the
+    normal equations. The time of a step therefore grows linearly with the number of windows.
 
     Args:
-        system: The extended system; trials choose among its parameters.
+        system: The extended system; trials free some of its parameters.
         windows: Data.
-        late: Channels that may lag behind their time stamps, each by a delay of its own, the parameter
-            ``<channel>.delay`` [s]; null 0.
-        zero_sd: Spread of encoder zeros from log to log [rad]; None takes what the channels declare.
+        late: Channels that may lag behind their time stamps. Each has its own delay, the parameter
+            ``<channel>.delay`` [s]; 0 is no lag.
+        zero_sd: Standard deviation of encoder zeros from log to log [rad]; None takes the channels' declarations.
 
     Source: Bock, Recent advances in parameter identification (1983) for multiple shooting;
         Nocedal and Wright, Numerical Optimization, ch. 10 for Levenberg-Marquardt.
@@ -69,12 +69,12 @@ class FitProblem:
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
-        """Measurements (L, W, N, M) of lanes with parameters (L, P), states (L, W, S), nuisances (L, z)."""
+        """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
         nulls = self.null_values()
         rubs = (theta[:, self._dry] != nulls[self._dry]).any(-1)
         if not rubs.any() or rubs.all():
             return self._predict(theta, initial, nuisance)
-        # Reversals under dry friction take many more steps: only the lanes that have any pay for them.
+        # Reversals under dry friction need many more steps, so lanes with and without it are simulated apart.
         result: Tensor | None = None
         for part in (rubs, ~rubs):
             pick = torch.from_numpy(np.flatnonzero(part))
@@ -89,7 +89,7 @@ class FitProblem:
         nulls = self.null_values()
         values = theta[:, :own].copy()
         for j in self._limits:
-            # A saturation at its null value cuts no command, but beside a gain or a bias it would cut efforts.
+            # The null value of a saturation is the command limit. With a gain or a bias, the effort can exceed it.
             values[:, j] = np.where(values[:, j] >= nulls[j], np.inf, values[:, j])
         given = (theta[:, :own] != nulls).T
         lanes: dict[str, slice] = {}
@@ -99,7 +99,7 @@ class FitProblem:
                 lanes[effect] = slice(int(acting[0]), int(acting[-1]) + 1)
         differing = effects_in((*self.windows.known, self.windows.varies))
         lanes |= {effect: slice(0, len(theta)) for effect in differing}
-        # Effects that no lane uses are left out of the equations: they cost time and change nothing.
+        # Effects at their null value in every lane would only cost time.
         system = self._extended(tuple(lanes))
         same = (values == values[:1]).all(0)
         named = {
@@ -109,7 +109,7 @@ class FitProblem:
         }
         push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system.joints)
         delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
-        # Where an effect acts in all lanes there is nothing to cut.
+        # An effect that acts in all lanes needs no slice.
         some = {effect: part for effect, part in lanes.items() if part.stop - part.start < len(theta)}
         differ = self.nuisances.differ(nuisance)
         result = predict(system, self.windows, named, initial, push, delays, some, differ)
@@ -121,20 +121,20 @@ class FitProblem:
         return self.nuisances.slopes(self.weight, self.windows.log, parameters)
 
     def values_in(self, fit: Fit, log: int | None = None) -> dict[str, float]:
-        """Parameters of one log after a fit; of the mean of these logs (not of all that there could be) without one."""
+        """Parameters of one log after a fit; without ``log``, their mean over the logs of these windows."""
         differ = self.nuisances.differ(fit.nuisance[None])
         seen = np.unique(self.windows.log) if log is None else [log]
         values = dict(fit.values)
         for name, own in differ.items():
             j = self.names.index(name)
-            # What a single log has of its own is not held within the bounds.
+            # Differences of single logs are not limited by the bounds.
             values[name] = float(np.clip(values[name] + float(own[seen].mean()), self.low[j], self.high[j]))
         return values
 
     def recentred(self, fit: Fit) -> Fit:
-        """The same fit, told as the mean of these logs and what each differs from it by; it predicts the same.
+        """Express a fit by the sample mean of its logs and their differences from it; the predictions stay the same.
 
-        The mean of all logs that there could be, which a fit is about, need not be where these are.
+        A fit estimates the population mean of parameters that vary. The sample mean of its logs can differ from it.
         """
         if not self.nuisances.varies:
             return fit
@@ -151,13 +151,16 @@ class FitProblem:
         return replace(fit, values=values, covariance=covariance, nuisance=nuisance)
 
     def elsewhere(self, windows: Windows, fit: Fit) -> Windows:
-        """Other windows of the same logs, each known to differ by what a fit says; those of other logs vary."""
+        """Set the fitted differences of the logs as known in other windows of the same logs.
+
+        Windows that have parameters that vary, or a problem without any, are returned as they are.
+        """
         if windows.varies or not self.nuisances.varies:
             return windows
         return self.nuisances.known_in(windows, fit.nuisance)
 
     def as_fitted(self, fit: Fit) -> tuple[FitProblem, Fit]:
-        """The problem in which each log is known to differ by what a fit says, and the fit of it."""
+        """The problem in which the fitted differences of the logs are known, and the same fit of that problem."""
         if not self.nuisances.varies:
             return self, fit
         known = FitProblem(
@@ -168,7 +171,7 @@ class FitProblem:
         return known, replace(fit, nuisance=fit.nuisance[: self.zeros.count], curvature=curvature)
 
     def null_values(self) -> np.ndarray:
-        """Values at which the effects change nothing; NaN for the parameters of the base."""
+        """(P,) values at which the effects change nothing; NaN for the parameters of the base system."""
         if not hasattr(self, "_nulls"):
             bare = ExtendedSystem(self.system.base, tuple(e.name for e in self.system.effects))
             self._nulls = np.array([p.value if "." in p.name else np.nan for p in bare.parameters])
@@ -183,29 +186,29 @@ class FitProblem:
         return self._nulls
 
     def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:
-        """The base with these effects only; systems are kept, since a fit asks for few."""
+        """The base system with these effects only. Systems are cached: a fit uses few combinations."""
         if effects not in self._kept:
             self._kept[effects] = ExtendedSystem(self.system.base, effects)
         return self._kept[effects]
 
     def fit(self, trials: Sequence[Trial], iterations: int = 25, tolerance: float = TOLERANCE) -> list[Fit]:
-        """Run all trials; every iteration simulates all that have not converged in one batch.
+        """Fit all trials. Every iteration simulates all trials that have not converged in one batch.
 
         Args:
             trials: What to fit.
-            iterations: Simulations of a trial at most.
-            tolerance: Fall of the cost below which a trial has converged.
+            iterations: Largest number of simulations of a trial.
+            tolerance: A trial has converged when a step lowers its cost by less.
 
         Returns:
-            One fit a trial; :attr:`.Fit.diverged` where the simulation diverges at the trial's start.
+            One fit per trial; its :attr:`.Fit.diverged` is True if the simulation diverges at the start values.
         """
         return Batch(self, trials, tolerance).run(iterations) if trials else []
 
     def fit_one(self, trial: Trial, iterations: int = 25, tolerance: float = TOLERANCE) -> Fit:
-        """As :meth:`fit` for one trial that has to be fitted.
+        """As :meth:`fit` for one trial, but raises if it diverges.
 
         Raises:
-            NotFiniteError: The simulation diverges at the trial's start.
+            NotFiniteError: The simulation diverges at the start values.
         """
         fit = self.fit([trial], iterations, tolerance)[0]
         if fit.diverged:
@@ -215,7 +218,7 @@ class FitProblem:
         return fit
 
     def _far_from_nominal(self, fit: Fit) -> str:
-        """Values of the parameters that are farthest from what the system declares, in words."""
+        """Describe the parameters that are farthest from their declared values."""
         declared = [p for p in self.system.parameters if p.name in fit.values and p.prior_sd > 0.0]
         away = [abs(fit.values[p.name] - p.value) / p.prior_sd for p in declared]
         far = sorted(
@@ -229,8 +232,8 @@ class FitProblem:
     def evaluate(self, values: Mapping[str, float], name: str = "", state: Tensor | None = None) -> Fit:
         """Fit initial states and nuisances only, with every parameter held at ``values``.
 
-        Each window takes the best of three starts: its own guess, the fit of its first half (a short
-        window has fewer minima), and ``state`` (W, S), where given.
+        Each window uses the best of three starts: its first guess, the fit of its first half, and ``state`` (W, S)
+        if given. The first half is a start because a shorter window has fewer local minima.
         """
         halves = FitProblem(self.system, halved(self.windows))
         starts = [self.windows.state, halves.fit_states(values, halves.windows.state)[0][::2]]
@@ -243,7 +246,7 @@ class FitProblem:
     def fit_states(
         self, values: Mapping[str, float], state: Tensor, iterations: int = 15
     ) -> tuple[Tensor, Tensor]:
-        """Initial states (W, S) that suit held parameters, and the cost (W,) that each window keeps."""
+        """Fit the initial states (W, S) at fixed parameters; also returns the cost (W,) of each window."""
         states, costs = self.fit_states_each([values], state[None], iterations)
         return states[0], costs[0]
 
@@ -256,13 +259,13 @@ class FitProblem:
     ) -> tuple[Tensor, Tensor]:
         """As :meth:`fit_states` for K sets of parameters and start states (K, W, S) in one batch.
 
-        Windows are independent of each other here, so each one steps and is damped by itself.
+        At fixed parameters the windows are independent, so each has its own step and damping.
 
         Args:
             values: Parameters of each set.
-            state: (K, W, S) where to start.
-            iterations: Simulations at most.
-            nuisance: (K, z) of the logs; None for nothing.
+            state: (K, W, S) initial states at the start.
+            iterations: Largest number of simulations.
+            nuisance: (K, z) nuisances of the logs; None for zeros.
 
         Returns:
             States (K, W, S), costs (K, W).
@@ -289,10 +292,10 @@ class FitProblem:
             now = (residual**2).sum(-1)
             curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
             downhill = torch.einsum("skwm,kwm->kws", slope, residual)
-            # A cost may be finite and its derivatives not: one lane of them diverged.
+            # The cost can be finite although a lane of the finite differences diverged.
             better = torch.isfinite(now) & torch.isfinite(curvature).flatten(2).all(-1)
             better &= torch.isfinite(downhill).all(-1) & (now <= cost)
-            # A step to nowhere may end a rounding error above where it began.
+            # At the minimum, rounding can make the cost of a step slightly larger than before.
             settled = (cost - now).abs() <= TOLERANCE / count + 1e-4 * now
             hessian = torch.where(better[..., None, None], curvature, hessian)
             gradient = torch.where(better[..., None], downhill, gradient)
@@ -309,6 +312,6 @@ class FitProblem:
 
 
 def channel_delays(channels: Sequence[str]) -> tuple[Parameter, ...]:
-    """Declarations of the delays that single channels may have."""
+    """Declare the delay parameter of each of these channels."""
     text = "delay of this channel, state to time stamp of its measurement"
     return tuple(Parameter(f"{c}.delay", 0.0, "s", 0.0, SENSING_RANGE, 0.02, text) for c in channels)

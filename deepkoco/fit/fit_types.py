@@ -1,4 +1,4 @@
-"""One fit to run, and what came of it."""
+"""Input and result of one fit: `Trial` and `Fit`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from deepkoco.fit.solve.prior import Prior
 
 @dataclass(frozen=True)
 class Trial:
-    """One fit to run.
+    """Input of one fit.
 
     Attributes:
         name: Name of the trial.
-        free: Names of the parameters that it frees, push parameters included.
+        free: Names of the parameters to fit, push parameters included.
         prior: Prior over (at least) the free parameters.
-        values: Values of all parameters at the start; those not free stay there.
-        state: (W, S) initial states at the start; None takes the windows' guess.
-        nuisance: (z,) what each log has of its own at the start (:class:`.nuisances.Nuisances`); None for nothing.
+        values: Start values of all parameters; those that are not free are fixed.
+        state: (W, S) start values of the initial states; None takes the windows' first guess.
+        nuisance: (z,) start values of the nuisances of the logs (:class:`.nuisances.Nuisances`); None for zeros.
     """
 
     name: str
@@ -42,13 +42,13 @@ class Fit:
         free: Names of the freed parameters.
         values: Values of all parameters after the fit.
         covariance: (p, p) posterior covariance of the free parameters under the assumed noise.
-        information: (p, p) what the data alone say: the Schur complement of initial states and nuisances.
+        information: (p, p) information of the data without priors; initial states and nuisances are eliminated.
         state: (W, S) initial states.
-        nuisance: (z,) what each log has of its own: encoder zeros [rad], then how its parameters differ.
-        chi2: Sum of squared residuals in noise standard deviations; infinite where the simulation diverged.
+        nuisance: (z,) nuisances of the logs: encoder zeros [rad], then differences of parameters from their mean.
+        chi2: Sum of squared residuals in noise standard deviations; infinite if the simulation diverged.
         penalty: Prior's share of the cost.
         residual: (W, N, M) measured minus predicted, in noise standard deviations, 0 where padded.
-        curvature: (p + z, p + z) of the cost over free parameters and the z nuisances, priors included.
+        curvature: (p + z, p + z) curvature of the cost in the free parameters and the z nuisances, priors included.
         history: Cost after every iteration.
         converged: Whether the last step was below the tolerance.
     """
@@ -69,7 +69,7 @@ class Fit:
 
     @property
     def diverged(self) -> bool:
-        """Whether the simulation diverged at the start: there was nothing to fit, the values are the start's."""
+        """Whether the simulation diverged at the start values; nothing was fitted, the values are the start values."""
         return not math.isfinite(self.chi2)
 
     @property

@@ -1,4 +1,4 @@
-"""Parameters of the nodes of a graph, from an episode of it: a population is one batch of environments."""
+"""Fit parameters of the nodes of a graph to an episode. A population is one batch of environments."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ DIFFERENCE = 1e-3  # of a parameter, in the distance between its bounds, around 
 
 @dataclass(frozen=True)
 class GraphFit:
-    """Parameters of nodes, from an episode.
+    """Fitted parameters of nodes.
 
     Attributes:
-        estimates: By ``node.parameter``, with 95 % intervals from the curvature at the optimum, as far as the cost is
-            smooth there.
-        covariance: (p, p) in their order.
-        rms: Reading -> root mean square of what the replay misses.
-        convergence: How the search went.
-        search: The generations.
+        estimates: By ``node.parameter``. The 95 % intervals come from the curvature at the optimum; they are valid only
+            where the cost is smooth.
+        covariance: (p, p) in the order of ``estimates``.
+        rms: Reading -> root mean square of the residuals, in the unit of the reading.
+        convergence: Costs, number of simulations and reason of the end.
+        search: Result of CMA-ES with all generations.
         steps_per_second: Supervisor steps simulated per second of wall-clock time.
     """
 
@@ -47,7 +47,7 @@ class GraphFit:
 def seen_by_supervisor(graph: Graph, episode: Episode, connection: str) -> np.ndarray:
     """Newest message (steps, ...) of a connection that the supervisor saw at each of its steps but the first.
 
-    What a reading that hands its input on shows after each step of a replay.
+    A reading that returns its input shows the same messages after the steps of a replay.
     """
     sender = next(c.sender for c in graph.connections if c.key == connection)
     seqs = episode.windows[connection][1:, -1]
@@ -73,27 +73,27 @@ def fit_graph(
     threads: int = 1,
     progress: Progress | None = None,
 ) -> GraphFit:
-    """Replay an episode with a population of parameters until the readings are the measured ones.
+    """Fit parameters of nodes by CMA-ES: replay an episode and minimise the squared errors of the readings.
 
-    The episode's times take the place of drawn delays and its actions that of a policy; each point of a generation
-    of CMA-ES is an environment of one batch. Delays inside nodes (`trainable_delay`) are parameters like others.
+    A replay uses the recorded times instead of drawn delays, and the recorded actions instead of a policy. Each point
+    of a generation is one environment of a batch. Delays inside nodes (`trainable_delay`) can be fitted too.
 
     Args:
-        graph: What ran.
-        episode: Its timing and actions.
-        parameters: Of all nodes; those sought take their start from here, or the middle of their bounds.
+        graph: The graph that was recorded.
+        episode: The recording; gives timing and actions.
+        parameters: Parameters of all nodes. They are the start values of those sought; else the middle of the bounds.
         sought: ``node.parameter`` -> lowest and highest value.
-        measured: Reading of the supervisor -> (steps, ...) values after each action, not a number where missing.
+        measured: Reading of the supervisor -> (steps, ...) values after each action, NaN where missing.
         noise_sd: Reading -> standard deviation of its sensor.
-        initial: States of nodes (1, ...) at the start, where they are known.
+        initial: Known states of nodes (1, ...) at the start.
         population: Points in a generation.
-        generations: Most generations.
-        seed: Of all draws.
+        generations: Largest number of generations.
+        seed: Seed of all draws.
         executor, threads: As for `BatchedRuntime`.
-        progress: Called with stage, generation, most generations and cost.
+        progress: Called with stage, generation, largest number of generations and cost.
 
     Raises:
-        FitError: A name, shape or bound does not fit, or every point diverges.
+        FitError: A name, shape or bound is wrong, or the replay diverges at every point.
 
     Source: thesis sec. 4.3 and table 4.D.
     """
@@ -139,7 +139,7 @@ def fit_graph(
 
 
 class GraphMisfit:
-    """An episode, run with other parameters in each environment, less what was measured. Args as for `fit_graph`."""
+    """Residuals of replays of an episode, one set of parameters per environment. Args as for `fit_graph`."""
 
     def __init__(
         self,
@@ -170,7 +170,7 @@ class GraphMisfit:
             self.targets[name] = target.nan_to_num(), there / noise_sd[name]
 
     def start(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Present values (p,) inside the bounds, the middle where there is none."""
+        """Start values (p,): the given ones, cut at the bounds, else the middle of the bounds."""
         values = []
         for name, a, b in zip(self.names, low, high, strict=True):
             node, parameter = name.split(".", 1)
@@ -179,15 +179,15 @@ class GraphMisfit:
         return np.array(values)
 
     def residuals(self, points: np.ndarray) -> Tensor:
-        """(B, samples) over the noise, of points (B, p)."""
+        """Residuals (B, samples) of points (B, p), in noise standard deviations."""
         return torch.cat([part.movedim(1, 0).flatten(1) for part in self._parts(points)], 1)
 
     def costs(self, points: np.ndarray) -> np.ndarray:
-        """(B,) sums of their squares, for a search."""
+        """Sums of squared residuals (B,) of points (B, p)."""
         return torch.stack([part.square_().sum((0, 2)) for part in self._parts(points)]).sum(0).numpy()
 
     def _parts(self, points: np.ndarray) -> list[Tensor]:
-        """Reading by reading (steps, B, n)."""
+        """Residuals (steps, B, n) of each reading, in noise standard deviations."""
         taken = self._replayed(points)
         parts = []
         for name, (target, weight) in self.targets.items():
@@ -203,7 +203,7 @@ class GraphMisfit:
             node, parameter = name.split(".", 1)
             values = own.setdefault(node, {})
             column = torch.from_numpy(np.ascontiguousarray(points[:, i]))
-            # A graph in single precision stays in it.
+            # A graph in single precision needs parameters in single precision.
             values[parameter] = column.to(values[parameter].dtype) if parameter in values else column
         initial = self.initial
         if initial is not None:
@@ -225,9 +225,13 @@ def _bounds(graph: Graph, sought: Mapping[str, tuple[float, float]]) -> tuple[np
     for name, (low, high) in sought.items():
         node, _, parameter = name.partition(".")
         if node not in known or not parameter:
-            raise FitError(f'"{name}" is no node.parameter; the nodes are {", ".join(sorted(known))}')
+            raise FitError(
+                f'"{name}" is not of the form node.parameter; the nodes are {", ".join(sorted(known))}'
+            )
         if not (np.isfinite([low, high]).all() and low < high):
-            raise FitError(f"{name}: bounds {low:g} to {high:g} are not finite, or the wrong way round")
+            raise FitError(
+                f"{name}: bounds {low:g} to {high:g}: give two finite numbers, the lower one first"
+            )
     values = np.array(list(sought.values()), dtype=np.float64)
     return values[:, 0], values[:, 1]
 
@@ -235,7 +239,7 @@ def _bounds(graph: Graph, sought: Mapping[str, tuple[float, float]]) -> tuple[np
 def _curvature(
     residuals: Callable[[np.ndarray], Tensor], best: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals at the optimum, and the covariance from central differences, widened by chi2 per sample."""
+    """Residuals at the optimum, and covariance by central differences, times chi2 per sample where above 1."""
     step = DIFFERENCE * (high - low)
     up, down = np.minimum(best + step, high), np.maximum(best - step, low)
     points = np.concatenate([best[None], best + np.diag(up - best), best + np.diag(down - best)])
@@ -243,6 +247,6 @@ def _curvature(
     count = len(best)
     slope = (left[1 : 1 + count] - left[1 + count :]) / (up - down)[:, None] * (high - low)[:, None]
     information = slope @ slope.T
-    # The bounds themselves say as much as a uniform law between them.
+    # Prior: a uniform law between the bounds has the variance (high - low)^2 / 12.
     covariance = np.linalg.inv(information + 12.0 * np.eye(count))
     return left[0], covariance * np.outer(high - low, high - low) * max(1.0, float(np.mean(left[0] ** 2)))

@@ -1,4 +1,4 @@
-"""What a fit to recordings found: values with intervals, what the data cannot tell, how it converged."""
+"""Result of a fit: estimates with intervals, combinations that are not identified, convergence."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ NORMAL_95 = 1.959964
 
 @dataclass(frozen=True)
 class Estimate:
-    """One fitted number, in ``unit``.
+    """One fitted parameter.
 
     Attributes:
         name: Name of the parameter.
         value: Maximum of the posterior.
-        low: Lower end of the 95 % interval, inside the bounds.
-        high: Upper end.
-        sd: Standard deviation before bounds cut it.
+        low: Lower end of the 95 % interval, cut at the bounds.
+        high: Upper end, cut at the bounds.
+        sd: Standard deviation, not cut at the bounds.
         unit: SI unit.
         start: Value before the fit.
-        bounds: Between which it was sought.
+        bounds: Lowest and highest value of the fit.
     """
 
     name: str
@@ -42,21 +42,21 @@ class Estimate:
 
     @property
     def at_bound(self) -> bool:
-        """Whether the value lies on a bound, so that the interval says little."""
+        """Whether the value lies on or beyond a bound; the interval is then not reliable."""
         reach = 1e-9 * (self.bounds[1] - self.bounds[0])
         return self.value <= self.bounds[0] + reach or self.value >= self.bounds[1] - reach
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """How a method came to its answer.
+    """Course of a fit.
 
     Attributes:
-        method: Its name.
-        converged: Whether it stopped because nothing was left to gain.
+        method: Name of the method.
+        converged: Whether the method stopped by its tolerance, not at a limit.
         reason: Why it stopped, in words.
-        stages: Name of a stage and its costs (chi2 plus prior penalty) iteration by iteration. Costs of
-            different stages are not comparable: windows and noise differ.
+        stages: Name of a stage, and the cost (chi2 plus prior penalty) of each of its iterations. Costs of
+            different stages cannot be compared: windows and noise differ.
         simulations: Number of times that all windows were simulated.
         seconds: Wall-clock time.
     """
@@ -71,20 +71,20 @@ class Convergence:
 
 @dataclass(frozen=True)
 class Identification:
-    """Parameters of a system, from recordings.
+    """Parameters of a system, fitted to recordings.
 
     Attributes:
-        system: The system with the fitted values: simulate, save or diagnose with it.
-        estimates: By name, what was asked for. Intervals are widened by ``dispersion.deflation``.
-        zeros: Encoder zero of each log; empty where the sensor's zero is known.
-        of_logs: Parameters that vary, as they are in each log; empty where none does.
-        covariance: (p, p) of the free parameters, in the order of ``estimates``, widened.
-        unidentified: Combinations about which the data say less than the prior.
-        dispersion: How far the residuals are from white noise of the sensors' size.
-        convergence: How the fit went.
-        request: What was asked.
-        fit: Residuals and initial states at the end.
-        before: The same with the parameters at their start values.
+        system: The system with the fitted values, to simulate, save or diagnose.
+        estimates: Fitted parameters by name. Their intervals are widened by ``dispersion.deflation``.
+        zeros: Encoder zeros of each log; empty if the sensors' zeros are known.
+        of_logs: Values of single logs, for parameters that vary; empty if none varies.
+        covariance: (p, p) of the free parameters, in the order of ``estimates``, widened like the intervals.
+        unidentified: Combinations about which the data contain less information than the prior.
+        dispersion: Size and autocorrelation of the residuals, relative to white sensor noise.
+        convergence: Course of the fit.
+        request: The request, with the noise that the last stage used.
+        fit: The optimum with its residuals and initial states.
+        before: Fit of the initial states alone, with all parameters at their start values.
         logs: File names.
         seed: Seed of the method's draws.
     """
@@ -111,7 +111,7 @@ class Identification:
 
     @property
     def rms(self) -> dict[str, tuple[float, float, str]]:
-        """Channel -> simulation error before and after the fit (root mean square), and its unit."""
+        """Channel -> root mean square of the simulation error before the fit, after it, and the unit."""
         windows, result = self.request.windows, {}
         for c, channel in enumerate(self.system.measurements):
             valid, sd = windows.valid[:, c], windows.noise[c].sd
@@ -158,14 +158,14 @@ class Identification:
         }
 
     def loose_in_words(self) -> tuple[str, ...]:
-        """Each unidentified combination as a sentence."""
+        """Describe each combination that is not identified by one sentence."""
         return tuple(self._loose(direction) for direction in self.unidentified)
 
     def _loose(self, direction: Direction) -> str:
         sd = dict(zip(self.request.prior.names, np.sqrt(np.diag(self.request.prior.covariance)), strict=True))
         if len(direction.weights) == 1:
             name = next(iter(direction.weights))
-            return f"what is said about {name} comes from its prior, not from the data"
+            return f"the estimate of {name} comes from its prior, not from the data"
         shift = {name: weight * sd[name] for name, weight in direction.weights.items()}
         relative = {name: d / abs(self.estimates[name].value or np.inf) for name, d in shift.items()}
         largest = max((abs(r) for r in relative.values()), default=0.0)
@@ -173,7 +173,7 @@ class Identification:
             parts = [f"{name} by {d:+.3g} {self.estimates[name].unit}" for name, d in shift.items()]
         else:
             parts = [f"{name} by {r / largest:+.2f} %" for name, r in relative.items()]
-        return f"the data cannot tell a change of {' and '.join(parts)} from none"
+        return f"the data cannot distinguish a change of {' and '.join(parts)} from no change"
 
 
 def _plain(estimate: Estimate) -> dict[str, Any]:
@@ -184,12 +184,12 @@ def _plain(estimate: Estimate) -> dict[str, Any]:
         "sd": estimate.sd,
         "unit": estimate.unit,
         "start": estimate.start,
-        "bounds": [b if np.isfinite(b) else None for b in estimate.bounds],  # strict JSON knows no infinity
+        "bounds": [b if np.isfinite(b) else None for b in estimate.bounds],  # strict JSON has no infinity
         "at_bound": estimate.at_bound,
     }
 
 
 def interval(value: float, sd: float, bounds: tuple[float, float]) -> tuple[float, float]:
-    """95 % interval around a value, cut at the bounds but never beyond the value."""
+    """95 % interval around a value, cut at the bounds; it always contains the value."""
     low, high = max(value - NORMAL_95 * sd, bounds[0]), min(value + NORMAL_95 * sd, bounds[1])
     return min(low, value), max(high, value)

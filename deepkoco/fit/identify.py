@@ -1,4 +1,4 @@
-"""Parameters of a system from recordings, in one call."""
+"""Fit parameters of a system to recordings in one call."""
 
 from __future__ import annotations
 
@@ -35,35 +35,34 @@ def fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Identification:
-    """Find parameters of a system from recordings of it.
+    """Fit parameters of a system to recordings of it.
 
-    The logs are cut into windows, each simulated from an initial state of its own under the logged commands; the
-    parameters are those under which the simulations are closest to the measurements, in noise standard
-    deviations. Found besides, per log and window: initial states, the encoder's zero where it is unknown, and what the
-    log has of its own of parameters that vary.
+    The logs are cut into windows. Each window is simulated from its own initial state under the logged commands. The
+    fit minimises the squared simulation errors in noise standard deviations. It also fits the initial state of each
+    window, unknown encoder zeros of each log, and each log's differences of parameters that vary.
 
     Args:
         recordings: Logs of one unit.
         system: Name of the system, or a system.
-        parameters: What to find: the system's own parameters (``mass``), those of effects
+        parameters: Parameters to fit: the system's own (``mass``), those of effects
             (``actuation_delay.delay``, ``coulomb.torque``; of one joint of several ``coulomb(joint 2).torque``), or
             the delay of one channel (``theta.delay``).
-        method: Levenberg-Marquardt unless given.
-        bounds: Parameter -> lowest and highest value; those declared where not given.
-        prior: Gaussian prior over some of the parameters; very wide over the others.
-        start: Parameter -> value at the start, also of parameters that are not found but known.
+        method: None takes Levenberg-Marquardt.
+        bounds: Parameter -> lowest and highest value; None takes the declared bounds.
+        prior: Gaussian prior over some of the parameters; the others get a wide prior.
+        start: Parameter -> start value; for a parameter that is not fitted, its known value.
         window: Length of a window [s]; None takes about one period of the system.
-        zero_sd: Spread of the angle sensor's zero from log to log [rad]; None takes the system's, 0 is a known
-            zero.
-        varies: Parameter -> standard deviation by which it varies from log to log, in its unit: every log has its
-            own, and what is found is the mean of all (random effects). The system's own parameters and those of
-            effects on its body and joints may vary.
+        zero_sd: Standard deviation of the angle sensor's zero from log to log [rad]; None takes the system's, 0 is a
+            known zero.
+        varies: Parameter -> standard deviation between logs, in its unit. Each log has its own value around a common
+            mean, which is fitted (random effects). The system's own parameters and those of effects on its body and
+            joints can vary.
         seed: Seed of the method's draws.
-        progress: Called with stage, iteration, most iterations and cost.
+        progress: Called with stage, iteration, largest number of iterations and cost.
 
     Raises:
-        FitError: A parameter is unknown or cannot vary, its bounds or start are wrong, there is too little motion, or
-            the simulation diverges at the start.
+        FitError: A parameter is unknown or cannot vary, or its bounds or start value are wrong. The joint moves too
+            little, or the simulation diverges at the start values.
         LogError: A log lacks a channel.
         UnknownSystemError: There is no such system.
     """
@@ -83,7 +82,7 @@ def fit(
         )
         try:
             solution = method.solve(request, np.random.default_rng(seed), progress or _quiet)
-            # As if nobody knew yet that logs differ.
+            # Before the fit, the differences of the logs are unknown: all logs share the start values.
             shared = replace(
                 solution.request,
                 windows=replace(solution.request.windows, varies={}),
@@ -92,7 +91,7 @@ def fit(
             before = held(shared, request.start, solution.fit.state, zero)
         except FloatingPointError as error:
             raise FitError(
-                f"the simulation diverges at the start values; give others, or shorter windows ({error})"
+                f"the simulation diverges at the start values; give other ones or shorter windows ({error})"
             ) from error
     convergence = Convergence(
         method.name,
@@ -135,7 +134,7 @@ def _identification(
         _fitted(request, found.values),
         estimates,
         _zeros(solution, joint[count:, count:]),
-        _own(solution, joint),
+        _values_of_logs(solution, joint),
         covariance,
         unidentified(replace(found, information=information), request.prior),
         spread,
@@ -155,10 +154,10 @@ def _fitted(request: FitRequest, values: Mapping[str, float]) -> ExtendedSystem:
 
 
 def _inverted(request: FitRequest, found: Fit, deflation: float) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of parameters and nuisances, and what the data alone say about the parameters.
+    """Covariance of parameters and nuisances, and information of the data about the parameters.
 
-    In units of the priors' standard deviations: parameters of unlike size are inverted to full precision. What the
-    residuals are short of noise lowers what the data say, not what is known without them.
+    The curvature is inverted in units of the priors' standard deviations, because parameters differ in size.
+    The deflation divides the information of the data, not that of the priors.
     """
     count, full = len(request.free), found.curvature
     index = [request.prior.names.index(n) for n in request.free]
@@ -169,7 +168,7 @@ def _inverted(request: FitRequest, found: Fit, deflation: float) -> tuple[np.nda
     before[count:, count:] = np.diag(1.0 / request.nuisances.spread**2)
     weighed = before + (full - before) / deflation
     values, vectors = np.linalg.eigh(weighed * np.outer(sd, sd))
-    # The prior alone gives eigenvalues near 1 or above; less is rounding.
+    # The prior alone gives eigenvalues of at least about 1; smaller ones are rounding errors.
     inverse = (vectors / values.clip(1e-3)) @ vectors.T
     information = full[:count, :count] - request.prior.precision(request.free)
     if len(full) > count:
@@ -188,13 +187,13 @@ def _zeros(solution: MethodResult, covariance: np.ndarray) -> tuple[Estimate, ..
     return tuple(result)
 
 
-def _own(solution: MethodResult, covariance: np.ndarray) -> tuple[Estimate, ...]:
-    """Parameters that vary, of every log: the mean, and what the log differs by."""
+def _values_of_logs(solution: MethodResult, covariance: np.ndarray) -> tuple[Estimate, ...]:
+    """Value in each log of every parameter that varies: common mean plus difference of the log."""
     request, fit = solution.request, solution.fit
     declared = {p.name: p for p in request.system.parameters}
     result = []
     for name in request.nuisances.varies:
-        # A log in which nothing moves says nothing.
+        # Logs without a window in which the joint moves have no estimate.
         for log in np.unique(request.windows.log).tolist():
             k = request.nuisances.index(name, log)
             direction = np.zeros(len(covariance))

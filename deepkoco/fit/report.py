@@ -1,4 +1,4 @@
-"""Write what a fit found to a folder, and say it in the terminal."""
+"""Write the result of a fit to a folder, and print it in the terminal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from deepkoco.fit.identification import Estimate, Identification
 from deepkoco.output.new_folder import new_folder
 from deepkoco.systems import save_model
 
-SURE = 10.0  # evidence above which a delay varies beyond doubt
+SURE = 10.0  # evidence above which the data show that a delay varies
 
 
 def write_identification(found: Identification, out: str | Path, hidden: HiddenDelays | None = None) -> Path:
@@ -27,8 +27,8 @@ def write_identification(found: Identification, out: str | Path, hidden: HiddenD
 
     Args:
         found: Result of a fit.
-        out: Folder that does not exist yet; it appears whole or not at all.
-        hidden: Distribution of the commands' delays, where it was asked for.
+        out: New folder. After an error it does not exist.
+        hidden: Distribution of the commands' delays, if it was fitted.
 
     Raises:
         FolderExistsError: The folder exists.
@@ -37,7 +37,7 @@ def write_identification(found: Identification, out: str | Path, hidden: HiddenD
     with new_folder(out) as folder:
         text = json.dumps(as_json(found, hidden), indent=2)
         (folder / "identify.json").write_text(text + "\n", encoding="utf-8")
-        # A channel's delay belongs to the recording, not to the system: the model keeps it as a remark.
+        # The delay of a channel is no parameter of the system, so the model stores it as provenance.
         late = [f"{found.system.measurements[c].name}.delay" for c in found.request.problem().late]
         provenance = {
             "identified": list(found.estimates),
@@ -48,7 +48,7 @@ def write_identification(found: Identification, out: str | Path, hidden: HiddenD
         save_model(folder / "model.yaml", found.system, provenance)
         for picture in draw_all(found, hidden):
             FigureCanvasAgg(picture.figure)
-            # Without the writer's version in it, the same fit gives the same bytes.
+            # A file without the version of matplotlib has the same bytes for the same fit.
             picture.figure.savefig(folder / f"{picture.name}.png", metadata={"Software": None})
             picture.table.to_csv(
                 folder / f"{picture.name}.csv", index=False, lineterminator="\n", float_format="%.8g"
@@ -57,12 +57,12 @@ def write_identification(found: Identification, out: str | Path, hidden: HiddenD
 
 
 def as_json(found: Identification, hidden: HiddenDelays | None = None) -> dict[str, Any]:
-    """What identify.json holds."""
+    """Content of identify.json."""
     return found.to_json() | ({} if hidden is None else {"hidden_delays": hidden.to_json()})
 
 
 def terminal_report(found: Identification, hidden: HiddenDelays | None = None) -> RenderableType:
-    """Parameters with intervals, errors before and after, and what to take care of."""
+    """Table of parameters with intervals, simulation errors before and after the fit, and notes on both."""
     table = Table(box=None, padding=(0, 2, 0, 0), title=f"{found.system.name}", title_justify="left")
     table.add_column("parameter")
     table.add_column("before", justify="right")
@@ -77,13 +77,15 @@ def terminal_report(found: Identification, hidden: HiddenDelays | None = None) -
     notes.append(f"error / noise variance: {chi2:.3g} (1 is sensor noise)")
     if chi2 * correlated > 2.0:
         notes.append(
-            "the fitted system leaves more than sensor noise, and the intervals are widened for it: "
-            '"deepkoco diagnose" looks for what is missing'
+            "the residuals of the fitted system are larger than sensor noise, and the intervals are widened for it; "
+            '"deepkoco diagnose" searches for the effect that is missing'
         )
     notes += [f"not identified: {text}" for text in found.loose_in_words()]
     at_bound = [e.name for e in (*found.estimates.values(), *found.of_logs) if e.at_bound]
     if at_bound:
-        notes.append(f"at a bound, or beyond: {', '.join(at_bound)}; if that is no physical limit, widen it")
+        notes.append(
+            f"at or beyond a bound: {', '.join(at_bound)}; if the bound is not a physical limit, widen it"
+        )
     if hidden is not None:
         notes += _delay_notes(hidden)
     record = found.convergence
@@ -100,7 +102,8 @@ def _delay_notes(hidden: HiddenDelays) -> list[str]:
     ]
     if hidden.evidence < SURE:
         lines.append(
-            f"that it varies at all is not shown (evidence {hidden.evidence:.3g}, sure above {SURE:g})"
+            f"the data do not show that the delay varies: evidence {hidden.evidence:.3g}, "
+            f"clear above {SURE:g}"
         )
     if len(hidden.means) > 1:
         each = zip(hidden.weights, hidden.means, hidden.spreads, strict=True)
@@ -122,7 +125,7 @@ def _row(e: Estimate) -> tuple[str, ...]:
 
 
 def _figures(e: Estimate) -> int:
-    """Significant figures that show two of the interval's width."""
+    """Number of significant digits of the value that shows two digits of its standard deviation."""
     if e.sd <= 0 or e.value == 0:
         return 4
     return min(floor(log10(abs(e.value))) - floor(log10(e.sd)) + 2, 9)

@@ -1,4 +1,4 @@
-"""What a user asks a fit for, put in the terms of the fit: free parameters, bounds, prior, windows."""
+"""Check a user's request for a fit, and complete it: free parameters, bounds, prior, windows."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ MIN_FITTED_WINDOWS = 2
 
 
 class FitError(ValueError):
-    """A fit cannot be run as asked: an unknown parameter, bounds the wrong way round, too little motion."""
+    """The request for a fit is wrong: an unknown parameter, wrong bounds, too little motion."""
 
 
 @dataclass(frozen=True)
 class FitRequest:
-    """One fit to run.
+    """Checked request for a fit.
 
     Attributes:
-        system: System with all the effects that are asked for; its bounds are those of the fit.
+        system: System with all requested effects; the bounds of its parameters are those of the fit.
         windows: Windows in which the joint moves.
-        free: Parameters to find.
-        late: Channels among whose delays some are to be found.
-        start: Value of every parameter at the start.
-        prior: Over the free parameters.
-        zero_sd: Spread of encoder zeros from log to log [rad]; None takes what the system's channels declare.
-        resting: Windows left out because the joint rests in them.
+        free: Parameters to fit.
+        late: Channels whose delay is fitted.
+        start: Start value of every parameter.
+        prior: Prior over the free parameters.
+        zero_sd: Standard deviation of encoder zeros from log to log [rad]; None takes the channels' declarations.
+        resting: Number of windows that are left out because the joint rests in them.
     """
 
     system: ExtendedSystem
@@ -53,7 +53,7 @@ class FitRequest:
 
     @property
     def nuisances(self) -> Nuisances:
-        """What is found of each log along: encoder zeros, and how its parameters differ."""
+        """Quantities of each log that are fitted along: encoder zeros, and differences of parameters that vary."""
         zeros = EncoderZeros.of(self.system, len(self.windows.commands), self.zero_sd)
         return Nuisances(zeros, self.windows.varies)
 
@@ -64,7 +64,7 @@ class FitRequest:
         return tuple(known[name] for name in self.free)
 
     def problem(self, windows: Windows | None = None) -> FitProblem:
-        """The problem on these windows, or on others of the same system."""
+        """The fit problem on the windows of the request, or on other windows of the same system."""
         windows = self.windows if windows is None else windows
         if self.late:
             windows = _without_start(windows, self.late, self.system)
@@ -72,14 +72,14 @@ class FitRequest:
 
 
 def known_parameters(system: System) -> tuple[Parameter, ...]:
-    """All that can be fitted: the system's own parameters, those of every effect, one delay per channel."""
+    """All parameters that can be fitted: the system's own, those of every effect, one delay per channel."""
     base = system.base if isinstance(system, ExtendedSystem) else system
     full = ExtendedSystem(base, tuple(effects_of(base)), {p.name: p.value for p in system.parameters})
     return (*full.parameters, *channel_delays([c.name for c in system.measurements]))
 
 
 def command_delays(system: System) -> tuple[str, ...]:
-    """Names of the delays of a system's commands, one for each joint that is driven."""
+    """Names of the delays of a system's commands, one for each driven joint."""
     base = system.base if isinstance(system, ExtendedSystem) else system
     return tuple(f"{name}.delay" for name in effects_of(base) if name.split("(")[0] == "actuation_delay")
 
@@ -96,7 +96,7 @@ def make_request(
     zero_sd: float | None = None,
     varies: Mapping[str, float] | None = None,
 ) -> FitRequest:
-    """Check what a user wants and cut the logs. Args and Raises as :func:`deepkoco.fit.fit`."""
+    """Check a request and cut the logs into windows. Args and Raises as :func:`deepkoco.fit.fit`."""
     base = any_system(system)
     known = {p.name: p for p in known_parameters(base)}
     free = tuple(dict.fromkeys(parameters))
@@ -112,19 +112,19 @@ def make_request(
     )
     delays = {p.name: _bounded(p, bounds or {}, start or {}, True) for p in channel_delays(late)}
     if any(bounds and name in bounds for name in delays):
-        raise FitError("bounds: the delay of a channel has fixed bounds, 0 to 0.1 s; leave it out")
+        raise FitError("bounds: the delay of a channel has fixed bounds, 0 to 0.1 s; leave these bounds out")
     values = {p.name: p.value for p in (*extended.parameters, *delays.values())}
     windows = cut_windows(recordings, base, window_length(base) if window is None else window)
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
     if moves.sum() < MIN_FITTED_WINDOWS:
         raise FitError(
-            f"only {int(moves.sum())} windows of {windows.length:.2g} s in which the joint moves; at least "
-            f"{MIN_FITTED_WINDOWS} are needed: record more motion, or give a shorter window"
+            f"the joint moves in {int(moves.sum())} windows of {windows.length:.2g} s; a fit needs at least "
+            f"{MIN_FITTED_WINDOWS}: record more motion, or give a shorter window"
         )
     kept = replace(windows.take(moves), varies=dict(varies or {}))
     if varies and len(np.unique(kept.log)) < 2:
         raise FitError(
-            f"varies: {', '.join(varies)}: the joint moves in one log only, which cannot differ from others"
+            f"varies: {', '.join(varies)}: the joint moves in only one log; a difference between logs needs two"
         )
     kept = _without_start(kept, late, base) if late else kept
     values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
@@ -134,12 +134,12 @@ def make_request(
 
 
 def wide(parameters: Iterable[Parameter]) -> Prior:
-    """Prior that says little: half the distance between the bounds as standard deviation."""
+    """Wide prior: its standard deviation is half the distance between the bounds."""
     return Prior.of([replace(p, prior_sd=0.5 * (p.high - p.low)) for p in parameters])
 
 
 def _completed(prior: Prior | None, free: Sequence[Parameter]) -> Prior:
-    """A prior over all free parameters, wide in those that ``prior`` does not cover."""
+    """Prior over all free parameters; those that ``prior`` does not contain get a wide one."""
     rest = [p for p in free if prior is None or p.name not in prior.names]
     if prior is None:
         return wide(rest)
@@ -157,7 +157,7 @@ def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: S
     for name in names:
         if name not in known:
             close = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
-            # "coulomb" and "coulomb.torque" mean one of "coulomb(joint 1).torque" and "coulomb(joint 2).torque".
+            # With several joints, "coulomb" and "coulomb.torque" stand for "coulomb(joint 1).torque" and so on.
             close += [k for k in known if k.startswith(f"{name}.") or k.endswith(f".{name}")]
             close += [k for k in known if re.sub(r"\(.*\)", "", k).startswith(name) and "(" in k]
             said = f"; did you mean {' or '.join(dict.fromkeys(close))}?" if close else ""
@@ -180,20 +180,22 @@ def _check_varying(
     for name, sd in varies.items():
         if name not in able:
             raise FitError(
-                f"varies: {name} cannot differ from log to log; what can are parameters of {system.name} itself and of "
-                "effects on its body and joints"
+                f"varies: {name} cannot differ from log to log; only parameters of {system.name} itself and of "
+                "effects on its body and joints can"
             )
         if not 0.0 < sd < np.inf:
             raise FitError(
-                f"varies: {name}: the standard deviation {sd:g} {known[name].unit} must be above 0, and finite"
+                f"varies: {name}: the standard deviation {sd:g} {known[name].unit} must be positive and finite"
             )
     if prior is not None and (lost := [n for n in prior.names if n in varies and n not in free]):
         raise FitError(
-            f"prior: {', '.join(lost)}: varies, but is not among the parameters to find; find it, or give its mean as "
-            "start"
+            f"prior: {', '.join(lost)}: varies, but is not among the parameters to fit; fit it too, or give its mean "
+            "as start value"
         )
     if varies and logs < 2:
-        raise FitError(f"varies: {', '.join(varies)}: one log cannot differ from others; give two or more")
+        raise FitError(
+            f"varies: {', '.join(varies)}: a difference between logs needs at least two logs; give more logs"
+        )
 
 
 def _extended(base: System, names: Iterable[str], late: Sequence[str]) -> ExtendedSystem:
@@ -215,7 +217,7 @@ def _bounded(
     if not low < high:
         raise FitError(f"{where}: the lower one must be below the upper one")
     if low < parameter.low or high > parameter.high:
-        raise FitError(f"{where} leave what is admissible, {parameter.low:g} to {parameter.high:g}")
+        raise FitError(f"{where} exceed the admissible range, {parameter.low:g} to {parameter.high:g}")
     if parameter.name not in start:
         return replace(parameter, low=low, high=high, value=float(np.clip(parameter.value, low, high)))
     value = float(start[parameter.name])
@@ -225,7 +227,7 @@ def _bounded(
 
 
 def _without_start(windows: Windows, late: Sequence[str], system: System) -> Windows:
-    """Leave out samples of late channels that may show a state from before their window."""
+    """Leave out samples of late channels that may show a state before the start of their window."""
     valid = windows.valid.clone()
     for c, channel in enumerate(system.measurements):
         if channel.name in late:

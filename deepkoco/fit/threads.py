@@ -1,4 +1,4 @@
-"""Threads of torch while many small tensors are computed."""
+"""Limit the threads of torch while many small tensors are computed."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import torch
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute with one thread, and with as many as before afterwards.
+    """Let torch use one thread inside the context; afterwards it uses as many as before.
 
-    The tensors of a fit are small: a second thread costs more than it brings, and where the other
-    cores are busy it made a diagnosis ten times slower.
+    The tensors of a fit are small, so a second thread does not make it faster. On a machine with busy cores, several
+    threads made a diagnosis ten times slower.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

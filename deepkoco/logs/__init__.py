@@ -1,4 +1,4 @@
-"""Logs of real or simulated units: read, checked and inspected."""
+"""Read, check and inspect logs of real or simulated units."""
 
 from deepkoco.logs.recording import LogError, Recording, Series, read_log, write_log
 

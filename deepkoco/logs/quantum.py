@@ -1,8 +1,8 @@
-"""The quantum of a series: the step to which a sensor or a log rounds."""
+"""Quantum of a series: the step of its quantisation."""
 
 import numpy as np
 
-SAME_LEVEL = 1e-9  # levels that are closer, as a share of their range, are one
+SAME_LEVEL = 1e-9  # levels that are closer, relative to their range, are the same level
 
 
 def quantum_of(value: np.ndarray) -> float:
@@ -11,9 +11,9 @@ def quantum_of(value: np.ndarray) -> float:
     if len(levels) < 2 or len(levels) > 0.9 * len(value):
         return 0.0
     step = np.diff(levels)
-    # Unwrapping and unit conversion move a level by rounding only, which is no level of its own.
+    # Rounding in unwrapping and unit conversion splits a level into several ones.
     step = step[step > SAME_LEVEL * (levels[-1] - levels[0])]
     count = np.round(step / step.min())
-    # Logs are written with few digits: the mean step is known better than the smallest one.
+    # Logs have few digits, so the mean step is more accurate than the smallest one.
     mean = float(step.sum() / count.sum())
     return mean if float(np.abs(step / mean - count).max()) < 0.05 else 0.0

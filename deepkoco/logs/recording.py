@@ -1,4 +1,4 @@
-"""Measured logs: time-stamped channels of one unit, read from and written to files."""
+"""Read and write measured logs: time-stamped channels of one unit."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -42,11 +42,11 @@ class Recording:
 
     Attributes:
         channels: channel name -> series.
-        path: file it was read from, None if it never was in a file.
-        system: name of the system that was measured, None if the log does not say.
-        meta: anything else the sidecar says.
-        unknown: stretches (start, stop) [s] in which a command is not known, or a measurement was filled in or frozen.
-        warnings: what reading had to assume or doubts.
+        path: file of the log, None for a log that was not read from a file.
+        system: name of the measured system, None if the sidecar does not name it.
+        meta: the content of the key `meta` of the sidecar.
+        unknown: stretches (start, stop) [s] in which a command is unknown, or a measurement was filled in or frozen.
+        warnings: assumptions and possible mistakes that the reader found.
     """
 
     channels: dict[str, Series]
@@ -62,16 +62,16 @@ class Recording:
 
     @property
     def start(self) -> float:
-        """First time stamp at which every measurement is there [s]."""
+        """First time at which all measurement channels have begun [s]."""
         return max(float(self.channels[name].t[0]) for name in self.names("measurement"))
 
     @property
     def stop(self) -> float:
-        """Last time stamp at which every measurement is there [s]."""
+        """Last time before a measurement channel ends [s]."""
         return min(float(self.channels[name].t[-1]) for name in self.names("measurement"))
 
     def between(self, start: float, stop: float) -> "Recording":
-        """Cut out [start, stop] [s]; of a command the sample that still holds at `start` is kept."""
+        """Select [start, stop] [s]; of a command, the sample that holds at `start` is kept too."""
         channels = {}
         for name, series in self.channels.items():
             first = int(np.searchsorted(series.t, start, side="left"))
@@ -97,27 +97,25 @@ def read_log(
 ) -> Recording:
     """Read a measured log with its sidecar and check it.
 
-    Values are converted to SI units, stamps to seconds. A row in which both a channel and its time stamp
-    are empty carries no sample of it. A command with a time column of its own may repeat a sample
-    (same stamp, same value) on later rows: the repetitions are dropped. Stamps of files with topics count
-    from the file's first message.
+    Values are converted to SI units, stamps to seconds. A row in which both a channel and its time stamp are empty
+    has no sample of the channel. A command with its own time column may repeat a sample (same stamp, same value) in
+    later rows; repetitions are removed. Stamps of files with topics count from the first message of the file.
 
     Args:
         path: the log: `.csv` (comma, semicolon, tab or bar; one header row), `.parquet`, `.mcap`, `.bag` of ROS 1,
             `.db3` or folder of a ROS 2 bag.
         mapping: content or path of the sidecar; None takes `path` with the suffix `.yaml`.
-        system: name that the log must belong to; None takes what the sidecar says.
-        channels: (name, unit, kind) of every channel that the system has; None accepts any channel.
-        systems: names of the systems that exist; a name outside is an error. Empty: not checked.
-        fill: what to do with a missing value: None raises, "drop" leaves the sample out, "hold" repeats
-            the one before.
-        min_samples: fewest samples of a measurement.
+        system: name of the system of the log; None takes the name in the sidecar.
+        channels: (name, unit, kind) of every channel of the system; None accepts any channel.
+        systems: names of all known systems; another name is an error. Empty: not checked.
+        fill: rule for missing values: None raises, "drop" leaves the sample out, "hold" repeats the previous one.
+        min_samples: smallest number of samples of a measurement.
         min_seconds: shortest duration of a log [s].
-        allow_constant_command: accept a log in which a command never changes (a free swing).
-        allow_implausible: accept channels that contradict each other and values far from all others.
+        allow_constant_command: accept a log in which a command never changes, such as a free swing.
+        allow_implausible: accept channels that contradict each other, and values far from all others.
 
     Raises:
-        LogError: the log cannot be used; the message says which file and column and what to do.
+        LogError: the log cannot be used; the message names file, column and what to do.
     """
     path = Path(path)
     if fill is not None and fill not in FILLS:
@@ -152,14 +150,14 @@ def read_log(
     if unknown:
         seconds = sum(end - begin for begin, end in unknown if end < np.inf)
         notes.append(
-            f"{len(unknown)} stretches ({seconds:.3g} s) in which a command or a measurement is not known; "
+            f"a command or a measurement is unknown in {len(unknown)} stretches ({seconds:.3g} s); "
             "fits leave out the windows there"
         )
     return Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))
 
 
 def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None, ChannelReader]:
-    """One reader for each file that the channels are in; times count from the origin of the first."""
+    """Make one reader per file of the channels; times count from the origin of the first file."""
     files: dict[str | None, dict[str, set[str]]] = {}
     for column in sidecar.channels.values():
         time = {HEADER} if column.time is None else {HEADER, column.time.name}
@@ -181,10 +179,10 @@ def _check_where(path: Path, sidecar: Sidecar, logs: Iterable[LogFile]) -> None:
 
 
 def write_log(path: str | Path, recording: Recording) -> Path:
-    """Write a recording as CSV with its sidecar; reading it back gives the same numbers, bit for bit.
+    """Write a recording as CSV with its sidecar; `read_log` then gives the same bits.
 
-    Channels with the same time stamps share a time column, others get one of their own. Both files
-    appear whole or not at all, and nothing is overwritten.
+    Channels with the same time stamps share a time column. After an error neither of the two files exists. Nothing is
+    overwritten.
 
     Raises:
         LogError: one of the files exists, or the recording has no channel.
@@ -224,7 +222,7 @@ def _free(name: str, taken: Iterable[str]) -> str:
 
 
 def _write_whole(texts: Mapping[Path, str]) -> None:
-    """Write files that do not exist yet, all or none."""
+    """Write new files; after an error none of them exists."""
     placed: list[Path] = []
     try:
         for target, text in texts.items():
@@ -249,7 +247,7 @@ def _check_system(sidecar: Sidecar, system: str | None, systems: Sequence[str]) 
 
 
 def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None) -> dict[str, str]:
-    """Check the channels against the system's and return the unit that each is converted to."""
+    """Check the channels against those of the system; return the SI unit of each channel."""
     if specs is None:
         return {name: parse_unit(column.value.unit).si for name, column in sidecar.channels.items()}
     targets = {}
@@ -259,7 +257,7 @@ def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None)
             raise LogError(f"{where}: the system has no such channel; it has {', '.join(specs)}")
         unit, kind = specs[name]
         if column.kind != kind:
-            raise LogError(f"{where}: kind is {column.kind}, the system has it as {kind}")
+            raise LogError(f"{where}: kind is {column.kind}, but {kind} in the system")
         try:
             factor_between(column.value.unit, unit)
         except UnitError as error:

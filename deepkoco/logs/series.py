@@ -1,4 +1,4 @@
-"""One channel of a log: samples with their own time stamps, and how they are read from a file."""
+"""One channel of a log: its samples and time stamps, and its reader."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from deepkoco.logs.formats.log_file import LogError, LogFile, iso_seconds
 from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
-FAR = 5.0  # a value this many ranges of the others away from them is no measurement
-LATEST = 1e11  # [s]: a stamp later than the year 5000 is in another unit
+FAR = 5.0  # values farther than this many ranges from the others are taken as missing
+LATEST = 1e11  # latest plausible time stamp [s since 1970], about the year 5000
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,11 @@ class Series:
     """One channel: samples with their own time stamps.
 
     Attributes:
-        t: (n,) float64 time stamps [s], strictly increasing; a command holds from its stamp to the next.
+        t: (n,) float64 time stamps [s], strictly increasing. A command holds from its stamp to the next one.
         value: (n,) float64 samples in `unit`.
         unit: SI unit, for example "rad/s".
         kind: "command" or "measurement".
-        unknown: (k, 2) float64 stretches [s] in which a value was missing and another stands in its place.
+        unknown: (k, 2) float64 stretches [s] in which values were filled, or values of a command were left out.
     """
 
     t: np.ndarray
@@ -46,7 +46,7 @@ class Series:
         return len(self.t)
 
     def hold(self, t: np.ndarray) -> np.ndarray:
-        """Sample the series at times `t` [s] by zero-order hold; before the first sample the first holds."""
+        """Sample the series at times `t` [s] by zero-order hold; before the first sample, its value holds."""
         index = np.searchsorted(self.t, t, side="right") - 1
         return self.value[np.maximum(index, 0)]
 
@@ -56,9 +56,9 @@ class ChannelReader:
 
     Args:
         log: the file.
-        where: value that a column must have in the rows that count; other rows are left out.
-        origin_ns: what times are counted from [ns since 1970].
-        fill: what to do with a missing value: None raises, "drop" leaves the sample out, "hold" repeats the one before.
+        where: column -> value of the rows to read; other rows are left out.
+        origin_ns: origin of the times [ns since 1970].
+        fill: rule for missing values: None raises, "drop" leaves the sample out, "hold" repeats the previous one.
     """
 
     def __init__(self, log: LogFile, where: Mapping[str, float], origin_ns: int, fill: str | None) -> None:
@@ -67,10 +67,10 @@ class ChannelReader:
         self.notes: list[str] = []
 
     def read(self, channel: ChannelColumn, target: str, own_time: bool) -> Series:
-        """Read one channel in the unit `target`; with `own_time` a command may repeat a sample.
+        """Read one channel in the unit `target`; with `own_time`, a command may repeat samples.
 
         Raises:
-            LogError: a column is missing, holds text, or its samples have no increasing finite stamps and values.
+            LogError: a column is missing or contains text, a stamp or value is not finite, or stamps do not increase.
         """
         stamp = self._time_column(channel)
         if not channel.topic:
@@ -99,7 +99,7 @@ class ChannelReader:
         table = self.log.table(channel.topic)
         if not table.times:
             raise LogError(
-                f'{self.log.path}: topic "{channel.topic}" has no time of its own; say which field holds it, "time: '
+                f'{self.log.path}: topic "{channel.topic}" contains no time; name its time field, "time: '
                 '{column: FIELD, unit: s}"'
             )
         return Column(table.times[0], "s")
@@ -151,11 +151,11 @@ class ChannelReader:
             advice = 'drop those rows or fill them (fill "drop" or "hold")'
             self._refuse(channel.value, row, missing, f"NaN or infinite ({unit})", advice)
         good = np.flatnonzero(~missing)
-        how = "left out" if self.fill == "drop" else "repeated from the one before"
+        how = "left out" if self.fill == "drop" else "replaced by the previous sample"
         self.notes.append(f'column "{channel.value.name}": {int(missing.sum())} missing samples {how}')
         unknown = _stretches(time, missing)
         if self.fill == "drop" or len(good) == 0:
-            # Without its value a command is not known there; a measurement is simply not there.
+            # After a dropped sample a command is unknown. A measurement merely has one sample less.
             return row[good], time[good], value[good], unknown if channel.kind == "command" else None
         last = np.searchsorted(good, np.arange(len(value)), side="right") - 1
         kept = np.flatnonzero(last >= 0)
@@ -170,13 +170,13 @@ class ChannelReader:
         value: np.ndarray,
         own_time: bool,
     ) -> np.ndarray:
-        """Indices of the samples that count: exact repetitions do not."""
+        """Indices of the samples without exact repetitions; raises unless their stamps increase."""
         if not len(time):
             return np.zeros(0, dtype=np.intp)
         again = np.append(False, (np.diff(time) == 0) & (np.diff(value) == 0))
         if again.any() and not (own_time and channel.kind == "command"):
             self.notes.append(
-                f'column "{channel.value.name}": {int(again.sum())} samples written twice with one stamp taken once'
+                f'column "{channel.value.name}": {int(again.sum())} repeated samples (same stamp, same value) left out'
             )
         keep = np.flatnonzero(~again)
         step = np.append(np.inf, np.diff(time[keep]))
@@ -188,14 +188,14 @@ class ChannelReader:
         return keep
 
     def _episodes(self, topic: str, resets: np.ndarray) -> str:
-        """A hint to a column that counts the stretches between resets of the clock."""
+        """Advice that names a column which counts the stretches between resets of the clock."""
         if not len(resets):
             return ""
         name = counting_column(self.log, topic, resets)
         if name is None:
             return ""
         first = self.log.values(topic, name)[0]
-        return f'; the column "{name}" counts its parts: write "where: {{{name}: {first:g}}}" in the sidecar for one'
+        return f'; the column "{name}" counts its parts: write "where: {{{name}: {first:g}}}" to select one'
 
     def _refuse(self, column: Column, row: np.ndarray, bad: np.ndarray, what: str, advice: str) -> None:
         if not bad.any():
@@ -210,7 +210,7 @@ class ChannelReader:
 
 
 def counting_column(log: LogFile, topic: str, resets: np.ndarray) -> str | None:
-    """Name of a column whose value changes at these rows and nowhere else."""
+    """Name of a column whose value changes exactly at these rows; None if there is none."""
     frame = log.table(topic).frame
     for name in frame.columns:
         try:
@@ -223,7 +223,7 @@ def counting_column(log: LogFile, topic: str, resets: np.ndarray) -> str | None:
 
 
 def far_values(value: np.ndarray) -> np.ndarray:
-    """True where a value is several ranges of all others away from them: a glitch, not a measurement."""
+    """(n,) True for values that are more than `FAR` ranges away from all others (glitches)."""
     finite = value[np.isfinite(value)]
     if len(finite) < 20:
         return np.zeros(len(value), dtype=bool)
@@ -236,7 +236,7 @@ def far_values(value: np.ndarray) -> np.ndarray:
 
 
 def _stretches(time: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """(k, 2) from the first missing sample to the first good one, or to the end of the log."""
+    """(k, 2) stretches [s] from a missing sample to the next good one; inf at the end of the log."""
     edges = np.diff(np.concatenate([[0], missing.astype(np.int8), [0]]))
     begin, end = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return np.stack([time[begin], np.append(time, np.inf)[end]], axis=1)
@@ -249,7 +249,7 @@ def _check_header(log: LogFile, column: Column) -> None:
     try:
         stated = parse_unit(header.group(1))
     except UnitError:
-        return  # brackets in a header need not hold a unit
+        return  # brackets in a header can contain other text than a unit
     if stated != parse_unit(column.unit):
         raise LogError(
             f'{log.path}: column "{column.name}": mixed units, the header says {header.group(1)}, the '

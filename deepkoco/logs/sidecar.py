@@ -1,4 +1,4 @@
-"""The sidecar of a log: which column is which channel, in which unit, command or measurement."""
+"""Sidecar of a log: maps columns to channels, with unit and kind."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -35,12 +35,12 @@ channels:
 
 
 ISO = "iso8601"
-"""In the place of the unit of a time column: it holds dates like 2024-05-01T12:00:00.125."""
+"""Unit of a time column that contains dates like 2024-05-01T12:00:00.125."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of the file and the unit it is written in; of a time column also what to add to it [s]."""
+    """One column of a file, its unit, and for a time column the offset that is added [s]."""
 
     name: str
     unit: str
@@ -49,16 +49,16 @@ class Column:
 
 @dataclass(frozen=True)
 class ChannelColumn:
-    """Where one channel is found.
+    """Place of one channel in the files of a log.
 
     Attributes:
-        value: column, or field of the topic.
+        value: column of its values, or field of the topic.
         kind: "command" or "measurement".
-        time: its time column; None takes what the topic has (the header's stamp, else when it was received).
-        topic: topic of a file that has topics.
-        file: another file than the log, relative to its folder.
-        scale: what values are multiplied by besides their unit: a gear ratio, or -1 for the other direction.
-        checked: whether the user vouches for the units, so that implausible values are no error.
+        time: its time column; None takes the usual time of the topic (header.stamp, else received).
+        topic: its topic, empty for a file without topics.
+        file: another file than the log, relative to its folder; None is the log.
+        scale: factor of the values besides their unit: a gear ratio, or -1 for the other direction.
+        checked: True if the user confirms the values; implausible values are then no error.
     """
 
     value: Column
@@ -72,7 +72,16 @@ class ChannelColumn:
 
 @dataclass(frozen=True)
 class Sidecar:
-    """What the columns of a log mean; `where` keeps the rows in which a column has a value."""
+    """Content of a sidecar.
+
+    Attributes:
+        source: name of the sidecar in messages.
+        system: name of the system, None if it is not given.
+        time: common time column, None if it is not given.
+        channels: channel name -> its place.
+        meta: further facts about the log.
+        where: column -> value of the rows to read.
+    """
 
     source: str
     system: str | None
@@ -83,7 +92,7 @@ class Sidecar:
 
 
 def sidecar_path(path: str | Path) -> Path:
-    """Return the place of the sidecar of a log: same folder, same stem, `.yaml`."""
+    """Path of the sidecar of a log: same folder, same stem, suffix `.yaml`."""
     path = Path(path)
     return path.with_name(f"{path.name}.yaml") if path.is_dir() else path.with_suffix(".yaml")
 
@@ -93,10 +102,10 @@ def load_sidecar(log: Path, mapping: Mapping[str, Any] | str | Path | None = Non
 
     Args:
         log: the log that the mapping belongs to.
-        mapping: the content of a sidecar, or the path of one; None takes the file next to the log.
+        mapping: content or path of a sidecar; None takes the file beside the log.
 
     Raises:
-        LogError: no sidecar is there, or a key, kind or unit in it is wrong.
+        LogError: the sidecar is missing, or a key, kind or unit in it is wrong.
     """
     if isinstance(mapping, Mapping):
         source, content = f"mapping of {log}", dict(mapping)
@@ -105,7 +114,7 @@ def load_sidecar(log: Path, mapping: Mapping[str, Any] | str | Path | None = Non
         source = str(file)
         if not file.is_file():
             raise LogError(
-                f"{log}: no sidecar {file} says what its columns mean; write one or pass a mapping:{EXAMPLE}"
+                f"{log}: no sidecar {file} maps its columns to channels; write one or pass a mapping:{EXAMPLE}"
             )
         try:
             content = read_yaml(file)
@@ -181,12 +190,12 @@ def _channel(source: str, where: str, content: Any, common: Column | None) -> Ch
     if entry.get(place) is None:
         raise LogError(f'{source}: {where}: key "{place}" is missing; for example:{EXAMPLE}')
     if entry.get("column" if topic else "field") is not None:
-        raise LogError(f"{source}: {where}: give a column, or a topic and a field of it")
+        raise LogError(f"{source}: {where}: give either a column, or a topic and a field")
     name = str(entry[place])
     if entry.get("joint") is not None:
         if not topic:
             raise LogError(
-                f"{source}: {where}: joint: only messages of a topic name their joints; give the column"
+                f"{source}: {where}: joint: only a channel with a topic can have a joint; give the column"
             )
         name = f"{name}[{entry['joint']}]"
     value = _column(source, where, {"column": name, "unit": entry["unit"]})
@@ -198,7 +207,9 @@ def _channel(source: str, where: str, content: Any, common: Column | None) -> Ch
         or not math.isfinite(scale)
         or scale == 0
     ):
-        raise LogError(f"{source}: {where}: scale: {scale!r} is no number other than 0, such as 6.33 or -1")
+        raise LogError(
+            f"{source}: {where}: scale: {scale!r} is not a finite number other than 0; write for example 6.33 or -1"
+        )
     if not isinstance(checked, bool):
         raise LogError(f"{source}: {where}: checked: write true or false, got {shown(checked)}")
     if time is None and not topic:
@@ -230,8 +241,8 @@ def _refuse_mixed_units(source: str, channels: Mapping[str, ChannelColumn]) -> N
             first = units.setdefault((channel.file, channel.topic, column.name), column.unit)
             if first != column.unit:
                 raise LogError(
-                    f'{source}: column "{column.name}" is given mixed units, {first} and {column.unit}; keep the one '
-                    "it is written in"
+                    f'{source}: column "{column.name}" has mixed units, {first} and {column.unit}; keep the unit '
+                    "of its numbers"
                 )
 
 
@@ -283,12 +294,12 @@ def _time(source: str, where: str, content: Any) -> Column:
     entry = _keys(source, where, content, required=("column", "unit"), optional=("offset",))
     offset = entry.get("offset", 0.0)
     if isinstance(offset, bool) or not isinstance(offset, int | float) or not math.isfinite(offset):
-        raise LogError(f"{source}: {where}: offset: {offset!r} is no number of seconds")
+        raise LogError(f"{source}: {where}: offset: {offset!r} is not a finite number of seconds")
     if entry["unit"] == ISO:
         return Column(str(entry["column"]), ISO, float(offset))
     column = _column(source, where, {key: entry[key] for key in ("column", "unit")})
     if parse_unit(column.unit).quantity != "time":
         raise LogError(
-            f'{source}: {where}: unit "{column.unit}" is no unit of time; use s, ms, us, ns or {ISO}'
+            f'{source}: {where}: unit "{column.unit}" is not a unit of time; use s, ms, us, ns or {ISO}'
         )
     return Column(column.name, column.unit, float(offset))

@@ -1,16 +1,16 @@
-"""Units that logs are written in, and their conversion to SI."""
+"""Units of logs and their conversion to SI."""
 
 import math
 from dataclasses import dataclass
 
 
 class UnitError(ValueError):
-    """A unit is unknown, or measures another quantity than the one asked for."""
+    """A unit is unknown, or measures another quantity than expected."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """One unit: what it measures and how many SI units it is worth."""
+    """One unit: its quantity, its value in SI units (factor), and the SI unit of the quantity."""
 
     quantity: str
     factor: float
@@ -63,7 +63,7 @@ _SYNONYMS = {
 
 
 def _key(text: str) -> str:
-    """Spell `text` without spaces, dots and stars, so that N m, N*m, N·m and Nm are one unit."""
+    """Normalise the spelling of a unit, so that N m, N*m, N·m and Nm are the same."""
     key = text.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("**2", "^2")
     for sign in " *·⋅.":
         key = key.replace(sign, "")
@@ -79,7 +79,7 @@ _UNITS |= {_key(other): _UNITS[_key(name)] for other, name in _SYNONYMS.items()}
 
 
 def known_units(quantity: str | None = None) -> tuple[str, ...]:
-    """List the known units, of one quantity ("angle", "torque", ...) or of all."""
+    """List the known units of one quantity ("angle", "torque", ...), or of all."""
     tables = _TABLE.values() if quantity is None else (_TABLE[quantity],)
     return tuple(name for _, members in tables for name in members)
 
@@ -100,7 +100,7 @@ def parse_unit(text: str) -> Unit:
 
 
 def factor_between(unit: str, target: str) -> float:
-    """Return the number by which values in `unit` are multiplied to be in `target`.
+    """Factor that converts values in `unit` to `target`.
 
     Raises:
         UnitError: a unit is unknown, or the two measure different quantities.

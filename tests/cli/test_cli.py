@@ -97,8 +97,8 @@ def test_same_command_same_bytes(unit, tmp_path):
         (UNIT, ["--excitation", "policy", "--policy", "nowhere"], ["nowhere"]),
         (UNIT, ["--seed", "-1"], ["seed", "-1"]),
         (UNIT, ["--excitation", "policy", "--policy", "p", "--amplitude", "1"], ["--amplitude"]),
-        (UNIT, ["--out", ""], ["--out", "names no file"]),
-        (UNIT, ["--out", ".."], ["--out", "names no file"]),
+        (UNIT, ["--out", ""], ["--out", "is not a file name"]),
+        (UNIT, ["--out", ".."], ["--out", "is not a file name"]),
         ("system: [a]", [], ["UNIT.yaml", "system", "a", "rod_pendulum"]),
     ],
 )

@@ -116,10 +116,10 @@ def test_log_made_through_a_stop_is_refused():
     ("options", "message"),
     [
         ({"clock": "sundial"}, 'unknown clock "sundial"; known: wall, simulated'),
-        ({"control_rate": 500.0}, "control rate 500 Hz .* sensor gives 100 Hz"),
-        ({"control_rate": 1.0}, "heartbeat wants more than 2 Hz"),
-        ({"seconds": -1.0}, "a log of -1 s"),
-        ({"seconds": math.nan}, "a log of nan s"),
+        ({"control_rate": 500.0}, r"control rate 500 Hz .* at most 100 Hz \(its sensor\)"),
+        ({"control_rate": 1.0}, r"more than 2 Hz \(its heartbeat\)"),
+        ({"seconds": -1.0}, "seconds: -1 s is not the length"),
+        ({"seconds": math.nan}, "seconds: nan s is not the length"),
     ],
 )
 def test_bad_options_are_named(options, message):

@@ -44,7 +44,7 @@ def rod_log(seconds: float = 8.0, seed: int = 0, **parameters: float) -> Recordi
 
 @lru_cache
 def arm_log(seed: int, zero: float = 0.0, late: bool = False, seconds: float = 8.0) -> Recording:
-    """The arm under random torques; each command may act late, each joint by a time of its own."""
+    """The arm under random torques; with ``late``, the commands of each joint have a delay."""
     rng = np.random.default_rng(seed)
     arm = make_system("two_link_arm")
     parameters = arm.default_parameters() | {n: torch.tensor(v, dtype=torch.float64) for n, v in TRUE.items()}
@@ -53,7 +53,7 @@ def arm_log(seed: int, zero: float = 0.0, late: bool = False, seconds: float = 8
     delay = np.array([LATE[1], LATE[2]]) if late else np.zeros(2)
 
     def slope(t: float, x: np.ndarray) -> np.ndarray:
-        # A hair later, so that the command of an instant acts from it on.
+        # Slightly later, so that a command acts from its own time stamp on.
         held = [torque[max(int((t - delay[j] + 1e-9) / PERIOD), 0), j] * (t >= delay[j]) for j in (0, 1)]
         return arm.derivative(
             torch.from_numpy(x), torch.tensor(held, dtype=torch.float64), parameters

@@ -1,4 +1,4 @@
-"""Simulations that diverge, at the edge of divergence and beyond it: two joints with parameters of another build."""
+"""Fits of two joints with start values at which the simulation diverges or nearly diverges."""
 
 from dataclasses import replace
 
@@ -13,41 +13,41 @@ from deepkoco.fit.solve.scaled_inverse import NotFiniteError
 from deepkoco.logs.recording import LogError
 from tests.fit.identify_logs import TRUE, arm_log
 
-# A light forearm: the friction of its joint is faster than the steps of the integration.
+# With a light forearm, the time constant of the joint friction is shorter than the integration step.
 LIGHT = {"mass_2": 0.05, "length_2": 0.25}
 
 
 @pytest.fixture(scope="module")
-def request():
+def fit_request():
     return make_request([arm_log(0)], "two_link_arm", list(TRUE))
 
 
 @pytest.fixture(scope="module")
-def problem(request):
-    return request.problem(request.windows.take(np.arange(3)))
+def problem(fit_request):
+    return fit_request.problem(fit_request.windows.take(np.arange(3)))
 
 
-def chi2(request, problem, viscous: float) -> float:
-    values = request.start | LIGHT | {"viscous_2": viscous}
+def chi2(fit_request, problem, viscous: float) -> float:
+    values = fit_request.start | LIGHT | {"viscous_2": viscous}
     theta = np.array([[values[n] for n in problem.names]])
     predicted = problem.predict(theta, problem.windows.state[None], problem.nuisances.none()[None])
     return float((((problem.windows.value - predicted[0]) * problem.weight) ** 2).sum())
 
 
 @pytest.fixture(scope="module")
-def edge(request, problem) -> float:
+def edge(fit_request, problem) -> float:
     """Friction [N m s/rad] between simulations that stay finite and those that diverge."""
     low, high = 0.05, 1.0
     while high - low > 1e-9:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if np.isfinite(chi2(request, problem, middle)) else (low, middle)
+        low, high = (middle, high) if np.isfinite(chi2(fit_request, problem, middle)) else (low, middle)
     return low
 
 
-def test_fits_about_the_edge_of_divergence_are_finite_or_said_to_diverge(request, problem, edge):
+def test_fit_near_the_edge_of_divergence_is_finite_or_diverged(fit_request, problem, edge):
     near = edge * (1.0 + np.concatenate([np.linspace(-0.03, 0.05, 25), [-1e-6, -1e-9, 1e-9]]))
-    starts = [request.start | LIGHT | {"viscous_2": float(v)} for v in near]
-    fits = problem.fit([Trial("edge", request.free, request.prior, values) for values in starts], 6)
+    starts = [fit_request.start | LIGHT | {"viscous_2": float(v)} for v in near]
+    fits = problem.fit([Trial("edge", fit_request.free, fit_request.prior, values) for values in starts], 6)
     assert any(found.diverged for found in fits)
     assert not all(found.diverged for found in fits)
     for found, values in zip(fits, starts, strict=True):
@@ -61,34 +61,34 @@ def test_fits_about_the_edge_of_divergence_are_finite_or_said_to_diverge(request
             assert found.values["viscous_2"] == values["viscous_2"]
 
 
-def test_a_start_that_diverges_leaves_the_other_trials_as_they_are(request, problem, edge):
-    good = Trial("good", request.free, request.prior, request.start)
-    bad = replace(good, name="bad", values=request.start | LIGHT | {"viscous_2": 1.1 * edge})
+def test_fit_of_a_diverging_trial_does_not_change_other_trials(fit_request, problem, edge):
+    good = Trial("good", fit_request.free, fit_request.prior, fit_request.start)
+    bad = replace(good, name="bad", values=fit_request.start | LIGHT | {"viscous_2": 1.1 * edge})
     alone, (beside, lost) = problem.fit([good], 6)[0], problem.fit([good, bad], 6)
     assert lost.diverged
     assert beside.values == pytest.approx(alone.values, rel=1e-9)
 
 
-def test_one_fit_that_has_to_be_is_refused_with_its_values(request, problem, edge):
-    values = request.start | LIGHT | {"viscous_2": 1.1 * edge}
+def test_fit_one_names_the_values_that_diverge(fit_request, problem, edge):
+    values = fit_request.start | LIGHT | {"viscous_2": 1.1 * edge}
     with pytest.raises(NotFiniteError, match=r"two_link_arm diverges at .*mass_2 = 0.05 kg"):
-        problem.fit_one(Trial("refit", request.free, request.prior, values))
+        problem.fit_one(Trial("refit", fit_request.free, fit_request.prior, values))
 
 
-def test_states_of_a_window_that_diverges_stay_finite(request, problem, edge):
-    values = request.start | LIGHT | {"viscous_2": edge * (1.0 - 1e-6)}
+def test_fit_states_stay_finite_if_a_window_diverges(fit_request, problem, edge):
+    values = fit_request.start | LIGHT | {"viscous_2": edge * (1.0 - 1e-6)}
     states, _ = problem.fit_states(values, problem.windows.state)
     assert torch.isfinite(states).all()
 
 
-def test_a_fit_from_start_values_that_diverge_says_so():
+def test_fit_refuses_diverging_start_values():
     with pytest.raises(FitError, match="diverges at the start values"):
         fit([arm_log(0)], "two_link_arm", ["viscous_1"], start=LIGHT | {"viscous_2": 5.0})
 
 
 @pytest.mark.parametrize("channel", ["torque_1", "angle_2"])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
-def test_samples_that_are_not_finite_are_refused_by_their_channel(channel, wrong):
+def test_fit_names_the_channel_of_samples_that_are_not_finite(channel, wrong):
     log = arm_log(0)
     values = log.channels[channel].value.copy()
     values[[3, 4]] = wrong

@@ -1,4 +1,4 @@
-"""Commands to efforts over the integration steps."""
+"""Efforts over integration steps, computed from commands."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepkoco.fit.data.windows import CommandSeries, Windows
-from deepkoco.fit.simulate.command_effort import TooManyLagsError, _Held, step_efforts
+from deepkoco.fit.simulate.command_effort import TooManyLagsError, _HeldEfforts, step_efforts
 from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.bodies.rod_pendulum import RodPendulum
 
@@ -27,14 +27,14 @@ def efforts(windows, **values):
     return start[0].numpy(), slope[0].numpy()
 
 
-def test_held_command_is_the_effort():
+def test_command_efforts_equal_held_commands_without_delay():
     windows = windows_of([0.0, 0.5], [1.0, -2.0], [0.1, 0.6], 0.01, 20)
     start, slope = efforts(windows)
     assert start == pytest.approx(np.repeat([[1.0], [-2.0]], 20, axis=1), abs=1e-6)
     assert slope == pytest.approx(0.0, abs=1e-4)
 
 
-def test_jump_inside_a_step_keeps_integral_and_double_integral():
+def test_command_efforts_keep_both_integrals_of_a_jump_inside_a_step():
     # The command jumps from 0 to 1 after 0.004 of a step of 0.01: the integral is 0.006, the double
     # integral 0.006^2 / 2.
     windows = windows_of([0.0, 1.004], [0.0, 1.0], [1.0], 0.01, 1)
@@ -45,7 +45,7 @@ def test_jump_inside_a_step_keeps_integral_and_double_integral():
 
 
 @pytest.mark.parametrize("name", ["actuation_delay__delay", "sensing_delay__delay"])
-def test_delay_shifts_the_effort(name):
+def test_command_efforts_shift_by_the_delay(name):
     windows = windows_of([0.0, 1.0], [0.0, 1.0], [0.9], 0.01, 20)
     start, slope = efforts(windows, **{name: 0.03})
     middle = (start + 0.5 * 0.01 * slope)[0]
@@ -53,7 +53,7 @@ def test_delay_shifts_the_effort(name):
     assert middle[13:] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_lag_answers_a_step_exponentially():
+def test_command_efforts_of_a_lag_follow_its_step_response():
     windows = windows_of([0.0, 1.0], [0.0, 1.0], [1.0], 0.01, 30)
     start, slope = efforts(windows, lag__time_constant=0.05)
     mean = (start + 0.5 * 0.01 * slope)[0]
@@ -62,21 +62,21 @@ def test_lag_answers_a_step_exponentially():
     assert mean == pytest.approx(np.diff(integral) / 0.01, abs=1e-6)
 
 
-def test_dead_zone_acts_on_the_command():
+def test_command_efforts_apply_the_dead_zone():
     windows = windows_of([0.0, 0.5], [0.2, -1.0], [0.1, 0.6], 0.01, 10)
     start, _ = efforts(windows, dead_zone__width=0.3)
     assert start[0] == pytest.approx(0.0, abs=1e-9)
     assert start[1] == pytest.approx(-0.7, abs=1e-6)
 
 
-def test_delay_far_before_the_log_holds_the_first_command():
+def test_command_efforts_hold_the_first_command_before_the_log():
     windows = windows_of([0.0], [1.5], [0.0], 0.01, 5)
     start, _ = efforts(windows, actuation_delay__delay=0.3)
     assert start == pytest.approx(1.5, abs=1e-6)
     assert replace(windows, step=0.02).length == pytest.approx(0.1)
 
 
-def test_efforts_change_smoothly_with_the_delay():
+def test_command_efforts_are_smooth_in_the_delay():
     """A held command that jumps every 2 ms: the integral up to a node is linear in the delay within a piece."""
     rng = np.random.default_rng(0)
     windows = windows_of(0.002 * np.arange(600), rng.normal(size=600), [0.5], 0.0047, 40)
@@ -94,12 +94,12 @@ def test_efforts_change_smoothly_with_the_delay():
 @pytest.mark.parametrize(
     ("short", "long"), [(0.0, 0.04), (0.013, 0.04), (0.04, 0.04), (0.04, 0.0400001), (1e-4, 0.3)]
 )
-def test_lags_in_a_row_answer_as_the_differential_equation(short, long):
+def test_held_efforts_of_two_lags_match_the_differential_equation(short, long):
     """Irregular commands through two lags, against the state-space solution at much finer times."""
     rng = np.random.default_rng(3)
     t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.001, 0.03, 60))])
     command = CommandSeries(t, rng.standard_normal(len(t)))
-    series = _Held(command, command.value[None], [np.array([long]), np.array([short])])
+    series = _HeldEfforts(command, command.value[None], [np.array([long]), np.array([short])])
     step, steps = 0.01, 60
     a, b = series.steps(np.array([0]), np.zeros((1, 1)), np.array([0.2]), step, steps)
     fine = 500  # points of each piece of constant command
@@ -107,7 +107,7 @@ def test_lags_in_a_row_answer_as_the_differential_equation(short, long):
     for begin, end, u in zip(t[:-1], t[1:], command.value[:-1], strict=True):
         for _ in range(fine):
             h = (end - begin) / fine
-            # Each lag follows its input, held at the middle of the substep.
+            # The input of each lag is held at its value in the middle of the substep.
             before = state[0]
             state[0] = u + (before - u) * (np.exp(-h / short) if short else 0.0)
             given = u + (before - u) * np.exp(-0.5 * h / short) if short else u
@@ -124,7 +124,7 @@ def test_lags_in_a_row_answer_as_the_differential_equation(short, long):
     assert (a * step**2 / 2 + b * step**3 / 6)[0, 0] == pytest.approx(inside, abs=1e-7)
 
 
-def test_a_log_of_one_command_has_settled_behind_its_lag():
+def test_command_efforts_of_one_command_are_in_steady_state():
     windows = windows_of([0.0], [1.5], [0.0], 0.01, 5)
     start, slope = efforts(windows, lag__time_constant=0.05, actuation_delay__delay=0.02)
     assert start == pytest.approx(1.5, abs=1e-9)
@@ -132,30 +132,28 @@ def test_a_log_of_one_command_has_settled_behind_its_lag():
 
 
 class TwiceLagged(RodPendulum):
-    """A pendulum whose motor has two lags of its own."""
+    """A pendulum whose motor has two lags."""
 
     def command_timing(self, index, parameters):
         own = tuple(torch.tensor(lag, dtype=torch.float64) for lag in (0.02, 0.03))
         return super().command_timing(index, parameters)._replace(lag=own)
 
 
-def test_a_third_lag_in_a_row_is_refused_and_one_of_zero_changes_nothing():
+def test_command_efforts_refuse_three_lags_and_ignore_a_lag_of_zero():
     system = ExtendedSystem(TwiceLagged(), ("lag",))
     windows = windows_of([0.0, 1.0], [0.0, 1.0], [1.0], 0.01, 30)
     p = system.default_parameters()
     without = step_efforts(system, windows, p, 1)
-    two = _Held(windows.commands[0], np.array([[0.0, 1.0]]), [np.array([0.02]), np.array([0.03])]).steps(
-        np.array([0]), np.zeros((1, 1)), windows.t0, 0.01, 30
-    )
+    two = _HeldEfforts(
+        windows.commands[0], np.array([[0.0, 1.0]]), [np.array([0.02]), np.array([0.03])]
+    ).steps(np.array([0]), np.zeros((1, 1)), windows.t0, 0.01, 30)
     assert without[0].numpy() == pytest.approx(two[0], abs=1e-12)
-    with pytest.raises(
-        TooManyLagsError, match=r'rod_pendulum: the command ".*" goes through 3 lags in a row'
-    ):
+    with pytest.raises(TooManyLagsError, match=r'rod_pendulum: the command ".*" has 3 lags in series'):
         step_efforts(system, windows, p | {"lag.time_constant": torch.tensor([0.01], dtype=torch.float64)}, 1)
 
 
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
-def test_a_lane_of_infinite_efforts_leaves_the_others_as_they_are():
+def test_command_efforts_of_an_infinite_lane_do_not_change_other_lanes():
     system = ExtendedSystem(make_system("rod_pendulum"), ("gain", "lag"))
     rng = np.random.default_rng(5)
     windows = windows_of(0.01 * np.arange(100), rng.normal(size=100), [0.2, 0.5], 0.01, 20)

@@ -1,4 +1,4 @@
-"""Forward prediction from late measurements, against exact filters in the right order."""
+"""DelayedEstimator against an exact Kalman filter that gets the measurements in the order of their times."""
 
 import math
 from itertools import pairwise
@@ -41,7 +41,7 @@ def begin(estimator: DelayedEstimator, batch: int = 1) -> Memory:
 
 
 def exact(measurements, commands, stop):
-    """Kalman filter in the order of the instants, with matrix exponentials between them."""
+    """Kalman filter over times in ascending order, with matrix exponentials between them."""
 
     def carry(mean, covariance, t0, t1):
         edges = [t0, *(t for t, _ in commands if t0 < t < t1), t1]
@@ -88,7 +88,7 @@ def play(estimator, measurements, sent, delay=SENSING):
     return memory
 
 
-def test_irregular_late_measurements_give_the_exact_belief_when_the_command_will_act():
+def test_estimator_matches_exact_kalman_filter_for_irregular_late_measurements():
     measurements, sent = scenario()
     estimator = make()
     belief = estimator.estimate(
@@ -100,7 +100,7 @@ def test_irregular_late_measurements_give_the_exact_belief_when_the_command_will
 
 
 @pytest.mark.parametrize("order", [(1, 0, 2, 3, 4, 5, 6), (6, 5, 4, 3, 2, 1, 0), (0, 3, 2, 1, 6, 4, 5)])
-def test_the_order_of_arrival_does_not_matter(order):
+def test_estimator_is_independent_of_the_order_of_arrival(order):
     measurements, sent = scenario()
     estimator = make(step=0.01)
     right = play(estimator, measurements, sent)
@@ -112,7 +112,7 @@ def test_the_order_of_arrival_does_not_matter(order):
     assert torch.allclose(right.root @ right.root.mT, mixed.root @ mixed.root.mT, atol=1e-12)
 
 
-def test_what_comes_later_than_all_that_is_kept_is_counted_and_left_out():
+def test_estimator_counts_and_ignores_measurements_older_than_its_memory():
     measurements, sent = scenario()
     estimator = make(kept=2, step=0.01)
     memory = play(estimator, measurements[1:], sent)
@@ -123,7 +123,7 @@ def test_what_comes_later_than_all_that_is_kept_is_counted_and_left_out():
     assert torch.equal(late.mean, memory.mean)
 
 
-def test_environments_receive_at_times_of_their_own():
+def test_estimator_receives_at_different_times_per_environment():
     measurements, sent = scenario()
     estimator = make(step=0.01)
     alone = [play(estimator, measurements[:n], sent) for n in (3, 5)]
@@ -139,7 +139,7 @@ def test_environments_receive_at_times_of_their_own():
         assert torch.allclose(memory.newest()[0].mean[b], expected.mean[0], atol=1e-12)
 
 
-def test_noise_may_change_in_time_and_from_measurement_to_measurement():
+def test_estimator_uses_noise_of_each_time_and_measurement():
     def quiet_then_loud(t):
         size = torch.where(t < 0.1, 0.0, 1.0)
         return size[:, None, None] * torch.tensor(DENSITY)
@@ -161,6 +161,6 @@ def test_noise_may_change_in_time_and_from_measurement_to_measurement():
     assert float(sure.mean[0, 0]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_a_density_that_is_none_is_refused():
+def test_estimator_refuses_a_negative_noise_density():
     with pytest.raises(FilterError, match="positive semidefinite"):
         DelayedEstimator(derivative, lambda x: x, -torch.eye(2, dtype=F64), torch.ones(2, dtype=F64))

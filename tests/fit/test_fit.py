@@ -1,4 +1,4 @@
-"""Fits to windows of a log."""
+"""FitProblem, windows and push, on closed-form motion."""
 
 import math
 
@@ -54,15 +54,15 @@ def problem_of(recording, length=1.0, noise=NOISE) -> tuple[FitProblem, dict[str
     return FitProblem(system, windows), values
 
 
-def test_closed_form_swing_is_reproduced():
+def test_evaluate_reproduces_a_closed_form_swing():
     problem, values = problem_of(free_swing(amplitude=1e-3))
     fit = problem.evaluate(values)
-    # sin(x) differs from x by x^3 / 6 = 2e-10: nothing is left but that and the integrator's error.
+    # The residual is the difference of sin(x) from x, x^3 / 6 = 2e-10, and the error of the integrator.
     assert fit.chi2 / problem.windows.samples < 1e-9
 
 
-def test_parameter_is_recovered_and_the_rest_said_to_be_unknown():
-    # A gravity of 11 makes the swing faster by sqrt(1.1); mass does not matter to a free swing.
+def test_fit_recovers_gravity_and_reports_mass_as_unidentified():
+    # A gravity of 11 makes the swing faster by sqrt(1.1). The mass does not change a free swing.
     problem, values = problem_of(free_swing(omega=math.sqrt(16.5), amplitude=1e-2))
     declared = [problem.system.parameter(n) for n in ("gravity", "mass")]
     prior = Prior.of(declared)
@@ -74,7 +74,7 @@ def test_parameter_is_recovered_and_the_rest_said_to_be_unknown():
     assert loose[0].weights == pytest.approx({"mass": 1.0})
 
 
-def test_history_never_rises_and_prior_counts():
+def test_fit_history_never_increases_and_penalty_is_the_prior():
     problem, values = problem_of(free_swing(omega=math.sqrt(15.3)))
     prior = Prior.of([problem.system.parameter("gravity")])
     fit = problem.fit([Trial("swing", ("gravity",), prior, values)])[0]
@@ -84,7 +84,7 @@ def test_history_never_rises_and_prior_counts():
     assert fit.converged
 
 
-def test_a_batch_gives_what_its_trials_give_alone():
+def test_fit_of_a_batch_equals_fits_of_single_trials():
     problem, values = problem_of(free_swing(omega=math.sqrt(15.3)))
     trials = [
         Trial(name, (name,), Prior.of([problem.system.parameter(name)]), values)
@@ -96,7 +96,7 @@ def test_a_batch_gives_what_its_trials_give_alone():
         assert fit.values[trial.name] == pytest.approx(alone.values[trial.name], rel=1e-6, abs=1e-9)
 
 
-def test_a_limit_at_its_null_value_cuts_nothing_in_a_mixed_batch():
+def test_predict_ignores_a_saturation_at_its_null_value_in_a_mixed_batch():
     recording = free_swing()
     torque = recording.channels["torque"]
     full = Series(torque.t, np.full(len(torque.t), 2.0), "N m", "command")
@@ -109,15 +109,15 @@ def test_a_limit_at_its_null_value_cuts_nothing_in_a_mixed_batch():
     assert torch.equal(problem.predict(lanes, state, zero)[0], alone[0])
 
 
-def test_bounds_hold():
+def test_fit_keeps_parameters_within_bounds():
     problem, values = problem_of(free_swing(omega=math.sqrt(14.0)))
     prior = Prior.of([problem.system.parameter("payload.mass")])
-    # The slow swing asks for less weight than there is; a payload cannot be negative.
+    # The best payload for the slow swing is negative, which the bounds exclude.
     fit = problem.fit([Trial("payload", ("payload.mass",), prior, values)])[0]
     assert fit.values["payload.mass"] >= 0.0
 
 
-def test_a_push_is_felt_only_in_its_window():
+def test_predict_changes_only_windows_with_the_push():
     problem, values = problem_of(free_swing())
     theta = np.array([[values[n] for n in problem.names]])
     pushed = theta.copy()
@@ -133,7 +133,7 @@ def test_a_push_is_felt_only_in_its_window():
     assert (moved[torch.from_numpy(~touched)] == 0.0).all()
 
 
-def test_halves_hold_the_same_samples():
+def test_halved_keeps_all_samples():
     problem, _ = problem_of(free_swing())
     halves = halved(problem.windows)
     assert halves.samples == problem.windows.samples
@@ -141,7 +141,7 @@ def test_halves_hold_the_same_samples():
     assert float(halves.t.max()) < halves.length
 
 
-def test_rest_is_left_out():
+def test_moving_excludes_windows_at_rest():
     recording = free_swing()
     theta = recording.channels["theta"]
     still = np.where(theta.t < 4.0, math.pi, theta.value)
@@ -158,14 +158,14 @@ def test_rest_is_left_out():
     assert moving(windows)[4:].all()
 
 
-def test_missing_command_is_named():
+def test_cut_windows_names_a_missing_command():
     recording = free_swing()
     channels = {n: s for n, s in recording.channels.items() if n != "torque"}
     with pytest.raises(LogError, match='the command "torque" of rod_pendulum is missing'):
         cut_windows([Recording(channels)], make_system("rod_pendulum"), 1.0)
 
 
-def test_window_is_about_a_period():
+def test_window_length_is_about_one_period():
     assert window_length(make_system("rod_pendulum")) == pytest.approx(
         2 * math.pi / math.sqrt(15.0), rel=1e-3
     )

@@ -1,4 +1,4 @@
-"""Fits of a system with two joints, to motion integrated by SciPy."""
+"""Fit of a system with two joints to motion integrated by SciPy."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tests.fit.identify_logs import LATE, TRUE, arm_log
 ZEROS = (0.04, -0.03)  # of the second encoder, by log [rad]
 
 
-def test_parameters_of_two_joints_are_recovered():
+def test_fit_recovers_parameters_of_two_joints():
     found = fit([arm_log(0)], "two_link_arm", list(TRUE))
     for name, true in TRUE.items():
         estimate = found.estimates[name]
@@ -18,7 +18,7 @@ def test_parameters_of_two_joints_are_recovered():
     assert found.dispersion.chi2_per_sample == pytest.approx(1.0, abs=0.1)
 
 
-def test_each_joint_has_a_delay_of_its_own():
+def test_fit_recovers_a_delay_for_each_joint():
     delays = {f"actuation_delay(joint {j}).delay": late for j, late in LATE.items()}
     found = fit([arm_log(1, late=True)], "two_link_arm", ["mass_2", *delays], start=_known("mass_2"))
     assert found.estimates["mass_2"].value == pytest.approx(TRUE["mass_2"], rel=0.02)
@@ -26,7 +26,7 @@ def test_each_joint_has_a_delay_of_its_own():
         assert found.estimates[name].value == pytest.approx(late, abs=0.001)
 
 
-def test_the_zero_of_the_second_encoder_is_found_log_by_log():
+def test_fit_recovers_the_second_encoder_zero_of_each_log():
     logs = [arm_log(seed, zero) for seed, zero in zip((2, 3), ZEROS, strict=True)]
     found = fit(logs, "two_link_arm", ["mass_2"], start=_known("mass_2"), zero_sd=0.1)
     zeros = {z.name: z for z in found.zeros}
@@ -35,11 +35,11 @@ def test_the_zero_of_the_second_encoder_is_found_log_by_log():
         zero = zeros[f"zero of angle_2 of log {log}"]
         assert zero.value == pytest.approx(true, abs=4.0 * zero.sd)
         assert zero.sd < 0.01
-        # Turning the whole arm in a horizontal plane changes nothing: that zero stays what its prior says.
+        # A rotation of the whole arm in a horizontal plane does not change the motion, so this zero keeps its prior.
         assert zeros[f"zero of angle_1 of log {log}"].sd == pytest.approx(0.1, rel=0.01)
 
 
-def test_an_effect_without_its_joint_is_completed():
+def test_fit_suggests_joints_for_an_effect_without_joint():
     with pytest.raises(FitError, match=r"did you mean .*coulomb\(joint 1\).torque"):
         fit([arm_log(0)], "two_link_arm", ["coulomb.torque"])
 

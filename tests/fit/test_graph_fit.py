@@ -1,4 +1,4 @@
-"""Fits of a graph's nodes to an episode, and delays that a node hides."""
+"""fit_graph and trainable delays on an episode of a graph."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ TRUE = {"mass": 1.3, "late": 0.37}
 
 
 class Sled(Node):
-    """A mass on a rail whose motor takes a hidden time to answer."""
+    """A mass on a rail whose motor responds after a hidden delay."""
 
     inputs = ("agent",)
 
@@ -73,7 +73,7 @@ def unit():
     return graph, episodes[0]
 
 
-def test_mass_and_hidden_delay_are_found_together(unit):
+def test_fit_graph_recovers_mass_and_trainable_delay(unit):
     graph, episode = unit
     seen = seen_by_supervisor(graph, episode, "sled->agent")
     sd = 1e-3
@@ -91,7 +91,7 @@ def test_mass_and_hidden_delay_are_found_together(unit):
     )
     assert result.estimates["sled.mass"].value == pytest.approx(TRUE["mass"], rel=0.02)
     delay = LOW + result.estimates["sled.late"].value * (HIGH - LOW)
-    # The node runs every 5 ms: an arrival is felt at the next step, so the delay is known to that.
+    # The node runs every 5 ms and uses a message at its next step, so the delay is identified to 5 ms.
     assert delay == pytest.approx(LOW + TRUE["late"] * (HIGH - LOW), abs=0.005)
     assert result.rms["observation"] == pytest.approx(sd, rel=0.1)
     assert result.convergence.stages[0][1][-1] < result.convergence.stages[0][1][0]
@@ -101,12 +101,12 @@ def test_mass_and_hidden_delay_are_found_together(unit):
     ("sought", "message"),
     [
         ({}, "no parameter to fit"),
-        ({"mass": (0.0, 1.0)}, "is no node.parameter"),
+        ({"mass": (0.0, 1.0)}, "is not of the form node.parameter"),
         ({"cart.mass": (0.0, 1.0)}, "the nodes are agent, sled"),
-        ({"sled.mass": (2.0, 1.0)}, "the wrong way round"),
+        ({"sled.mass": (2.0, 1.0)}, "give two finite numbers, the lower one first"),
     ],
 )
-def test_mistakes_are_named(unit, sought, message):
+def test_fit_graph_refuses_wrong_requests(unit, sought, message):
     graph, episode = unit
     with pytest.raises(FitError, match=message):
         fit_graph(graph, episode, {}, sought, {}, {})
@@ -119,13 +119,13 @@ def messages(times, values) -> Input:
 
 
 @pytest.mark.parametrize(("alpha", "expected"), [(0.0, 4.0), (0.5, 2.0), (0.55, 1.0), (1.0, 1.0)])
-def test_held_takes_the_newest_that_had_arrived(alpha, expected):
+def test_held_returns_the_newest_arrived_message(alpha, expected):
     # At t = 1 the delays are 0, 0.4, 0.44 and 0.8 s: instants 1.0, 0.6, 0.56 and 0.2.
     seen = messages([0.1, 0.6, 0.9], [1.0, 2.0, 4.0])
     assert held(seen, torch.tensor(alpha, dtype=F64), 0.0, 0.8).item() == expected
 
 
-def test_interpolated_is_linear_between_messages_and_has_a_gradient():
+def test_interpolated_is_linear_between_messages_and_differentiable():
     seen = messages([-np.inf, 0.5, 0.9], [7.0, 1.0, 3.0])
     alpha = torch.tensor(0.3, dtype=F64, requires_grad=True)
     value = interpolated(seen, alpha, 0.0, 1.0)  # at 0.7: half way from 1 to 3

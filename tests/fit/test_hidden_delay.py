@@ -1,4 +1,4 @@
-"""Distributions of delays that no log shows, recovered from motion simulated by an independent integrator."""
+"""hidden_delays on motion simulated by an independent integrator."""
 
 import math
 from dataclasses import replace
@@ -15,11 +15,11 @@ STEP, PERIOD = 0.001, 0.05  # integration, time between commands [s]
 
 
 def rod_log(delays: np.ndarray, seed: int = 0) -> Recording:
-    """A rod pendulum under random torques, each of which acts after a delay of its own."""
+    """A rod pendulum under random torques; each torque acts after its own delay."""
     rng = np.random.default_rng(seed)
     sent = PERIOD * np.arange(len(delays))
     torque = rng.uniform(-2.0, 2.0, len(delays))
-    # Steer away from whirling: push against the side on which the torques have left the rod.
+    # Without half of the recent mean torque, the rod does not rotate.
     torque -= 0.5 * np.convolve(torque, np.ones(8) / 8)[: len(torque)]
     torque = np.clip(torque, -2.0, 2.0)
     acts = np.maximum.accumulate(sent + delays)
@@ -110,49 +110,49 @@ def assert_the_same(law: HiddenDelays, other: HiddenDelays, share: float) -> Non
     assert other.weights == pytest.approx(law.weights, abs=share * 0.025)
 
 
-def test_mean_spread_and_single_delays_are_recovered():
+def test_hidden_delays_recover_mean_spread_and_each_message():
     result = hidden_delays(found("gaussian"))
     true = drawn("gaussian")[np.round(result.sent / PERIOD).astype(int)]
     assert result.mean == pytest.approx(true.mean(), abs=0.0003)
     assert result.spread == pytest.approx(true.std(), rel=0.1)
     assert result.spread_interval[0] < true.std() < result.spread_interval[1]
     score = (result.delay - true) / result.delay_sd
-    assert np.sqrt((score**2).mean()) == pytest.approx(1.0, abs=0.2)  # the posterior is as sure as it may be
+    assert np.sqrt((score**2).mean()) == pytest.approx(1.0, abs=0.2)  # the posterior sd is calibrated
     assert result.evidence > 10.0
     assert isinstance(result.law, Gaussian)
 
 
-def test_a_constant_delay_is_said_to_be_constant():
+def test_hidden_delays_report_no_evidence_for_a_constant_delay():
     result = hidden_delays(found("constant"))
     assert result.mean == pytest.approx(0.02, abs=0.0003)
     assert result.spread < 0.0006
     assert result.evidence < 10.0
 
 
-def test_a_mixture_is_recovered():
+def test_hidden_delays_recover_a_mixture():
     result = mixture()
     true = drawn("mixture")[np.round(result.sent / PERIOD).astype(int)]
     short = true < 0.02
     assert result.means == pytest.approx([true[short].mean(), true[~short].mean()], abs=0.0005)
     assert result.weights == pytest.approx([short.mean(), 1.0 - short.mean()], abs=0.04)
-    # 1 ms each, below the standard deviation with which a single delay is known.
+    # The spreads are 1 ms each, less than the posterior sd of a single delay.
     assert result.spreads == pytest.approx([true[short].std(), true[~short].std()], rel=0.35)
     assert isinstance(result.law, Mixture)
 
 
-def test_a_mixture_does_not_hang_on_the_last_bits_of_a_log():
+def test_hidden_delays_of_a_mixture_are_independent_of_rounding_of_the_log():
     other = hidden_delays(fitted(rounded_otherwise(rod_log(drawn("mixture")))), components=2)
     assert_the_same(mixture(), other, 0.02)
 
 
-def test_a_mixture_does_not_hang_on_draws_order_and_start():
+def test_hidden_delays_of_a_mixture_are_independent_of_draws_order_and_start():
     # Other draws fall to each message: what differs is the error of the Monte Carlo average.
     other = other_order(other_start(found("mixture"), 0.004))
     assert_the_same(mixture(), hidden_delays(other, components=2, seed=1), 0.2)
 
 
 @pytest.mark.parametrize("kind", ["constant", "gaussian"])
-def test_a_normal_law_does_not_hang_on_rounding_or_order(kind):
+def test_hidden_delays_of_a_normal_law_are_independent_of_rounding_and_order(kind):
     first = hidden_delays(found(kind))
     for other in (fitted(rounded_otherwise(rod_log(drawn(kind)))), other_order(found(kind))):
         again = hidden_delays(other)
@@ -162,6 +162,6 @@ def test_a_normal_law_does_not_hang_on_rounding_or_order(kind):
         assert again.evidence == pytest.approx(first.evidence, rel=1e-5, abs=1e-3)
 
 
-def test_too_few_changes_are_refused():
+def test_hidden_delays_refuse_too_few_changes():
     with pytest.raises(FitError, match="changes often"):
         hidden_delays(found("constant"), components=60)

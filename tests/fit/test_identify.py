@@ -1,4 +1,4 @@
-"""Fits as a user calls them."""
+"""fit() as users call it, on simulated logs."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ def found() -> Identification:
     return fit([pendulum_log()], "pendulum", ASKED)
 
 
-def test_hidden_parameters_and_delay_are_recovered(found: Identification):
+def test_fit_recovers_parameters_and_delay(found: Identification):
     for name, true in TRUE.items():
         estimate = found.estimates[name]
         assert estimate.value == pytest.approx(true, rel=0.02)
@@ -32,7 +32,7 @@ def test_hidden_parameters_and_delay_are_recovered(found: Identification):
     assert found.rms["theta"][0] > 0.01
 
 
-def test_the_optimum_is_that_of_scipy_on_the_same_residuals(found: Identification):
+def test_fit_matches_scipy_least_squares_on_the_same_residuals(found: Identification):
     request = found.request
     problem, count = request.problem(), len(ASKED)
     size = problem.windows.state.numel()
@@ -63,32 +63,32 @@ def test_the_optimum_is_that_of_scipy_on_the_same_residuals(found: Identificatio
         assert found.estimates[name].value == pytest.approx(value, abs=0.02 * found.estimates[name].sd)
 
 
-def test_what_only_a_product_decides_is_said_to_be_unknown():
+def test_loose_in_words_reports_that_only_a_product_is_identified():
     log = pendulum_log()
     known = {"viscous": VISCOUS, "actuation_delay.delay": DELAY}
     result = fit([log], "pendulum", ["mass", "length"], start=known)
     assert len(result.unidentified) == 1
-    # Only m g l enters: to first order +1 % of one is -1 % of the other.
+    # Only the product m g l enters, so +1 % of one is -1 % of the other to first order.
     assert result.loose_in_words() == (
-        "the data cannot tell a change of mass by -1.00 % and length by +1.00 % from none",
+        "the data cannot distinguish a change of mass by -1.00 % and length by +1.00 % from no change",
     ) or result.loose_in_words() == (
-        "the data cannot tell a change of mass by +1.00 % and length by -1.00 % from none",
+        "the data cannot distinguish a change of mass by +1.00 % and length by -1.00 % from no change",
     )
     product = result.estimates["mass"].value * result.estimates["length"].value
     assert product == pytest.approx(MASS * 0.0415, rel=5e-3)
-    assert result.estimates["mass"].high - result.estimates["mass"].low > 0.1  # the interval says so too
+    assert result.estimates["mass"].high - result.estimates["mass"].low > 0.1  # the interval is wide too
 
 
-def test_a_prior_settles_what_the_data_leave_open():
+def test_prior_identifies_a_combination_that_the_data_do_not():
     names = ("mass", "length")
     prior = Prior(("length",), np.array([0.0415]), np.array([[4e-5**2]]))
     known = {"viscous": VISCOUS, "actuation_delay.delay": DELAY}
     result = fit([pendulum_log()], "pendulum", names, start=known, prior=prior)
     assert result.estimates["mass"].value == pytest.approx(MASS, rel=5e-3)
-    assert result.loose_in_words() == ("what is said about length comes from its prior, not from the data",)
+    assert result.loose_in_words() == ("the estimate of length comes from its prior, not from the data",)
 
 
-def test_a_late_channel_and_late_commands_are_told_apart():
+def test_fit_distinguishes_a_late_channel_from_late_commands():
     log = rod_log(mass=1.1)
     theta = log.channels["theta"]
     late = {**log.channels, "theta": Series(theta.t + 0.008, theta.value, "rad", "measurement")}
@@ -98,7 +98,7 @@ def test_a_late_channel_and_late_commands_are_told_apart():
     assert result.estimates["mass"].value == pytest.approx(1.1, rel=0.02)
 
 
-def test_encoder_zeros_are_found_log_by_log():
+def test_fit_recovers_the_encoder_zero_of_each_log():
     logs = [rod_log(seed=1), rod_log(seed=2)]
     shifted = []
     for log, zero in zip(logs, (0.05, -0.03), strict=True):
@@ -113,7 +113,7 @@ def test_encoder_zeros_are_found_log_by_log():
         assert abs(zero.value - true) < 4.0 * zero.sd
 
 
-def test_what_varies_is_found_log_by_log_with_the_mean_of_all():
+def test_varies_recovers_the_value_of_each_log_and_the_mean():
     true = (0.0, 0.06, 0.04)
     logs = [rod_log(seed=k, viscous=v) for k, v in enumerate(true, start=1)]
     shared = fit(logs, "rod_pendulum", ["mass", "viscous"])
@@ -126,7 +126,7 @@ def test_what_varies_is_found_log_by_log_with_the_mean_of_all():
         assert own.unit == "N m s/rad"
         assert abs(own.value - value) < 4.0 * own.sd < 0.01
     mean = result.estimates["viscous"]
-    # The logs are known well: what is left is how much three of them say of the mean.
+    # The value of each log is precise. The uncertainty of the mean comes from the number of logs.
     assert mean.value == pytest.approx(np.mean(true), abs=1e-3)
     assert mean.sd == pytest.approx(0.03 / np.sqrt(3), rel=0.05)
     assert result.estimates["mass"].value == pytest.approx(1.0, rel=0.01)
@@ -134,26 +134,26 @@ def test_what_varies_is_found_log_by_log_with_the_mean_of_all():
     assert said["of_logs"]["viscous of log 2"]["value"] == result.of_logs[1].value
 
 
-def test_a_parameter_that_is_not_found_may_vary_around_its_start():
+def test_varies_accepts_a_parameter_that_is_not_fitted():
     logs = [rod_log(seed=k, viscous=v) for k, v in enumerate((0.01, 0.05), start=1)]
     result = fit(logs, "rod_pendulum", ["mass"], start={"viscous": 0.03}, varies={"viscous": 0.03})
     assert list(result.estimates) == ["mass"]
     assert result.system.parameter("viscous").value == 0.03
     assert [e.value for e in result.of_logs] == pytest.approx([0.01, 0.05], abs=1e-3)
-    # Before the fit nobody knew that they differ.
+    # `before` uses one shared value for both logs.
     before, after, _ = result.rms["theta"]
     assert before > 2.0 * after
 
 
-def test_what_is_short_of_noise_does_not_widen_what_is_known_without_data():
+def test_deflation_does_not_widen_the_prior_of_differences():
     logs = [rod_log(seed=k, viscous=v) for k, v in enumerate((0.01, 0.03, 0.05), start=1)]
-    # A length that is wrong leaves far more than noise.
+    # A wrong length gives residuals far above the noise.
     result = fit(logs, "rod_pendulum", ["viscous"], start={"length": 1.1}, varies={"viscous": 0.03})
     assert result.dispersion.deflation > 20.0
     assert result.estimates["viscous"].sd < 1.5 * 0.03 / np.sqrt(3)
 
 
-def test_a_log_in_which_nothing_moves_has_nothing_of_its_own():
+def test_varies_gives_no_value_for_a_log_at_rest():
     still = rod_log(seed=3)
     resting = {
         name: replace(c, value=np.zeros_like(c.value) if name != "theta" else np.full_like(c.value, np.pi))
@@ -162,11 +162,11 @@ def test_a_log_in_which_nothing_moves_has_nothing_of_its_own():
     logs = [rod_log(seed=1, viscous=0.01), replace(still, channels=resting), rod_log(seed=2, viscous=0.05)]
     result = fit(logs, "rod_pendulum", ["viscous"], varies={"viscous": 0.03})
     assert [e.name for e in result.of_logs] == ["viscous of log 1", "viscous of log 3"]
-    with pytest.raises(FitError, match="moves in one log only"):
+    with pytest.raises(FitError, match="moves in only one log"):
         fit(logs[:2], "rod_pendulum", ["viscous"], varies={"viscous": 0.03})
 
 
-def test_bounds_hold_and_are_told():
+def test_fit_keeps_bounds_and_reports_at_bound():
     result = fit([rod_log(mass=1.1)], "rod_pendulum", ["mass"], bounds={"mass": (0.9, 1.05)})
     estimate = result.estimates["mass"]
     assert estimate.value == pytest.approx(1.05)
@@ -174,7 +174,7 @@ def test_bounds_hold_and_are_told():
     assert estimate.high <= 1.05
 
 
-def test_the_fitted_system_is_saved_and_fitted_again(found: Identification, tmp_path):
+def test_fitted_system_can_be_saved_and_fitted_again(found: Identification, tmp_path):
     save_model(tmp_path / "model.yaml", found.system)
     again = load_model(tmp_path / "model.yaml")
     assert again.parameter("actuation_delay.delay").value == found.estimates["actuation_delay.delay"].value
@@ -189,11 +189,11 @@ def test_the_fitted_system_is_saved_and_fitted_again(found: Identification, tmp_
         (["delay"], {}, "did you mean .*actuation_delay.delay"),
         ([], {}, "no parameter to fit"),
         (["mass"], {"bounds": {"mass": (2.0, 1.0)}}, "the lower one must be below"),
-        (["mass"], {"bounds": {"mass": (0.5, 99.0)}}, "leave what is admissible, 0.1 to 10"),
+        (["mass"], {"bounds": {"mass": (0.5, 99.0)}}, "exceed the admissible range, 0.1 to 10"),
         (["mass"], {"start": {"mass": 50.0}}, "start 50 kg is outside 0.1 to 10"),
-        (["mass"], {"window": 7.0}, "at least 2 are needed"),
-        (["mass"], {"varies": {"mass": 0.1}}, "one log cannot differ from others"),
-        (["mass"], {"varies": {"mass": 0.0}}, "the standard deviation 0 kg must be above 0"),
+        (["mass"], {"window": 7.0}, "a fit needs at least 2"),
+        (["mass"], {"varies": {"mass": 0.1}}, "needs at least two logs"),
+        (["mass"], {"varies": {"mass": 0.0}}, "the standard deviation 0 kg must be positive"),
         (["mass"], {"varies": {"lag.time_constant": 0.1}}, "cannot differ from log to log"),
         (["mass"], {"varies": {"mas": 0.1}}, "did you mean mass"),
         (
@@ -203,12 +203,12 @@ def test_the_fitted_system_is_saved_and_fitted_again(found: Identification, tmp_
         ),
     ],
 )
-def test_what_cannot_be_asked_is_refused(names, options, message):
+def test_fit_refuses_wrong_requests(names, options, message):
     with pytest.raises(FitError, match=message):
         fit([rod_log()], "rod_pendulum", names, **options)
 
 
-def test_the_system_that_was_given_stays_as_it_was():
+def test_fit_does_not_change_the_given_system():
     system = make_system("rod_pendulum")
     before = system.parameters
     fit([rod_log()], system, ["mass"], bounds={"mass": (0.5, 2.0)})  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""`deepkoco identify` from a log on disk to a folder of results."""
+"""`deepkoco identify`: from a log on disk to a folder of results."""
 
 import json
 
@@ -19,7 +19,7 @@ def log(tmp_path_factory):
     return write_log(tmp_path_factory.mktemp("logs") / "steps.csv", pendulum_log(5.0))
 
 
-def test_from_a_log_to_a_folder(log, tmp_path, capsys):
+def test_identify_writes_a_folder_from_a_log(log, tmp_path, capsys):
     out = tmp_path / "found"
     arguments = [str(log), "--parameters", "mass", "--delays", "--bounds", "mass=0.03:0.1", "--out", str(out)]
     assert main(["identify", *arguments]) == 0
@@ -42,7 +42,7 @@ def test_from_a_log_to_a_folder(log, tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
-def test_the_distribution_of_hidden_delays(tmp_path, capsys):
+def test_identify_writes_hidden_delays(tmp_path, capsys):
     effects = {"actuation_delay": {"delay": {"mean": 0.02, "sd": 0.004}}}
     unit = make_unit("rod_pendulum", effects=effects, sensor={"rate_hz": 200}, seed=4)
     log = write_log(tmp_path / "prbs.csv", record(unit, "prbs", 15.0, clock="simulated", seed=4))
@@ -59,7 +59,7 @@ def test_the_distribution_of_hidden_delays(tmp_path, capsys):
     assert (out / "delays.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_system_of_two_joints(tmp_path, capsys):
+def test_identify_fits_a_system_of_two_joints(tmp_path, capsys):
     log = write_log(tmp_path / "arm.csv", arm_log(0))
     arguments = ["--parameters", "mass_2", "--start", "viscous_1=1.8", "viscous_2=0.6", "--json"]
     assert main(["identify", str(log), *arguments, "--out", str(tmp_path / "found")]) == 0
@@ -67,7 +67,7 @@ def test_a_system_of_two_joints(tmp_path, capsys):
     assert found["value"] == pytest.approx(TRUE["mass_2"], rel=0.02)
 
 
-def test_logs_with_frictions_of_their_own(tmp_path, capsys):
+def test_identify_varies_friction_between_logs(tmp_path, capsys):
     logs = [
         str(write_log(tmp_path / f"{k}.csv", rod_log(5.0, seed=k, viscous=v)))
         for k, v in enumerate((0.01, 0.05), start=1)
@@ -88,13 +88,13 @@ def test_logs_with_frictions_of_their_own(tmp_path, capsys):
         (["--method", "newton"], "is none of lm, cma"),
         (["--bounds", "mass=1"], "expected NAME=NUMBER:NUMBER"),
         (["--prior", "mass=1:0"], "must be positive"),
-        (["--population", "20"], "belongs to --method cma"),
+        (["--population", "20"], "needs --method cma"),
         (["--system", "rocket"], 'unknown system "rocket"'),
         (["--hidden-delays", "0"], "1 to 8 components"),
         (["--window", "0"], "between 0.05 and 60 s"),
     ],
 )
-def test_mistakes_are_one_line(log, tmp_path, capsys, arguments, message):
+def test_identify_reports_a_mistake_in_one_line(log, tmp_path, capsys, arguments, message):
     assert main(["identify", str(log), "--out", str(tmp_path / "none"), *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error

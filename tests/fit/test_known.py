@@ -1,4 +1,4 @@
-"""Logs that are known to differ, and commands that a log does not show, on a servo that scipy simulates."""
+"""Known differences of logs, and commands that are not logged, on a servo simulated by SciPy."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def fitted(logs):
     return {n: fit.values[n] for n in fit.free}, fit.chi2 / windows.samples
 
 
-def test_one_fit_spans_logs_with_different_payloads():
+def test_refit_spans_logs_with_known_payloads():
     logs = [servo_log(0.0, off_at=2.0), servo_log(0.4, known=0.4, off_at=2.0)]
     found, left = fitted(logs)
     assert left < 1.2
@@ -64,7 +64,7 @@ def test_one_fit_spans_logs_with_different_payloads():
     assert unaware > 10.0 * left
 
 
-def test_a_switch_that_the_log_does_not_show_is_on():
+def test_cut_windows_uses_the_default_of_an_unlogged_command():
     system = make_system("servo_pendulum")
     windows = cut_windows([servo_log(0.0, seconds=1.5)], system, 1.0)
     assert windows.commands[0].column(1).tolist() == [1.0] * 150
@@ -74,12 +74,12 @@ def test_a_switch_that_the_log_does_not_show_is_on():
     ("known", "message"),
     [
         ({"payload.mas": 1.0}, 'servo_pendulum has no parameter "payload.mas" that may differ'),
-        ({"gain.factor": 1.0}, "gain.factor"),  # it acts on a command, of which all logs share the path
+        ({"gain.factor": 1.0}, "gain.factor"),  # effects on commands cannot differ from log to log
         ({"payload.mass": "1 kg"}, "expected a number in the parameter's unit, got '1 kg'"),
         ({"payload.mass": float("nan")}, "expected a number"),
         (["payload"], "expected parameters and numbers"),
     ],
 )
-def test_what_cannot_be_known_is_refused(known, message):
+def test_known_of_refuses_wrong_differences(known, message):
     with pytest.raises(LogError, match=message):
         known_of([replace(servo_log(0.0, seconds=0.1), meta={"known": known})], make_system("servo_pendulum"))

@@ -1,4 +1,4 @@
-"""Mixtures of delays known through a linear response, against scikit-learn's EM and by hand."""
+"""mixture_law against the EM of scikit-learn, and on drawn delays."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from deepkoco.fit.delays.linear_delays import LinearDelays, MixtureLaw, _Compone
 
 
 def seen(delays: np.ndarray, noise_sd: float, seed: int = 0, windows: int = 20) -> LinearDelays:
-    """Each message seen once, alone, with noise; the messages shared out over windows."""
+    """Likelihood of delays that are each measured once with noise; messages are distributed over windows."""
     rng = np.random.default_rng(seed)
     values = delays + noise_sd * rng.standard_normal(len(delays))
     members = np.array_split(np.arange(len(delays)), windows)
@@ -25,7 +25,7 @@ def delays(count: int = 600) -> np.ndarray:
     return np.where(rng.random(count) < 0.6, 0.01, 0.03) + 0.002 * rng.standard_normal(count)
 
 
-def test_of_delays_seen_without_noise_it_is_the_mixture_of_scikit_learn():
+def test_mixture_law_matches_scikit_learn_without_noise():
     true = delays()
     found = mixture_law(seen(true, 1e-5), true, 2, np.random.default_rng(2))
     theirs = GaussianMixture(2, random_state=0, tol=1e-8, reg_covar=1e-12).fit(1e3 * true[:, None])
@@ -38,14 +38,16 @@ def test_of_delays_seen_without_noise_it_is_the_mixture_of_scikit_learn():
     assert found.weights == pytest.approx(theirs.weights_[order], abs=0.01)
 
 
-def test_noise_as_large_as_the_spread_does_not_widen_the_law():
+def test_mixture_law_is_not_widened_by_noise():
     true, noise_sd = delays(1500), 0.002
     found = mixture_law(seen(true, noise_sd), true, 2, np.random.default_rng(2))
     assert found.means == pytest.approx([0.01, 0.03], abs=3e-4)
-    assert found.spreads == pytest.approx([0.002, 0.002], rel=0.15)  # unmended: 2.8 ms
+    assert found.spreads == pytest.approx(
+        [0.002, 0.002], rel=0.15
+    )  # without the correction for noise: 2.8 ms
 
 
-def test_a_message_that_began_in_the_wrong_component_leaves_it():
+def test_mixture_law_recovers_from_wrong_initial_components():
     true = delays()
     wrong = 0.04 - true  # every message starts in the other component
     found = mixture_law(seen(true, 0.001), wrong, 2, np.random.default_rng(2))

@@ -1,4 +1,4 @@
-"""Noise estimated from a series."""
+"""estimate_noise and quantum_of on simulated series."""
 
 import numpy as np
 import pytest
@@ -11,14 +11,14 @@ from deepkoco.logs.quantum import quantum_of
 
 @settings(max_examples=20, deadline=None)
 @given(sd=st.floats(1e-4, 1.0), seed=st.integers(0, 2**16))
-def test_noise_on_a_smooth_motion_with_irregular_stamps(sd, seed):
+def test_estimate_noise_recovers_sd_on_smooth_motion_with_irregular_stamps(sd, seed):
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.005, 0.015, 2000))
     value = 2.0 * np.sin(3.0 * t) + sd * rng.standard_normal(len(t))
     assert estimate_noise(t, value, 1.0).sd == pytest.approx(sd, rel=0.12)
 
 
-def test_outliers_do_not_count_as_noise():
+def test_estimate_noise_ignores_outliers():
     rng = np.random.default_rng(0)
     t = np.arange(2000) / 100.0
     value = np.sin(t) + 0.01 * rng.standard_normal(2000)
@@ -26,24 +26,24 @@ def test_outliers_do_not_count_as_noise():
     assert estimate_noise(t, value, 1.0).sd == pytest.approx(0.01, rel=0.15)
 
 
-def test_rounding_is_noise_of_quantum_over_root_12():
+def test_estimate_noise_of_rounding_is_quantum_over_root_12():
     t = np.arange(1000) / 1000.0
     value = np.round(t * 3.0 / 0.01) * 0.01  # a slow ramp: steps are rare, differences mostly zero
     assert quantum_of(value) == pytest.approx(0.01)
     assert estimate_noise(t, value, 1.0).sd >= 0.01 / np.sqrt(12.0) * 0.999
 
 
-def test_short_series_falls_back():
+def test_estimate_noise_uses_fallback_for_short_series():
     assert estimate_noise(np.arange(10.0), np.zeros(10), 0.7).sd == 0.7
 
 
-def test_the_grid_of_an_encoder_is_found_behind_rounding():
-    """Few digits in the file, and an unwrapped turn that adds rounding of its own."""
+def test_quantum_of_finds_encoder_steps_in_rounded_values():
+    """The values have few digits, and unwrapping adds rounding errors."""
     ticks = np.random.default_rng(0).integers(-300, 300, 5000)
     value = np.round(ticks * 2.0 * np.pi / 2048.0, 7)
     value[::7] += 2.0 * np.pi
     value[::7] -= 2.0 * np.pi
     assert quantum_of(value) == pytest.approx(2.0 * np.pi / 2048.0, rel=1e-5)
     assert quantum_of(np.random.default_rng(1).normal(size=5000)) == 0.0
-    # Twice each: as many levels as a grid has, but no step that fits all of them.
+    # Each value occurs twice: as few levels as on a grid, but no common step.
     assert quantum_of(np.repeat(np.random.default_rng(2).normal(size=500), 2)) == 0.0

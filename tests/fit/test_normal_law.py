@@ -1,4 +1,4 @@
-"""The normal law of delays against the multivariate normal of scipy."""
+"""normal_law against the multivariate normal distribution of SciPy."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from deepkoco.fit.delays.normal_law import DROP_95, NormalLaw, normal_law
 
 
 def linear(mean: float, spread: float, seed: int, windows: int = 12, each: int = 8) -> LinearDelays:
-    """Delays seen through random linear responses with noise of 2 ms."""
+    """Delays measured by random linear responses with noise of 2 ms."""
     rng = np.random.default_rng(seed)
     members = np.array_split(np.arange(windows * each), windows)
     information, pull = [], []
@@ -24,7 +24,7 @@ def linear(mean: float, spread: float, seed: int, windows: int = 12, each: int =
 
 
 def log_likelihood(data: LinearDelays, mean: float, spread: float) -> float:
-    """Of a law: A^-1 h is the delays and noise of covariance A^-1."""
+    """Log likelihood of a law: A^-1 h is the sum of the delays and noise with covariance A^-1."""
     total = 0.0
     for a, h in zip(data.information, data.pull, strict=True):
         noise = np.linalg.inv(a)
@@ -35,7 +35,7 @@ def log_likelihood(data: LinearDelays, mean: float, spread: float) -> float:
 
 
 @pytest.mark.parametrize("spread", [0.003, 0.0])
-def test_the_law_is_where_the_likelihood_of_scipy_is_highest(spread):
+def test_normal_law_maximises_the_likelihood_of_scipy(spread):
     data = linear(0.02, spread, 0)
     law = normal_law(data)
     best = log_likelihood(data, law.mean, law.spread)
@@ -46,7 +46,7 @@ def test_the_law_is_where_the_likelihood_of_scipy_is_highest(spread):
     assert law.evidence == pytest.approx(2.0 * (best - constant), abs=0.02)
 
 
-def test_the_interval_of_the_spread_ends_where_the_likelihood_has_fallen():
+def test_normal_law_spread_interval_ends_at_the_likelihood_drop():
     data = linear(0.02, 0.003, 1)
     law = normal_law(data)
     best = log_likelihood(data, law.mean, law.spread)
@@ -55,7 +55,7 @@ def test_the_interval_of_the_spread_ends_where_the_likelihood_has_fallen():
         assert max(log_likelihood(data, m, end) for m in means) == pytest.approx(best - DROP_95, abs=1e-3)
 
 
-def test_the_standard_error_of_the_mean_is_that_of_the_likelihood():
+def test_normal_law_mean_sd_matches_the_curvature_of_the_likelihood():
     data = linear(0.02, 0.003, 2)
     law = normal_law(data)
     fall = [log_likelihood(data, law.mean + k * law.mean_sd, law.spread) for k in (-1.0, 0.0, 1.0)]
@@ -63,7 +63,7 @@ def test_the_standard_error_of_the_mean_is_that_of_the_likelihood():
     assert fall[1] - fall[2] == pytest.approx(0.5, rel=1e-3)
 
 
-def test_a_spread_that_cannot_be_told_from_none_has_an_interval_from_zero():
+def test_normal_law_spread_interval_begins_at_zero_for_constant_delays():
     law = normal_law(linear(0.02, 0.0, 3))
     assert law.spread_interval[0] == 0.0
     assert law.spread <= law.spread_interval[1] < 0.002
@@ -75,14 +75,14 @@ def test_a_spread_that_cannot_be_told_from_none_has_an_interval_from_zero():
     spread=st.sampled_from([0.0, 1e-4, 1e-3, 5e-3]),
     seed=st.integers(0, 1000),
 )
-def test_the_law_does_not_hang_on_rounding(mean, spread, seed):
+def test_normal_law_is_independent_of_rounding(mean, spread, seed):
     data = linear(mean, spread, seed)
     rng = np.random.default_rng(seed)
 
     def off(x: np.ndarray) -> np.ndarray:
         return x * (1.0 + 1e-13 * rng.standard_normal(x.shape))
 
-    # The information stays symmetric, as every product of a response with itself is.
+    # The information must stay symmetric.
     moved = [0.5 * (a + a.T) for a in map(off, data.information)]
     first = normal_law(data)
     other = normal_law(LinearDelays(data.members, moved, [off(h) for h in data.pull]))
@@ -92,7 +92,7 @@ def test_the_law_does_not_hang_on_rounding(mean, spread, seed):
     assert other.evidence == pytest.approx(first.evidence, abs=1e-4)
 
 
-def test_messages_without_effect_leave_the_mean_open():
+def test_normal_law_has_no_mean_without_information():
     own = np.arange(4)
     law = normal_law(LinearDelays([own], [np.zeros((4, 4))], [np.zeros(4)]))
     assert law == NormalLaw(0.0, law.spread, np.inf, law.spread_interval, 0.0)

@@ -1,4 +1,4 @@
-"""Parameters that vary from log to log: every log has its own around a mean of all (random effects)."""
+"""Parameters that vary from log to log around a common mean (random effects)."""
 
 from dataclasses import replace
 
@@ -38,8 +38,8 @@ def fitted(problem):
     return problem.fit([Trial("mean", ("viscous",), prior, start.values)], 60, 1e-9)[0]
 
 
-def test_the_optimum_is_that_of_dense_least_squares(windows):
-    """scipy, over the mean, what each log differs by, and all initial states at once."""
+def test_fit_with_varies_matches_dense_least_squares(windows):
+    """SciPy minimises over the mean, the differences of the logs and all initial states together."""
     problem = problem_of(windows, viscous=SPREAD)
     fit = fitted(problem)
     column, logs = problem.names.index("viscous"), len(CHANGES)
@@ -63,7 +63,7 @@ def test_the_optimum_is_that_of_dense_least_squares(windows):
     assert fit.information[0, 0] == pytest.approx(1.0 / dense[0, 0] - 1.0 / 0.02**2, rel=1e-3)
 
 
-def test_each_log_gets_its_own(windows):
+def test_fit_with_wide_varies_equals_fits_of_single_logs(windows):
     problem = problem_of(windows, viscous=1.0)
     fit = fitted(problem)
     own = fit.values["viscous"] + fit.nuisance.numpy()
@@ -74,13 +74,13 @@ def test_each_log_gets_its_own(windows):
     assert fit.chi2 < 0.25 * fitted(problem_of(windows)).chi2
 
 
-def test_logs_that_hardly_vary_share_theirs(windows):
+def test_fit_with_narrow_varies_equals_a_shared_parameter(windows):
     shared, tight = fitted(problem_of(windows)), fitted(problem_of(windows, viscous=1e-7))
     assert tight.values["viscous"] == pytest.approx(shared.values["viscous"], rel=1e-4)
     assert tight.cost == pytest.approx(shared.cost, rel=1e-5)
 
 
-def test_what_was_fitted_can_be_held_as_known(windows):
+def test_known_in_predicts_the_same_as_fitted_differences(windows):
     problem = problem_of(windows, viscous=SPREAD)
     fit = fitted(problem)
     known = FitProblem(problem.system, problem.nuisances.known_in(problem.windows, fit.nuisance))
@@ -91,8 +91,8 @@ def test_what_was_fitted_can_be_held_as_known(windows):
     torch.testing.assert_close(held, free, rtol=0.0, atol=1e-12)
 
 
-def test_an_actuator_that_varies_acts_on_the_commands_of_its_log():
-    """The lag of a motor is no part of the equations of motion."""
+def test_predict_applies_a_varying_lag_to_its_log_only():
+    """The lag of a motor acts on the command, not in the equations of motion."""
     system = make_system("quadrotor_height")
     logs = [hidden_log("quadrotor_height", {}, "steps", seed, 5.0) for seed in (1, 2)]
     windows = cut_windows(logs, system, 1.0)
@@ -112,8 +112,8 @@ def test_an_actuator_that_varies_acts_on_the_commands_of_its_log():
 
 
 @pytest.mark.parametrize("free", [(), ("mass_1",), ("viscous_1", "mass_1", "viscous_2")])
-def test_zeros_and_parameters_of_every_log_are_at_the_optimum_whatever_else_is_free(free):
-    """Two joints, two logs, encoder zeros, one difference that is known; by central differences of the cost."""
+def test_fit_minimises_over_zeros_and_differences_of_two_joints(free):
+    """Two joints, two logs, encoder zeros, one known difference; checked by central differences of the cost."""
     system = make_system("two_link_arm")
     logs = [hidden_log("two_link_arm", {}, drive, 3, 4.0) for drive in ("chirp", "steps")]
     windows = cut_windows(logs, system, 1.0)
@@ -136,7 +136,7 @@ def test_zeros_and_parameters_of_every_log_are_at_the_optimum_whatever_else_is_f
         step[k] = 1e-3 * sd
         down, up = cost(fit.nuisance - step), cost(fit.nuisance + step)
         curvature = (down + up - 2.0 * fit.chi2 - 2.0 * problem.nuisances.penalty(fit.nuisance)) / 1e-6
-        # What a step of Newton's would still win.
+        # Decrease of the cost that a Newton step would give.
         assert ((up - down) / 2e-3) ** 2 / (2.0 * curvature) < 1e-2
     known, held = problem.as_fitted(fit)
     assert held.nuisance.shape == (2 * 2,)
@@ -147,7 +147,7 @@ def test_zeros_and_parameters_of_every_log_are_at_the_optimum_whatever_else_is_f
     )
 
 
-def test_windows_kept_back_have_what_was_fitted_to_their_log(windows):
+def test_elsewhere_sets_fitted_differences_in_held_out_windows(windows):
     train, held = (
         windows.take(np.arange(len(windows)) % 2 == 0),
         windows.take(np.arange(len(windows)) % 2 == 1),
@@ -160,7 +160,7 @@ def test_windows_kept_back_have_what_was_fitted_to_their_log(windows):
     assert problem.values_in(fit, 1)["viscous"] == pytest.approx(
         fit.values["viscous"] + float(fit.nuisance[1])
     )
-    # Those of other logs have parameters that nobody knows.
+    # Windows with parameters that vary are returned unchanged.
     others = replace(held, varies={"viscous": SPREAD})
     assert problem.elsewhere(others, fit) is others
     told, not_told = (FitProblem(problem.system, w).evaluate(fit.values) for w in (own, held))

@@ -1,4 +1,4 @@
-"""CMA-ES against its library's own reference problems, and as a method of the fit."""
+"""cma_es and Box against the package `cma`, and CMA-ES as a method of the fit."""
 
 import builtins
 import importlib
@@ -21,7 +21,7 @@ def batched(function):
 
 
 @pytest.mark.parametrize("name", ["sphere", "elli", "rosen"])
-def test_reference_problems_are_solved(name):
+def test_cma_es_solves_reference_problems(name):
     found = cma_es(
         batched(getattr(cma.ff, name)),
         np.full(4, 0.3),
@@ -37,7 +37,7 @@ def test_reference_problems_are_solved(name):
     assert found.converged
 
 
-def test_it_goes_the_way_of_the_library_itself():
+def test_cma_es_repeats_the_library_without_bounds():
     draws = np.random.default_rng(5)
     options = {
         "verbose": -9,
@@ -47,7 +47,7 @@ def test_it_goes_the_way_of_the_library_itself():
     }
     theirs = cma.CMAEvolutionStrategy([0.0] * 4, 1.0, options)
     while not theirs.stop():
-        points = theirs.make_request()
+        points = theirs.ask()
         theirs.tell(points, [cma.ff.rosen(0.3 + 0.5 * p) for p in points])
     ours = cma_es(
         batched(cma.ff.rosen),
@@ -67,7 +67,7 @@ def test_it_goes_the_way_of_the_library_itself():
     st.lists(st.tuples(st.floats(-50, 50), st.floats(1e-3, 100)), min_size=1, max_size=4), st.integers(0, 99)
 )
 @settings(max_examples=40, deadline=None)
-def test_the_box_is_folded_as_the_library_does(bounds, seed):
+def test_box_folds_like_the_library(bounds, seed):
     low = np.array([b[0] for b in bounds])
     high = low + [b[1] for b in bounds]
     theirs = cma.transformations.BoxConstraintsLinQuadTransformation(list(zip(low, high, strict=True)))
@@ -78,15 +78,15 @@ def test_the_box_is_folded_as_the_library_does(bounds, seed):
     assert box.inverse(inside) == pytest.approx(theirs.inverse(inside), rel=1e-6, abs=1e-6)
 
 
-def test_a_bound_on_one_side_leaves_the_other_free():
+def test_box_with_one_bound_folds_one_side_only():
     box = Box(np.array([0.0, -np.inf]), np.array([np.inf, np.inf]))
     points = np.array([[-3.0, -3.0], [0.0, 1e6], [7.0, 2.0]])
     assert (box.fold(points)[:, 1] == points[:, 1]).all()
-    # 3 below a bound at 0 with its margin of 0.05: 0.05 + (3 - 0.05) beyond where the map turns round, less 0.05.
+    # 3 below a bound at 0 with its margin of 0.05: 0.05 + (3 - 0.05) beyond the reflection point, less 0.05.
     assert box.fold(points)[:, 0] == pytest.approx([2.9, 0.0125, 7.0])
 
 
-def test_in_a_box_it_goes_the_way_of_the_library_itself():
+def test_cma_es_repeats_the_library_within_bounds():
     low, high, start, spread = np.full(3, -0.2), np.full(3, 0.9), np.full(3, 0.3), np.full(3, 0.5)
     draws = np.random.default_rng(5)
     options = {
@@ -95,14 +95,14 @@ def test_in_a_box_it_goes_the_way_of_the_library_itself():
     }  # fmt: skip
     theirs = cma.CMAEvolutionStrategy([0.0] * 3, 1.0, options)
     while not theirs.stop():
-        points = theirs.make_request()
+        points = theirs.ask()
         theirs.tell(points, [cma.ff.rosen(0.3 + 0.5 * p) for p in points])
     args = (batched(cma.ff.rosen), start, spread, low, high, np.random.default_rng(5))
     ours = cma_es(*args, generations=25, tolerance=0.0)
     assert ours.cost == pytest.approx(theirs.result.fbest, rel=1e-9)
 
 
-def test_bounds_hold_and_a_seed_repeats_without_touching_global_draws():
+def test_cma_es_keeps_bounds_and_repeats_by_seed_without_global_draws():
     seen = []
 
     def cost(points):
@@ -121,7 +121,7 @@ def test_bounds_hold_and_a_seed_repeats_without_touching_global_draws():
     assert np.concatenate(seen)[:, 0].max() <= 1.0
 
 
-def test_a_point_without_a_cost_does_not_stop_the_search():
+def test_cma_es_tolerates_points_without_finite_cost():
     def cost(points):
         return np.where(points[:, 0] < 0, np.nan, ((points - 0.5) ** 2).sum(1))
 
@@ -136,7 +136,7 @@ def test_a_point_without_a_cost_does_not_stop_the_search():
     assert found.best == pytest.approx([0.5, 0.5], abs=1e-2)
 
 
-def test_the_fit_by_populations_ends_where_the_gradient_ends():
+def test_cma_es_fit_matches_levenberg_marquardt():
     asked = ["mass", "actuation_delay.delay"]
     bounds = {"mass": (0.03, 0.1), "actuation_delay.delay": (0.0, 0.05)}
     log = pendulum_log(5.0)
@@ -150,7 +150,7 @@ def test_the_fit_by_populations_ends_where_the_gradient_ends():
     assert found.convergence.stages[0][1][-1] < found.convergence.stages[0][1][0]
 
 
-def test_populations_find_what_varies_as_well():
+def test_cma_es_fit_with_varies_matches_levenberg_marquardt():
     logs = [rod_log(4.0, seed=k, viscous=v) for k, v in enumerate((0.01, 0.05), start=1)]
     options = {"varies": {"viscous": 0.03}, "bounds": {"viscous": (0.0, 0.2)}}
     smooth = fit(logs, "rod_pendulum", ["viscous"], **options)
@@ -161,7 +161,7 @@ def test_populations_find_what_varies_as_well():
         assert a.sd == pytest.approx(b.sd, rel=0.1)
 
 
-def test_the_missing_library_names_its_extra(monkeypatch):
+def test_cma_es_names_the_extra_of_a_missing_library(monkeypatch):
     real = importlib.import_module
     monkeypatch.setattr(
         "deepkoco.fit.solve.cma.import_module",

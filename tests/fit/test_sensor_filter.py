@@ -1,4 +1,4 @@
-"""The filter of the sensors against its closed form."""
+"""Sensor filter against its closed form."""
 
 import math
 
@@ -8,7 +8,7 @@ from deepkoco.fit.simulate.sensor_filter import filtered
 from deepkoco.fit.simulate.simulator import Nodes
 
 
-def test_a_cubic_is_filtered_exactly_and_a_lane_without_filter_stays():
+def test_filtered_is_exact_on_cubics_and_keeps_lanes_without_filter():
     h, slow = 0.1, 0.07
     t = h * torch.arange(6, dtype=torch.float64)
     value, rate = t**3, 3.0 * t**2

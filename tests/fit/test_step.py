@@ -1,4 +1,4 @@
-"""Integration steps with a reversal under dry friction, against motions worked out by hand."""
+"""Integration steps with a reversal under dry friction, against motions in closed form."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def rubbing(motion):
 
 
 def exact(speed, force):
-    """Place and speed after a step that begins at 0 with a speed above 0 under a constant force."""
+    """Position and speed after a step from position 0 with a positive speed under a constant force."""
     braking = (force - FRICTION) / MASS
     if speed + braking * H >= 0.0:
         return speed * H + 0.5 * braking * H**2, speed + braking * H
@@ -52,7 +52,7 @@ def exact(speed, force):
 
 @settings(deadline=None)
 @given(speed=st.floats(0.002, 0.05), force=st.floats(-4.0, -1.0))
-def test_divided_step_gives_the_motion_of_a_reversal_under_dry_friction(speed, force):
+def test_divided_step_reproduces_a_reversal_under_dry_friction(speed, force):
     (sharpest,) = sharpest_widths(CartPole().smoothing_speeds[:1])
     angle, fast, drive = row(0.0), row(speed), driven((force, force), 1)
     width = widths(row(abs(force - FRICTION) / MASS), (sharpest,), H)
@@ -69,7 +69,7 @@ def test_divided_step_gives_the_motion_of_a_reversal_under_dry_friction(speed, f
 
 @settings(deadline=None)
 @given(angle=st.floats(-2.0, 2.0), speed=st.floats(-2.0, 2.0), force=st.floats(-1.0, 1.0))
-def test_divided_step_is_the_whole_step_of_a_smooth_motion(angle, speed, force):
+def test_divided_step_equals_the_whole_step_of_a_smooth_motion(angle, speed, force):
     def law(motion):
         return (motion.efforts[0] - torch.sin(motion.angles[0]) - 0.1 * motion.speeds[0],)
 
@@ -79,11 +79,11 @@ def test_divided_step_is_the_whole_step_of_a_smooth_motion(angle, speed, force):
     part = divided(law, start, fast, drive, width, (0.01,), H, torch.tensor([0]), PARTS)
     for a, b in zip(part[:3], whole[:3], strict=True):
         assert float(a[0]) == pytest.approx(float(b[0][0]), abs=1e-9)
-    # The acceleration at the end is that of the last stage, whose state is right to a lower order.
+    # The acceleration at the end comes from the last stage, whose state has a lower order.
     assert float(part.last[0]) == pytest.approx(float(whole.last[0][0]), abs=1e-4)
 
 
-def test_replaced_changes_the_windows_that_reverse_alone():
+def test_replaced_changes_only_the_windows_that_reverse():
     width = (torch.tensor(0.001, dtype=torch.float64),)
     before, drive = row(0.5, 0.01, -0.5), driven((-3.0, -3.0), 3)
     whole = step_of(rubbing, row(0.0, 0.0, 0.0), before, drive, width, H)
@@ -96,7 +96,7 @@ def test_replaced_changes_the_windows_that_reverse_alone():
     assert len(reversing(before, whole.speed, width, (1,))) == 0
 
 
-def test_scales_of_dry_friction_belong_to_the_unit_of_the_joint():
+def test_dry_friction_scales_have_the_unit_of_the_joint():
     cart, arm = CartPole(), make_system("two_link_arm")
     assert arm.smoothing_speeds == (0.05, 0.05)
     assert arm.reversal_steps == (1, 1)
@@ -111,7 +111,7 @@ def test_scales_of_dry_friction_belong_to_the_unit_of_the_joint():
         assert speed.low == cart.smoothing_speeds[joint]
 
 
-def test_lanes_with_and_without_dry_friction_are_predicted_as_each_alone():
+def test_predict_of_mixed_dry_friction_lanes_equals_single_lanes():
     cart = CartPole()
     windows = cut_windows([cart_pole_log(0.7, 0, 3.0)], cart, 1.0)
     names = ("coulomb(cart)", "viscous(cart)", "stribeck(cart)")

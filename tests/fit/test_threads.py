@@ -1,4 +1,4 @@
-"""The number of threads is restored, whatever happens."""
+"""one_thread restores the number of threads, also after an error."""
 
 import pytest
 import torch
@@ -11,7 +11,7 @@ def _fail_on_one_thread() -> None:
         raise ArithmeticError(f"{torch.get_num_threads()} thread")
 
 
-def test_one_thread_inside_and_as_before_outside():
+def test_one_thread_restores_the_number_of_threads():
     before = torch.get_num_threads()
     with pytest.raises(ArithmeticError, match=r"^1 thread$"):
         _fail_on_one_thread()

@@ -1,4 +1,4 @@
-"""The unscented filter against filterpy and the exact Kalman filter, and what keeps it from breaking."""
+"""Unscented filter against filterpy and the exact Kalman filter, and its numerical limits."""
 
 import math
 
@@ -25,7 +25,7 @@ def seen(x: torch.Tensor) -> torch.Tensor:
     return torch.stack([torch.sin(x[..., 0]), x[..., 1]], -1)
 
 
-def test_it_is_the_filter_of_filterpy():
+def test_unscented_filter_matches_filterpy():
     q, r = np.array([[2e-4, 1e-4], [1e-4, 3e-3]]), np.array([0.02, 0.1])
     rule = SigmaPoints(alpha=0.9, beta=2.0, kappa=1.0)
     theirs = UnscentedKalmanFilter(
@@ -55,7 +55,7 @@ def test_it_is_the_filter_of_filterpy():
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=30, deadline=None)
-def test_of_a_linear_system_it_is_the_exact_filter(seed):
+def test_unscented_filter_is_exact_for_linear_systems(seed):
     rng = np.random.default_rng(seed)
     size, channels = int(rng.integers(1, 5)), int(rng.integers(1, 4))
     a, c = rng.standard_normal((size, size)), rng.standard_normal((channels, size))
@@ -78,7 +78,7 @@ def test_of_a_linear_system_it_is_the_exact_filter(seed):
     assert belief.covariance[0].numpy() == pytest.approx(covariance, abs=1e-8)
 
 
-def test_a_missing_channel_is_as_if_it_were_not_there():
+def test_update_with_a_missing_channel_equals_update_without_it():
     rule, sd = SigmaPoints(), torch.tensor([0.1, 0.2], dtype=F64)
     belief = Belief(
         torch.tensor([[0.4, -0.3]], dtype=F64), torch.tensor([[[0.5, 0.0], [0.2, 0.4]]], dtype=F64)
@@ -93,7 +93,7 @@ def test_a_missing_channel_is_as_if_it_were_not_there():
     assert torch.allclose(none.covariance, belief.covariance)
 
 
-def test_a_batch_is_its_environments_one_by_one():
+def test_update_of_a_batch_equals_single_environments():
     generator = torch.Generator().manual_seed(0)
     mean = torch.randn(5, 2, generator=generator, dtype=F64)
     root = torch.randn(5, 2, 2, generator=generator, dtype=F64).tril()
@@ -110,18 +110,18 @@ def test_a_batch_is_its_environments_one_by_one():
         assert torch.allclose(together.covariance[b], alone.covariance[0])
 
 
-def test_an_angle_is_taken_the_short_way():
+def test_update_wraps_the_innovation_of_an_angle():
     belief = Belief(torch.tensor([[math.pi - 0.01, 0.0]], dtype=F64), 0.1 * torch.eye(2, dtype=F64)[None])
     angle = torch.tensor([True])
     measured = torch.tensor([[-math.pi + 0.01]], dtype=F64)
     found, _ = update(
         belief, lambda x: x[..., :1], measured, torch.tensor([0.1], dtype=F64), SigmaPoints(), angle
     )
-    # Prior and sensor are equally sure and 0.02 rad apart: half way.
+    # Prior and sensor have equal variance and differ by 0.02 rad, so the mean is half way.
     assert float(found.mean[0, 0]) == pytest.approx(math.pi, abs=1e-9)
 
 
-def test_a_nearly_perfect_sensor_does_not_cost_the_covariance_its_sign():
+def test_update_keeps_covariance_positive_with_a_nearly_perfect_sensor():
     belief = Belief(torch.zeros(1, 2, dtype=F64), torch.diag(torch.tensor([1e4, 1e4], dtype=F64))[None])
     for _ in range(200):
         belief = predict(belief, swing, 1e-9 * torch.eye(2, dtype=F64), SigmaPoints())
@@ -131,6 +131,6 @@ def test_a_nearly_perfect_sensor_does_not_cost_the_covariance_its_sign():
     assert float(torch.linalg.eigvalsh(belief.covariance)[0, 0]) >= 0.0
 
 
-def test_weights_that_could_make_a_covariance_negative_are_refused():
+def test_sigma_points_refuse_negative_covariance_weights():
     with pytest.raises(FilterError, match="must not be negative"):
         SigmaPoints(alpha=1e-3, beta=2.0).weights(3)

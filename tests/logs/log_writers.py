@@ -1,4 +1,4 @@
-"""Writes one log in every format that can be read."""
+"""Write one log in every format that can be read."""
 
 from __future__ import annotations
 

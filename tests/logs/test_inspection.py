@@ -1,4 +1,4 @@
-"""`deepkoco inspect`: what it sees in a log, what it proposes, and how it says so."""
+"""`deepkoco inspect`: survey of a log, proposed mapping, and possible mistakes."""
 
 import json
 import sys
@@ -50,7 +50,7 @@ def proposed(path: Path, frame: pd.DataFrame, system: str = "torque_pendulum"):
         {"t": "t", "theta": "a", "omega": "b", "torque": "c"},
     ],
 )
-def test_columns_are_found_by_name_or_by_what_their_numbers_do(tmp_path, motion, names):
+def test_propose_finds_columns_by_name_or_by_values(tmp_path, motion, names):
     frame = motion.rename(columns=names).assign(
         temperature=21.5, noise=np.random.default_rng(0).normal(size=len(motion))
     )
@@ -62,7 +62,7 @@ def test_columns_are_found_by_name_or_by_what_their_numbers_do(tmp_path, motion,
     assert proposal.time == "s"
 
 
-def test_an_unnamed_command_is_found_by_what_it_drives(tmp_path, motion):
+def test_propose_finds_an_unnamed_command_by_the_motion_it_explains(tmp_path, motion):
     rng = np.random.default_rng(0)
     frame = motion.rename(columns={"torque": "in_1"}).assign(in_2=rng.choice([-1.0, 1.0], len(motion)))
     frame = frame.rename(columns={"in_1": "x_input", "in_2": "y_input"})
@@ -80,11 +80,11 @@ def test_an_unnamed_command_is_found_by_what_it_drives(tmp_path, motion):
         ({"t": 1e3}, {"theta": "rad", "omega": "rad/s"}),
     ],
 )
-def test_units_follow_from_the_ratio_of_angle_and_speed(tmp_path, motion, factors, units):
+def test_propose_derives_units_from_the_ratio_of_angle_and_speed(tmp_path, motion, factors, units):
     frame = motion.assign(theta=2 * motion["theta"], omega=2 * motion["omega"])
     frame = frame.assign(**{name: frame[name] * factor for name, factor in factors.items()})
     found, proposal, choices = proposed(tmp_path / "log.csv", frame)
-    if len(factors) < 2:  # both in degrees is the same as both in radians but for the range
+    if len(factors) < 2:  # only the range distinguishes both in degrees from both in radians
         assert {name: choices[name].unit for name in units} == units
     assert proposal.time == ("ms" if "t" in factors else "s")
     text = " ".join(doubts_of(found, proposal))
@@ -92,7 +92,7 @@ def test_units_follow_from_the_ratio_of_angle_and_speed(tmp_path, motion, factor
         assert "check it" in text
 
 
-def test_a_unit_in_the_name_is_believed_and_a_contradiction_told(tmp_path, motion):
+def test_propose_uses_units_in_names_and_doubts_report_contradictions(tmp_path, motion):
     degrees = motion.rename(columns={"theta": "theta_deg"}).assign(theta_deg=np.degrees(motion["theta"]))
     _, _, choices = proposed(tmp_path / "right.csv", degrees[["t", "torque", "theta_deg", "omega"]])
     assert (choices["theta"].unit, choices["theta"].stated) == ("deg", True)
@@ -103,7 +103,7 @@ def test_a_unit_in_the_name_is_believed_and_a_contradiction_told(tmp_path, motio
     )
 
 
-def test_two_joints_keep_their_columns_apart(tmp_path):
+def test_propose_assigns_columns_to_two_joints(tmp_path):
     t = 0.01 * np.arange(800)
     q1, q2 = np.sin(2 * t), 0.5 * np.cos(5 * t)
     frame = pd.DataFrame(
@@ -123,7 +123,7 @@ def test_two_joints_keep_their_columns_apart(tmp_path):
     assert named == wanted
 
 
-def test_gaps_resets_bursts_duplicates_and_constants_are_counted(tmp_path, motion):
+def test_survey_counts_gaps_resets_bursts_duplicates_and_constants(tmp_path, motion):
     first, second = motion.iloc[:300], motion.iloc[300:].assign(t=lambda f: f["t"] - f["t"].iloc[0])
     frame = pd.concat([first.drop(index=range(100, 150)), second], ignore_index=True)
     frame = frame.assign(run=np.repeat([0, 1], [250, len(second)]), dead=3.0)
@@ -142,7 +142,7 @@ def test_gaps_resets_bursts_duplicates_and_constants_are_counted(tmp_path, motio
     assert columns["theta"].far == 1
     text = " ".join(doubts_of(found, proposal))
     for part in (
-        "goes back at data row 251",
+        "decreases at data row 251",
         "where: {run: 0}",
         "repeats a stamp 1 times",
         '"dead" never changes',
@@ -151,7 +151,7 @@ def test_gaps_resets_bursts_duplicates_and_constants_are_counted(tmp_path, motio
 
 
 @pytest.mark.parametrize("name", ["json.mcap", "ros1.bag", "ros2_sqlite"])
-def test_a_proposal_for_a_bag_reads_back(tmp_path, motion, name, capsys):
+def test_inspect_writes_a_mapping_of_a_bag_that_read_log_accepts(tmp_path, motion, name, capsys):
     if name != "json.mcap":
         pytest.importorskip("rosbags")
     path = WRITERS[name](tmp_path / name, {k: motion[k].to_numpy() for k in motion})
@@ -180,7 +180,7 @@ def test_a_proposal_for_a_bag_reads_back(tmp_path, motion, name, capsys):
     assert "map.yaml: exists" in capsys.readouterr().err
 
 
-def test_json_holds_everything(tmp_path, motion, capsys):
+def test_inspect_json_contains_columns_and_proposal(tmp_path, motion, capsys):
     motion.to_csv(tmp_path / "log.csv", index=False)
     assert main(["inspect", str(tmp_path / "log.csv"), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
@@ -193,14 +193,14 @@ def test_json_holds_everything(tmp_path, motion, capsys):
     }
 
 
-def test_of_systems_that_fit_alike_one_must_be_chosen(tmp_path, motion, capsys):
+def test_inspect_out_needs_system_if_several_fit_equally_well(tmp_path, motion, capsys):
     motion.to_csv(tmp_path / "log.csv", index=False)
     assert main(["inspect", str(tmp_path / "log.csv"), "--out", str(tmp_path / "m.yaml")]) == 2
-    assert "alike; choose with --system" in capsys.readouterr().err
+    assert "equally well; give --system" in capsys.readouterr().err
     assert not (tmp_path / "m.yaml").exists()
 
 
-def test_a_sidecar_that_contradicts_the_numbers_is_told(tmp_path, motion, capsys):
+def test_inspect_reports_a_sidecar_that_contradicts_the_values(tmp_path, motion, capsys):
     path = tmp_path / "log.csv"
     motion.assign(theta=np.degrees(motion["theta"])).to_csv(path, index=False)
     channels = {"theta": {"column": "theta", "unit": "rad", "kind": "measurement"}}
@@ -215,7 +215,7 @@ def test_a_sidecar_that_contradicts_the_numbers_is_told(tmp_path, motion, capsys
     assert shown.err.count("\n") == 1
 
 
-def test_a_table_without_time_is_no_log(tmp_path):
+def test_propose_refuses_a_table_without_time(tmp_path):
     pd.DataFrame({"name": ["a", "b"], "mean_ms": [3.0, 2.0]}).to_csv(tmp_path / "a.csv", index=False)
     with pytest.raises(NoProposalError, match="no column is a time"):
         propose(survey_log(open_log(tmp_path / "a.csv")))
@@ -235,12 +235,12 @@ def test_a_table_without_time_is_no_log(tmp_path):
         ("s", None, None, None),
     ],
 )
-def test_names_are_taken_apart(name, unit, number, joint):
+def test_read_name_splits_unit_number_and_joint(name, unit, number, joint):
     hints = read_name(name)
     assert (hints.unit, hints.number, hints.joint) == (unit, number, joint)
 
 
-def test_a_switch_is_taken_for_what_its_name_says_only(tmp_path):
+def test_propose_maps_a_switch_only_by_its_name(tmp_path):
     """A servo's goal, its switch, and a torque that is neither."""
     t = np.arange(0.0, 6.0, 0.016)
     goal = np.sin(1.5 * t) + 0.4 * np.sin(7.0 * t)
@@ -262,7 +262,7 @@ def test_a_switch_is_taken_for_what_its_name_says_only(tmp_path):
     assert choices["enable"].column.name == "torque_enable"
 
 
-def test_joints_that_move_together_raise_no_doubt_about_units(tmp_path):
+def test_doubts_accept_units_of_joints_that_move_together(tmp_path):
     t = np.arange(0.0, 8.0, 0.004)
     wave = np.sin(3.0 * t) + 0.3 * np.sin(8.0 * t)
     rate = 3.0 * np.cos(3.0 * t) + 2.4 * np.cos(8.0 * t)

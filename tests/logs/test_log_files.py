@@ -1,4 +1,4 @@
-"""Logs in MCAP files and bags: topics, fields, joints, clocks; and what a bad one is told."""
+"""Logs in MCAP files and bags: topics, fields, joints, clocks and errors."""
 
 import shutil
 import sys
@@ -35,7 +35,7 @@ def needs_ros(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_every_format_gives_the_same_numbers(tmp_path, name):
+def test_read_log_gives_the_same_values_in_every_format(tmp_path, name):
     needs_ros(name)
     wanted = signals()
     recording = read_log(WRITERS[name](tmp_path / name, wanted), mapping(), channels=CHANNELS)
@@ -45,13 +45,13 @@ def test_every_format_gives_the_same_numbers(tmp_path, name):
         np.testing.assert_allclose(recording.channels[channel].t, wanted["t"], atol=2e-9)
 
 
-def test_a_measurement_can_be_stamped_when_it_was_received(tmp_path):
+def test_read_log_uses_the_time_received_of_a_channel(tmp_path):
     path = write_json_mcap(tmp_path / "a.mcap", signals())
     received = read_log(path, mapping(time="received")).channels["theta"].t
     np.testing.assert_allclose(received, signals()["t"] + 0.002, atol=2e-9)
 
 
-def test_a_joint_is_found_by_name_and_an_element_by_number(tmp_path):
+def test_read_log_finds_a_joint_by_name_and_an_element_by_number(tmp_path):
     path = write_json_mcap(tmp_path / "a.mcap", signals())
     content = mapping()
     content["channels"]["theta"] |= {"joint": None, "field": "position[shoulder]"}
@@ -62,7 +62,7 @@ def test_a_joint_is_found_by_name_and_an_element_by_number(tmp_path):
     np.testing.assert_array_equal(by_number[::2], 0.5)
 
 
-def test_messages_of_other_joints_are_no_samples_of_this_one():
+def test_topic_columns_skip_messages_of_other_joints():
     columns = TopicColumns("", 0)
     for k in range(4):
         columns.add(k, {"name": ["a" if k % 2 else "b"], "position": [float(k)]})
@@ -71,7 +71,7 @@ def test_messages_of_other_joints_are_no_samples_of_this_one():
     assert table.frame["position[a]"].dropna().tolist() == [1.0, 3.0]
 
 
-def test_nested_fields_and_stamps_become_columns():
+def test_topic_columns_convert_nested_fields_and_stamps():
     columns = TopicColumns("", 10**18)
     message = {
         "joints": {"names": ["x", "y"], "position": [1, 2]},
@@ -94,7 +94,7 @@ def test_nested_fields_and_stamps_become_columns():
     }
 
 
-def test_recordings_of_our_own_runtimes_are_logs(tmp_path):
+def test_read_log_accepts_recordings_of_our_own_runtimes(tmp_path):
     from deepkoco.graph import write_episodes
     from deepkoco.graph.episodes.episode import Episode
     from deepkoco.graph.episodes.storage.description import RecordedNode
@@ -129,7 +129,7 @@ def test_recordings_of_our_own_runtimes_are_logs(tmp_path):
         read_log(path, content)
 
 
-def test_channels_may_be_in_several_files_with_clocks_of_their_own(tmp_path):
+def test_read_log_joins_files_with_different_clocks(tmp_path):
     wanted = signals()
     path = write_json_mcap(tmp_path / "state.mcap", wanted)
     epoch = START_NS / 1e9
@@ -143,7 +143,7 @@ def test_channels_may_be_in_several_files_with_clocks_of_their_own(tmp_path):
     np.testing.assert_allclose(recording.channels["torque"].t, wanted["t"], atol=1e-6)  # float64 of 1.7e9 s
 
 
-def test_dates_are_times(tmp_path):
+def test_read_log_accepts_dates_as_times(tmp_path):
     wanted = signals()
     dates = pd.to_datetime(1_700_000_000 + wanted["t"], unit="s")
     path = write_csv(tmp_path / "a.csv", {**wanted, "t": [d.isoformat() for d in dates]})
@@ -164,7 +164,7 @@ def test_dates_are_times(tmp_path):
 
 @pytest.mark.parametrize("cut", [0.3, 0.7, 0.98])
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_file_that_is_cut_off_is_told(tmp_path, name, cut):
+def test_read_log_refuses_a_truncated_file(tmp_path, name, cut):
     needs_ros(name)
     path = WRITERS[name](tmp_path / name, signals())
     file = path if path.is_file() else next(f for f in path.iterdir() if f.suffix != ".yaml")
@@ -175,15 +175,15 @@ def test_a_file_that_is_cut_off_is_told(tmp_path, name, cut):
     assert "Traceback" not in str(caught.value)
 
 
-def test_a_missing_topic_field_or_joint_is_told_with_those_there_are(tmp_path):
+def test_read_log_names_a_missing_topic_field_or_joint(tmp_path):
     path = write_json_mcap(tmp_path / "a.mcap", signals())
     for change, message in (
         ({"topic": "/joint_state"}, 'no topic "/joint_state"'),
         ({"field": "positions"}, r'field "positions\[shoulder\]" is missing; the topic has'),
         ({"joint": "wrist"}, r'field "position\[wrist\]" is missing'),
-        ({"field": "position..x"}, "is no path like joints.position"),
+        ({"field": "position..x"}, "is not a path such as joints.position"),
         ({"time": "header.time"}, r'field "header.time" is missing'),
-        ({"column": "theta"}, "give a column, or a topic and a field"),
+        ({"column": "theta"}, "give either a column, or a topic and a field"),
     ):
         content = mapping()
         content["channels"]["theta"] |= change
@@ -191,7 +191,7 @@ def test_a_missing_topic_field_or_joint_is_told_with_those_there_are(tmp_path):
             read_log(path, content)
 
 
-def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch):
+def test_read_log_names_the_extra_of_a_missing_library(tmp_path, monkeypatch):
     pytest.importorskip("rosbags")
     bag = write_ros1_bag(tmp_path / "a.bag", signals())
     mcap = write_ros_mcap(tmp_path / "a.mcap", signals())
@@ -201,7 +201,7 @@ def test_without_the_library_the_extra_is_named(tmp_path, monkeypatch):
             read_log(path, mapping())
 
 
-def test_a_single_database_of_a_bag_is_a_log(tmp_path):
+def test_read_log_accepts_a_single_database_of_a_bag(tmp_path):
     pytest.importorskip("rosbags")
     folder = WRITERS["ros2_sqlite"](tmp_path / "bag", signals())
     database = next(folder.glob("*.db3"))
@@ -210,7 +210,7 @@ def test_a_single_database_of_a_bag_is_a_log(tmp_path):
     np.testing.assert_array_equal(recording.channels["theta"].value, signals()["theta"])
 
 
-def test_semicolons_with_decimal_commas_are_read(tmp_path):
+def test_open_log_reads_semicolons_with_decimal_commas(tmp_path):
     path = tmp_path / "a.csv"
     pd.DataFrame(signals()).to_csv(path, index=False, sep=";", decimal=",")
     log = open_log(path)
@@ -222,13 +222,13 @@ def test_semicolons_with_decimal_commas_are_read(tmp_path):
     ("raw", "message"),
     [
         (b"t,\xb0\n1,2\n", "byte 0xb0 in line 1; save the file as UTF-8"),
-        ("t,x\n1,2\n".encode("utf-16"), "text in UTF-16"),
-        (b"0,1\n1,2\n", "first row holds numbers"),
+        ("t,x\n1,2\n".encode("utf-16"), "in UTF-16; save it as UTF-8"),
+        (b"0,1\n1,2\n", "first row contains numbers"),
         (b"t theta\n1 2\n", "is one column; separate the columns"),
         (b"t,x\n1,\x002\n", "zero byte in line 2"),
     ],
 )
-def test_text_that_is_no_table_is_told(tmp_path: Path, raw: bytes, message: str) -> None:
+def test_open_log_refuses_text_without_a_table(tmp_path: Path, raw: bytes, message: str) -> None:
     (tmp_path / "a.csv").write_bytes(raw)
     with pytest.raises(LogError, match=message):
         open_log(tmp_path / "a.csv")

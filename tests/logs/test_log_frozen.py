@@ -1,4 +1,4 @@
-"""Frozen sensors are found wherever they show, and a joint that rests is not taken for one."""
+"""Detection of frozen sensors, and of working sensors that repeat values."""
 
 import numpy as np
 import pytest
@@ -46,12 +46,12 @@ def freeze(series: Series, first: int, count: int) -> Series:
     count=st.integers(30, 120),
     step=st.sampled_from([0.0, 1e-3]),
 )
-def test_a_frozen_channel_is_found_with_its_times(seed, name, first, count, step):
+def test_frozen_stretches_find_channel_and_times(seed, name, first, count, step):
     channels = swing(seed, noise=0.0 if step else 1e-3, step=step)
     damaged = {**channels, name: freeze(channels[name], first, count)}
     found = frozen_stretches(damaged, PAIRS)
     assert [f.channel for f in found] == [name]
-    # A sample beside it may have the same value by chance, where values are rounded.
+    # With rounding, the next sample can have the same value by chance.
     assert abs(found[0].start - 0.01 * first) < 0.035
     assert abs(found[0].stop - 0.01 * (first + count - 1)) < 0.035
     kept = without_frozen(damaged[name], found)
@@ -64,30 +64,30 @@ def test_a_frozen_channel_is_found_with_its_times(seed, name, first, count, step
     noise=st.sampled_from([0.0, 1e-4, 1e-2]),
     step=st.sampled_from([0.0, 1e-3, 2e-2]),
 )
-def test_a_joint_that_rests_is_not_frozen(seed, noise, step):
+def test_frozen_stretches_ignore_a_joint_at_rest(seed, noise, step):
     assert frozen_stretches(swing(seed, noise, step), PAIRS) == []
 
 
-def test_channels_that_freeze_together_are_both_told():
+def test_frozen_stretches_find_channels_that_freeze_together():
     channels = swing(3)
     found = frozen_stretches({n: freeze(s, 720, 90) for n, s in channels.items()}, PAIRS)
     assert [(f.channel, f.first, f.last) for f in found] == [("omega", 720, 809), ("theta", 720, 809)]
 
 
-def test_an_angle_alone_is_frozen_where_it_jumps_at_the_end():
+def test_frozen_stretches_find_a_single_angle_by_its_jump():
     theta = swing(0)["theta"]
     found = frozen_stretches({"theta": freeze(theta, 100, 60)}, [])
     assert [(f.first, f.last) for f in found] == [(100, 159)]
 
 
-def test_a_command_that_holds_is_no_frozen_sensor():
+def test_frozen_stretches_ignore_constant_commands():
     channels = swing(1)
     torque = Series(np.arange(0, 10, 0.01), np.repeat([0.3, -0.2, 1.0, 0.0], 250), "N m", "command")
     assert frozen_stretches({**channels, "torque": torque}, PAIRS) == []
 
 
 @pytest.mark.parametrize("name", ["theta", "omega"])
-def test_reading_warns_and_leaves_the_stretch_out(tmp_path, name):
+def test_read_log_warns_and_leaves_frozen_samples_out(tmp_path, name):
     channels = swing(2)
     t = channels["theta"].t
     channels["torque"] = Series(t, np.sin(3.0 * t), "N m", "command")
@@ -108,7 +108,7 @@ def test_reading_warns_and_leaves_the_stretch_out(tmp_path, name):
 
 
 def motion(omega: np.ndarray, rate: float, steps: tuple[float, float]) -> dict[str, Series]:
-    """A joint with this speed, by an encoder and a tachometer of these resolutions."""
+    """Position and speed of a joint, rounded to the resolutions of an encoder and a tachometer."""
     t = np.arange(len(omega)) / rate
     theta = np.append(0.0, np.cumsum(0.5 * (omega[1:] + omega[:-1]) / rate))
     theta, omega = (step * np.round(value / step) for step, value in zip(steps, (theta, omega), strict=True))
@@ -119,7 +119,7 @@ def motion(omega: np.ndarray, rate: float, steps: tuple[float, float]) -> dict[s
 
 
 def driven(time_constant: float) -> np.ndarray:
-    """20 s of a motor that is told 0, 3, 0 and -3 rad/s in turn."""
+    """20 s of a motor with the set speeds 0, 3, 0 and -3 rad/s in turn."""
     omega, told = np.zeros(2000), np.repeat([0.0, 3.0, 0.0, -3.0] * 5, 100)
     for k in range(1, 2000):
         omega[k] = told[k] + (omega[k - 1] - told[k]) * np.exp(-0.01 / time_constant)
@@ -127,7 +127,7 @@ def driven(time_constant: float) -> np.ndarray:
 
 
 def knocked() -> np.ndarray:
-    """At rest but for three knocks."""
+    """Speed of a joint at rest that is hit three times."""
     t = np.arange(2000) / 100.0
     return np.sum(
         [2.0 * np.exp(-(t - at) / 0.5) * (t >= at) * ((t - at) < 4.0) for at in (3.0, 9.0, 15.0)], axis=0
@@ -172,14 +172,14 @@ def dead_band() -> np.ndarray:
     ],
 )
 @pytest.mark.parametrize("alone", [False, True])
-def test_what_looks_frozen_and_is_not(channels, alone):
+def test_frozen_stretches_ignore_repeated_values_of_working_sensors(channels, alone):
     if alone:
         assert all(frozen_stretches({name: series}, []) == [] for name, series in channels.items())
     else:
         assert frozen_stretches(channels, PAIRS) == []
 
 
-def test_a_log_that_is_mostly_frozen_is_refused(tmp_path):
+def test_read_log_refuses_a_mostly_frozen_log(tmp_path):
     channels = swing(2)
     channels["torque"] = Series(channels["theta"].t, np.sin(3.0 * channels["theta"].t), "N m", "command")
     for first in (20, 600, 800):
@@ -189,7 +189,7 @@ def test_a_log_that_is_mostly_frozen_is_refused(tmp_path):
         read_log(path)
 
 
-def test_many_stretches_are_told_in_one_line():
+def test_summarised_merges_many_stretches_into_one_warning():
     channels = swing(4)
     for first in range(0, 400, 80):
         channels["theta"] = freeze(channels["theta"], first, 40)

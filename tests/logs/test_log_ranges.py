@@ -1,4 +1,4 @@
-"""Angles whose range no machine has are refused, also where their steps look like turns."""
+"""check_units on angles with an implausible range, also if unwrapping takes their steps for turns."""
 
 import math
 from pathlib import Path
@@ -22,12 +22,12 @@ SWING = np.sin(0.03 * np.arange(2000))
 
 
 @pytest.mark.parametrize("factor", [300.0, 3000.0, 3e5])
-def test_a_scale_that_is_far_off_is_refused(factor):
+def test_check_units_refuses_an_implausible_scale(factor):
     with pytest.raises(LogError, match="if it is in deg"):
         checked(factor * SWING)
 
 
-def test_a_wrapped_angle_and_single_wild_samples_are_not():
+def test_check_units_accepts_wrapped_angles_and_single_glitches():
     assert checked(np.mod(0.3 * np.arange(2000), 2 * math.pi)) == []
     wild = SWING.copy()
     wild[[3, 700]] = 1e6

@@ -1,4 +1,4 @@
-"""Reading and writing of measured logs, and what a bad log is told."""
+"""Reading and writing of measured logs, and errors for bad logs."""
 
 from pathlib import Path
 
@@ -41,7 +41,7 @@ def save(folder: Path, frame: pd.DataFrame, content: dict | None = None) -> Path
     return path
 
 
-def test_reads_every_channel_bit_for_bit(tmp_path):
+def test_read_log_gives_the_bits_of_every_channel(tmp_path):
     frame = table()
     recording = read_log(save(tmp_path, frame), channels=CHANNELS)
     assert recording.system == "rod_pendulum"
@@ -52,7 +52,7 @@ def test_reads_every_channel_bit_for_bit(tmp_path):
     assert (recording.start, recording.stop) == (0.0, frame["t"].iloc[-1])
 
 
-def test_converts_units_to_those_of_the_system(tmp_path):
+def test_read_log_converts_units_to_those_of_the_system(tmp_path):
     frame = table()
     content = sidecar(time={"column": "t", "unit": "ms"})
     content["channels"]["theta"]["unit"] = "deg"
@@ -67,14 +67,14 @@ def test_converts_units_to_those_of_the_system(tmp_path):
     assert [series.unit for series in recording.channels.values()] == ["N m", "rad", "rad/s"]
 
 
-def test_reads_parquet_and_a_mapping_given_as_dict(tmp_path):
+def test_read_log_accepts_parquet_and_a_mapping_as_dict(tmp_path):
     frame = table()
     frame.to_parquet(tmp_path / "log.parquet")
     recording = read_log(tmp_path / "log.parquet", mapping=sidecar(), channels=CHANNELS)
     np.testing.assert_array_equal(recording.channels["omega"].value, frame["omega"])
 
 
-def test_a_command_may_have_its_own_time_column_and_repeat(tmp_path):
+def test_read_log_removes_repeated_samples_of_a_command(tmp_path):
     frame = table()
     frame["t_command"] = np.repeat(frame["t"].to_numpy()[::4], 4) + 0.001
     frame["command"] = np.repeat(frame["command"].to_numpy()[::4], 4)
@@ -86,7 +86,7 @@ def test_a_command_may_have_its_own_time_column_and_repeat(tmp_path):
     np.testing.assert_array_equal(series.hold(np.array([0.0, 0.08, 0.081])), series.value[[0, 0, 1]])
 
 
-def test_cutting_keeps_the_command_that_holds_at_the_start():
+def test_between_keeps_the_command_that_holds_at_the_start():
     command = Series([0.0, 1.0, 2.0], [1.0, 2.0, 3.0], "V", "command")
     theta = Series([0.0, 1.0, 2.0], [0.0, 0.1, 0.2], "rad", "measurement")
     cut = Recording({"voltage": command, "theta": theta}).between(1.5, 2.0)
@@ -95,7 +95,7 @@ def test_cutting_keeps_the_command_that_holds_at_the_start():
 
 
 @pytest.mark.parametrize(("fill", "expected"), [("drop", [0, 3]), ("hold", [0, 0, 0, 3])])
-def test_missing_values_can_be_dropped_or_held(tmp_path, fill, expected):
+def test_fill_drops_or_holds_missing_values(tmp_path, fill, expected):
     frame = table()
     values = np.arange(100.0)
     values[1:3] = np.nan
@@ -110,7 +110,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 
 @settings(max_examples=25, deadline=None)
 @given(data=st.data(), shared=st.booleans())
-def test_written_logs_read_back_bit_for_bit(tmp_path_factory, data, shared):
+def test_write_log_and_read_log_keep_the_bits(tmp_path_factory, data, shared):
     times = st.sets(st.floats(0, 1e9), min_size=2, max_size=9)
     t = np.array(sorted(data.draw(times)))
     other = t if shared else np.array(sorted({t[0], *data.draw(times)}))
@@ -136,7 +136,7 @@ def test_written_logs_read_back_bit_for_bit(tmp_path_factory, data, shared):
         assert (back.channels[name].unit, back.channels[name].kind) == (series.unit, series.kind)
 
 
-def test_writing_never_overwrites(tmp_path):
+def test_write_log_never_overwrites(tmp_path):
     path = save(tmp_path, table())
     before = path.read_bytes()
     with pytest.raises(LogError, match=r"log\.csv: exists"):
@@ -172,15 +172,15 @@ BAD_TABLES = {
     "too few": (table(10), r'channel "theta" is too short: 10 samples, at least 20'),
     "too short": (
         table(step=0.001),
-        r"too short: the measurements cover 0.099 s .*check the unit of the time",
+        r"too short: all measurements together cover 0.099 s, .*check the unit of the time",
     ),
     "constant command": (table().assign(command=0.5), r'command "torque" is constant \(0.5 N m\)'),
-    "no rows": (table(0), r"has no rows"),
+    "no rows": (table(0), r"contains no data rows"),
 }
 
 
 @pytest.mark.parametrize("name", BAD_TABLES)
-def test_bad_tables_are_refused_with_place_and_advice(tmp_path, name):
+def test_read_log_refuses_bad_tables_with_place_and_advice(tmp_path, name):
     frame, message = BAD_TABLES[name]
     path = save(tmp_path, frame)
     with pytest.raises(LogError, match=message) as caught:
@@ -200,12 +200,15 @@ BAD_SIDECARS = {
         channel("omega", unit="deg"),
         r'channel "omega".*measures angle, expected angular velocity',
     ),
-    "time in metres": (sidecar(time={"column": "t", "unit": "m"}), r'unit "m" is no unit of time'),
+    "time in metres": (sidecar(time={"column": "t", "unit": "m"}), r'unit "m" is not a unit of time'),
     "no time": ({k: v for k, v in sidecar().items() if k != "time"}, r'key "time" is missing'),
     "unknown key": (sidecar(sytem="x"), r'unknown key "sytem"'),
     "wrong kind": (channel("theta", kind="sensor"), r'kind "sensor" is none of command, measurement'),
-    "kind of another": (channel("theta", kind="command"), r'"theta".*kind is command, the system has it as'),
-    "mixed units": (channel("theta", column="omega"), r'column "omega" is given mixed units, rad and rad/s'),
+    "kind of another": (
+        channel("theta", kind="command"),
+        r'"theta".*kind is command, but measurement in the system',
+    ),
+    "mixed units": (channel("theta", column="omega"), r'column "omega" has mixed units, rad and rad/s'),
     "list of units": (channel("theta", unit=["rad", "deg"]), r"one column has one unit"),
     "wrong system": (sidecar(system="pendulum"), r'of system "pendulum", asked for "rod_pendulum"'),
     "unknown system": (sidecar(system="arm"), r'unknown system "arm"; known: pendulum, rod_pendulum'),
@@ -224,7 +227,7 @@ BAD_SIDECARS = {
 
 
 @pytest.mark.parametrize("name", BAD_SIDECARS)
-def test_bad_sidecars_are_refused_with_place_and_advice(tmp_path, name):
+def test_read_log_refuses_bad_sidecars_with_place_and_advice(tmp_path, name):
     content, message = BAD_SIDECARS[name]
     path = save(tmp_path, table(), content)
     with pytest.raises(LogError, match=message) as caught:
@@ -232,14 +235,14 @@ def test_bad_sidecars_are_refused_with_place_and_advice(tmp_path, name):
     assert "log.yaml" in str(caught.value)
 
 
-def test_a_header_that_contradicts_the_mapping_is_refused(tmp_path):
+def test_read_log_refuses_a_unit_that_contradicts_the_header(tmp_path):
     frame = table().rename(columns={"theta": "theta [deg]"})
     path = save(tmp_path, frame, channel("theta", column="theta [deg]"))
     with pytest.raises(LogError, match="mixed units, the header says deg, the mapping says rad"):
         read_log(path)
 
 
-def test_a_time_header_that_contradicts_the_mapping_is_refused(tmp_path):
+def test_read_log_refuses_a_time_unit_that_contradicts_the_header(tmp_path):
     frame = table().rename(columns={"t": "t [ms]"})
     path = save(tmp_path, frame, sidecar(time={"column": "t [ms]", "unit": "s"}))
     with pytest.raises(
@@ -248,7 +251,7 @@ def test_a_time_header_that_contradicts_the_mapping_is_refused(tmp_path):
         read_log(path)
 
 
-def test_times_in_two_units_are_noticed(tmp_path):
+def test_read_log_refuses_times_in_two_units(tmp_path):
     frame = table()
     frame["t_command"] = frame["t"] * 1000 + 1e6
     path = save(tmp_path, frame, channel("torque", time="t_command"))
@@ -271,13 +274,13 @@ def test_times_in_two_units_are_noticed(tmp_path):
         ("log.parquet", "nonsense", "not readable as parquet"),
     ],
 )
-def test_damaged_files_are_refused(tmp_path, name, text, message):
+def test_read_log_refuses_damaged_files(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(LogError, match=message):
         read_log(tmp_path / name, mapping=sidecar())
 
 
-def test_a_missing_file_or_sidecar_is_told(tmp_path):
+def test_read_log_names_a_missing_file_or_sidecar(tmp_path):
     with pytest.raises(LogError, match=r"absent\.csv: no such file"):
         read_log(tmp_path / "absent.csv")
     table().to_csv(tmp_path / "log.csv", index=False)
@@ -285,13 +288,13 @@ def test_a_missing_file_or_sidecar_is_told(tmp_path):
         read_log(tmp_path / "log.csv")
 
 
-def test_a_folder_in_place_of_a_log_is_told(tmp_path):
+def test_read_log_refuses_a_folder(tmp_path):
     with pytest.raises(LogError, match=r"is a folder; give the log file in it"):
         read_log(tmp_path)
 
 
-def test_a_failed_write_leaves_nothing_behind(tmp_path):
-    """The disk takes the small sidecar, then no more than the first 4 kB of the log."""
+def test_write_log_leaves_no_files_after_a_failure(tmp_path):
+    """The limit of the file size allows the small sidecar, but only the first 4 kB of the log."""
     resource = pytest.importorskip("resource")
     t = np.arange(2000) / 7
     recording = Recording({"theta": Series(t, np.sin(t), "rad", "measurement")})
@@ -306,7 +309,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path):
     write_log(tmp_path / "log.csv", recording)
 
 
-def test_empty_cells_at_the_end_of_rows_are_accepted(tmp_path):
+def test_read_log_accepts_empty_cells_at_the_end_of_rows(tmp_path):
     path = save(tmp_path, table())
     header, *rows = path.read_text().splitlines()
     plain = read_log(path)
@@ -315,7 +318,7 @@ def test_empty_cells_at_the_end_of_rows_are_accepted(tmp_path):
     np.testing.assert_array_equal(trailing.channels["omega"].value, plain.channels["omega"].value)
 
 
-def test_a_column_without_a_single_value_is_refused_in_words(tmp_path):
+def test_read_log_refuses_a_column_without_values(tmp_path):
     frame = table()
     frame["command"] = np.nan
     with pytest.raises(LogError, match='channel "torque" is too short: 0 samples'):

@@ -1,1 +1,1 @@
-"""From recordings to what a fit compares with: windows and their noise."""
+"""Prepare recordings for a fit: windows, sensor noise, and known differences of the logs."""

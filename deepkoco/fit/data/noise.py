@@ -1,4 +1,4 @@
-"""Sensor noise estimated from a measured series itself."""
+"""Estimate the sensor noise of a measured series by differences."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ ORDERS = range(2, 9)  # polynomial degrees that the differences remove
 
 
 class Noise(NamedTuple):
-    """Standard deviation of a channel's noise, in the channel's unit, and its relative uncertainty."""
+    """Standard deviation of a channel's noise in the channel's unit, and relative standard error of it."""
 
     sd: float
     relative_sd: float
 
 
 def estimate_noise(t: np.ndarray, value: np.ndarray, fallback: float) -> Noise:
-    """Standard deviation of what no smooth curve through neighbouring samples explains.
+    """Estimate the standard deviation of the noise by normalised divided differences.
 
-    A normalised divided difference of order d annihilates polynomials up to degree d - 1 on any time
-    stamps and leaves white noise at its size. The motion leaks less the higher the order, until the
-    order suits the motion: the smallest estimate over the orders is taken. A rounded series has at
-    least the noise of its quantum q, q / sqrt(12).
+    A difference of order d removes polynomials up to degree d - 1 on any time stamps. It does not change the standard
+    deviation of white noise. The share of the motion in the differences depends on the order, so the smallest
+    estimate over the orders is used. The noise of a series rounded to a quantum q is at least q / sqrt(12).
 
     Args:
         t: (n,) time stamps [s], increasing.
         value: (n,) samples.
-        fallback: Standard deviation that holds where the series is too short to tell.
+        fallback: Standard deviation for a series of less than 40 samples, in the unit of the values.
 
     Returns:
         The estimate.
@@ -43,17 +42,17 @@ def estimate_noise(t: np.ndarray, value: np.ndarray, fallback: float) -> Noise:
         difference = _normalised_difference(t, value, order)
         best = min(best, _clipped_sd(difference))
     sd = max(best, quantum / math.sqrt(12.0), 1e-12)
-    # Neighbouring differences share samples; about one in three is independent of the others.
+    # Neighbouring differences share samples: about one third of them is independent.
     return Noise(sd, math.sqrt(3.0 / (2.0 * len(t))))
 
 
 def residual_noise(
     t: np.ndarray, residual: np.ndarray, valid: np.ndarray, quantum: float, before: Noise
 ) -> Noise:
-    """Noise from what a fitted model leaves, by the same differences within each window.
+    """Estimate the noise from the residuals of a fit, by the same differences within each window.
 
-    The motion itself leaks into the differences of a fast motion sampled slowly; what a model leaves of
-    the motion is far smaller, so its differences show the noise better. The estimate only ever falls.
+    Differences of a fast motion with a low sample rate contain a part of the motion. Residuals contain much less of it,
+    so they give a better estimate. The result is never larger than ``before``.
 
     Args:
         t: (W, M) time stamps [s].
@@ -86,7 +85,7 @@ def _normalised_difference(t: np.ndarray, value: np.ndarray, order: int) -> np.n
 
 
 def _clipped_sd(difference: np.ndarray) -> float:
-    """Root mean square after clipping at 3 standard deviations, corrected for what the clipping takes."""
+    """Root mean square without values beyond 3 standard deviations, corrected for their variance."""
     scale = 1.4826 * float(np.median(np.abs(difference)))
     if scale == 0.0:
         return float(np.sqrt(np.mean(difference**2)))

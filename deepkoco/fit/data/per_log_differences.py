@@ -1,4 +1,4 @@
-"""What is known to differ from log to log: the payload of one, the friction of another."""
+"""Known differences of parameters between logs, such as another payload or friction."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from deepkoco.systems import ExtendedSystem, Parameters, System
 from deepkoco.systems.effects import effects_of
 
 KEY = "known"  # of a recording's meta data
-PLACES = ("body", "load")  # where effects act that may differ from log to log
+PLACES = ("body", "load")  # places of effects whose parameters can differ from log to log
 
 Known = tuple[Mapping[str, float], ...]
 
 
 def known_of(recordings: Sequence[Recording], system: System) -> Known:
-    """What each log says to be known of it: parameter -> amount by which it differs from the other logs.
+    """Read the known differences of each log (key ``known``): parameter -> amount that is added to it.
 
     Raises:
-        LogError: A name is no parameter of the system or of an effect on its body or joints, or no number is given.
+        LogError: A name is not a parameter that can differ (:func:`may_differ`), or a value is not a finite number.
     """
     names = may_differ(system)
     return tuple(
@@ -33,7 +33,7 @@ def known_of(recordings: Sequence[Recording], system: System) -> Known:
 
 
 def may_differ(system: System) -> set[str]:
-    """Parameters that can be known to differ from log to log: the system's own, and those of effects in `PLACES`."""
+    """Parameters that can differ from log to log: the system's own, and those of effects in `PLACES`."""
     base = system.base if isinstance(system, ExtendedSystem) else system
     names = {p.name for p in base.parameters}
     for placed in effects_of(base).values():
@@ -65,11 +65,11 @@ def effects_in(known: Known) -> set[str]:
 
 
 def amounts(known: Known, fitted: Mapping[str, Tensor] | None = None) -> dict[str, Tensor]:
-    """By how much the parameters of K logs differ: (K, 1) where it is known, (K, L) where it was fitted in L lanes.
+    """Sum of known and fitted differences of K logs: (K, 1) for known ones, (K, L) for those fitted in L lanes.
 
     Args:
-        known: What is known of each log.
-        fitted: Parameter -> (K, L) amounts by which each log differs beside that.
+        known: Known differences of each log.
+        fitted: Parameter -> (K, L) fitted differences in addition to the known ones.
     """
     names = dict.fromkeys(name for own in known for name in own)
     result = {
@@ -81,11 +81,11 @@ def amounts(known: Known, fitted: Mapping[str, Tensor] | None = None) -> dict[st
 
 
 def of_windows(parameters: Parameters, differ: Mapping[str, Tensor], log: np.ndarray) -> Parameters:
-    """Parameters, scalar or (L,), as they are in windows of the logs (W,): those that differ are (W, 1) or (W, L)."""
+    """Values of parameters, scalar or (L,), in windows of the logs (W,); those that differ are (W, 1) or (W, L)."""
     which = torch.from_numpy(log)
     return {**parameters, **{n: torch.as_tensor(parameters[n]) + a[which] for n, a in differ.items()}}
 
 
 def of_log(parameters: Parameters, differ: Mapping[str, Tensor], number: int) -> Parameters:
-    """Parameters, scalar or (L,), as they are in one log: those that differ are (1,) or (L,)."""
+    """Values of parameters, scalar or (L,), in one log; those that differ are (1,) or (L,)."""
     return {**parameters, **{n: torch.as_tensor(parameters[n]) + a[number] for n, a in differ.items()}}

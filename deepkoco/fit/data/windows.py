@@ -1,4 +1,4 @@
-"""Recordings cut into windows of equal length, ready for multiple shooting."""
+"""Cut recordings into windows of equal length for multiple shooting."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import Motion, System
 
 LONGEST_STEP = 0.01  # integration step [s]
-STEPS_PER_PERIOD = 100  # integration steps in a period of the system, at least
-HISTORY = 0.1  # commands that must be known before a window begins, for delays and lags [s]
-WARM_UP = 0.15  # or this share of a window: what the actuator did before the log fades in a slow lag
-MIN_SAMPLES = 6  # of a channel inside a window
+STEPS_PER_PERIOD = 100  # smallest number of integration steps in a period of the system
+HISTORY = 0.1  # commands must be known for this time before a window, because of delays and lags [s]
+WARM_UP = 0.15  # or this share of a window; a slow lag then forgets commands from before the log
+MIN_SAMPLES = 6  # smallest number of samples of a channel in a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
-DWELL = 0.1  # share of a window during which a joint may rest
-REST = 5.0  # peak-to-peak motion, in noise standard deviations, that counts as rest during that time
-MIN_MOVING_WINDOWS = 4  # windows that leaving out rests must leave
+DWELL = 0.1  # share of a window over which rest is tested
+REST = 5.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests for that time
+MIN_MOVING_WINDOWS = 4  # windows with rest are used too if fewer windows than this are without
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,9 @@ class Windows:
         noise: One per channel.
         state: (W, S) first guess of the initial states.
         rests: (W,) True where the joint rests for a while inside or across an end of the window.
-        shows: State that each channel shows.
-        known: What is known to differ, of each log; empty where nothing is.
-        varies: Standard deviation by which parameters vary from log to log [their units]; empty where all logs share
-            theirs.
+        shows: Index of the state that each channel measures.
+        known: Known differences of each log; empty if there are none.
+        varies: Parameter -> standard deviation between logs, in its unit; empty if all logs share their parameters.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -94,7 +93,7 @@ class Windows:
         return int(self.valid.sum())
 
     def take(self, keep: np.ndarray) -> Windows:
-        """The windows with these indices (or where this mask is True)."""
+        """Select windows by indices or by a mask (W,)."""
         index = np.flatnonzero(keep) if keep.dtype == bool else keep
         pick = torch.as_tensor(index)
         return replace(
@@ -116,7 +115,7 @@ class Windows:
 def window_length(system: System) -> float:
     """About one period of the system's small motion, between 1 and 2 s.
 
-    Shorter windows do not show slow effects; in longer ones unstable motion outgrows every fit.
+    Shorter windows do not show slow effects. In longer windows, simulations of an unstable motion diverge.
     """
     return float(np.clip(period(system), 1.0, 2.0))
 
@@ -147,14 +146,14 @@ def cut_windows(
     """Cut logs into windows, back to back.
 
     Args:
-        recordings: Logs of the system; each has the command and at least one measurement.
-        system: Says which channels there are.
+        recordings: Logs of the system; each has the commands and at least one measurement.
+        system: Gives the channels.
         length: Length of a window [s].
         noise: Noise of each channel; None estimates it from these logs.
-        cover: Let neighbours overlap a little so that they reach the very end of each log.
+        cover: True lets neighbouring windows overlap, so that they cover each log to its end.
 
     Raises:
-        LogError: A log lacks the command or every measurement.
+        LogError: A log lacks a command or every measurement.
     """
     longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
     steps = math.ceil(length / longest - 1e-9)
@@ -205,7 +204,7 @@ def cut_windows(
 
 
 def halved(windows: Windows) -> Windows:
-    """Each window as two of half the length, the first half of window w at 2 w."""
+    """Split each window into two halves; the first half of window w has the index 2 w."""
     steps = max(windows.steps // 2, 1)
     half, joints = 0.5 * windows.length, windows.state.shape[1] // 2
     parts = []
@@ -213,7 +212,7 @@ def halved(windows: Windows) -> Windows:
         for k in (0, 1):
             inside = windows.valid[w] & (windows.t[w] >= k * half) & (windows.t[w] < (k + 1) * half)
             t = torch.where(inside, windows.t[w] - k * half, 0.0)
-            # Samples of the other half stay in the row as padding, behind those of this half.
+            # Samples of the other half follow as padding.
             order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
             pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
             t, value, valid = (x.numpy() for x in pick)
@@ -234,7 +233,7 @@ def halved(windows: Windows) -> Windows:
 
 
 def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[Noise, ...]:
-    """Noise of each measurement channel over all logs, the longest log counting most."""
+    """Noise of each measurement channel: variances of the logs, weighted by their numbers of samples."""
     result = []
     for channel in system.measurements:
         parts = []
@@ -255,11 +254,10 @@ def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[
 
 
 def moving(windows: Windows) -> np.ndarray:
-    """(W,) True where the joint moves, and keeps moving.
+    """(W,) True where the joint moves without a rest.
 
-    A joint at rest says nothing about its dynamics. One that comes to rest for a while inside a window is
-    held by dry friction, which a smoothed friction law lets creep: such windows are left out too, unless
-    that leaves too few.
+    A joint at rest gives no information about its dynamics. Dry friction can hold a joint for a while inside a window,
+    whereas the smoothed friction law lets it creep. Windows with such a rest are left out too, unless too few remain.
     """
     moves = np.zeros(len(windows), dtype=bool)
     for c, noise in enumerate(windows.noise):
@@ -271,8 +269,8 @@ def moving(windows: Windows) -> np.ndarray:
     return keep if keep.sum() >= max(MIN_MOVING_WINDOWS, 0.3 * moves.sum()) else moves
 
 
-def _still(t: np.ndarray, value: np.ndarray, seconds: float, reach: float) -> np.ndarray:
-    """Stamps of the samples around which the value stays within ``reach`` for so many seconds."""
+def _rest_stamps(t: np.ndarray, value: np.ndarray, seconds: float, reach: float) -> np.ndarray:
+    """Stamps of samples in stretches of ``seconds`` whose values span less than ``reach``."""
     count = max(4, math.ceil(seconds * (len(t) - 1) / max(t[-1] - t[0], 1e-9)))
     if len(t) < count:
         return np.zeros(0)
@@ -282,7 +280,7 @@ def _still(t: np.ndarray, value: np.ndarray, seconds: float, reach: float) -> np
 
 
 def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray:
-    """Starts of the windows between two times; a rest below a fiftieth of a window is not chased."""
+    """Starts of the windows between two times; with ``cover``, up to 2 % of a window may stay uncovered."""
     fit = (stop - start) / length
     if fit < 1.0 - 1e-9:
         return np.zeros(0)
@@ -297,13 +295,13 @@ def _resting(
     noise: tuple[Noise, ...],
     length: float,
 ) -> np.ndarray | None:
-    """Stamps at which a joint that can stick rests; None where no position is measured."""
+    """Stamps at which a joint rests; None without dry friction or without a measured position."""
     if not system.dry_friction:
         return None
     found = []
     for channel, state, own in zip(system.measurements, system.measured_states, noise, strict=True):
         if state < system.joints and channel.name in series:
-            found.append(_still(*series[channel.name], DWELL * length, REST * own.sd))
+            found.append(_rest_stamps(*series[channel.name], DWELL * length, REST * own.sd))
     return np.concatenate(found) if found else None
 
 
@@ -329,7 +327,7 @@ def _channels(
     for channel in system.measurements:
         if channel.name in recording.channels:
             measured = recording.channels[channel.name]
-            # What leaves one turn is not wrapped, and a wrong unit would be garbled by unwrapping.
+            # A range of more than one turn shows that the angle is not wrapped. It may also be in a wrong unit.
             wrapped = channel.angle and np.ptp(measured.value) <= 2.02 * math.pi
             value = np.unwrap(measured.value) if wrapped else measured.value
             series[channel.name] = (measured.t, value)
@@ -356,12 +354,12 @@ def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple
 def _first_state(
     t: np.ndarray, value: np.ndarray, valid: np.ndarray, shows: tuple[int, ...], joints: int
 ) -> np.ndarray:
-    """Positions and speeds at the window's start by parabolas through the first samples."""
+    """First guess of positions and speeds at the window's start: parabolas through the first samples."""
     state = np.zeros(2 * joints)
     for c, s in enumerate(shows):
         n = min(int(valid[c].sum()), 7)
         if s < joints and n >= 3:
-            # The parabola's constant and slope.
+            # Position and speed are constant and slope of the parabola.
             _, state[joints + s], state[s] = np.polyfit(t[c, :n], value[c, :n], 2)
     for c, s in enumerate(shows):
         n = min(int(valid[c].sum()), 3)

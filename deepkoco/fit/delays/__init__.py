@@ -1,1 +1,1 @@
-"""Delays that nobody measured."""
+"""Estimate delays that are not measured."""

@@ -1,4 +1,4 @@
-"""The distribution of a delay that nobody measured, from how the joint moves."""
+"""Estimate the distribution of unmeasured delays of the commands from the motion of the joint."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from deepkoco.fit.threads import one_thread
 from deepkoco.graph.delay import Delay, Deterministic, Gaussian, Mixture
 
 SHIFT = 1e-3  # finite difference of one message's delay [s]
-ROUNDS, MIXTURE_ROUNDS = 8, 4  # linearisations about the delays found so far, at most
-SETTLED = 0.1  # movement of the delays, in their standard deviations, after which they stay
-LARGEST_STEP = 0.01  # of a delay from one linearisation to the next [s]
+ROUNDS, MIXTURE_ROUNDS = 8, 4  # largest number of linearisations
+SETTLED = 0.1  # the delays have converged if their root mean square change is smaller [standard deviations]
+LARGEST_STEP = 0.01  # largest change of a delay from one linearisation to the next [s]
 
 
 @dataclass(frozen=True)
 class HiddenDelays:
-    """Law of the delay of a log's command messages.
+    """Distribution of the delays of command messages.
 
     Attributes:
-        law: The distribution, as the delay graph takes it.
+        law: The distribution as a law of the delay graph.
         means: (C,) means of its components [s], ascending.
         spreads: (C,) their standard deviations [s].
         weights: (C,) their shares.
         mean_interval: 95 % interval of the overall mean [s].
-        spread_interval: 95 % interval of the standard deviation [s]; of a single component only, else NaN.
-        evidence: Twice the gain of the log marginal likelihood by one normal law over a constant delay; above
-            about 10 the delay varies beyond doubt.
-        sent: (K,) instants at which the messages that changed the command were sent [s], log after log.
-        log: (K,) log of each.
+        spread_interval: 95 % interval of the standard deviation [s]; NaN for more than one component.
+        evidence: Twice the difference of the log marginal likelihoods of one normal law and of a constant delay. Above
+            about 10, the delay varies beyond doubt.
+        sent: (K,) times at which the messages that changed the command were sent [s], log after log.
+        log: (K,) index of the log of each message.
         delay: (K,) posterior mean of each message's delay [s].
         delay_sd: (K,) its posterior standard deviation [s].
     """
@@ -70,7 +70,7 @@ class HiddenDelays:
         return math.sqrt(float(self.weights @ (self.spreads**2 + self.means**2)) - self.mean**2)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists; the single messages are left to a table."""
+        """Plain numbers, strings and lists, without the single messages."""
         known = math.isfinite(self.spread_interval[0])
         return {
             "law": self.law.to_dict(),
@@ -84,29 +84,30 @@ class HiddenDelays:
 
 
 def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> HiddenDelays:
-    r"""Recover the distribution of the commands' delays by marginal likelihood.
+    r"""Estimate the distribution of the commands' delays by marginal likelihood.
 
-    A command that acts eps later than usual gives the joint, to first order, a known impulse. With every window's
-    initial state left free, the residuals r are linear in the delays of its messages, r = G eps + J x + noise; the
-    states x (and with them all but A = G' P G and h = G' P r) are projected out. Under a normal law of eps the
-    marginal likelihood is closed-form and maximised directly. A mixture adds the component of each message; the law
-    then follows from stochastic-approximation EM with Gibbs draws of the components, all delays integrated out.
-    Dynamics and delays take turns: parameters are fitted again under the messages' posterior mean delays, and the
-    residuals linearised there, until the delays settle.
+    A command that acts eps later than usual gives the joint a known impulse, to first order. The residuals r of a
+    window are therefore linear in the delays of its messages: r = G eps + J x + noise. A projection P removes the
+    initial states x. Then A = G' P G and h = G' P r contain all information about the delays. For a normal law of
+    eps, the marginal likelihood has a closed form, which is maximised. A mixture adds one unknown component per
+    message. It is fitted by stochastic-approximation EM with Gibbs draws of the components; the delays are integrated
+    out. After each estimate, the parameters are fitted again at the posterior mean delays. The residuals are then
+    linearised there, until the delays converge.
 
     Args:
-        found: A fit; the delay of the commands is best among what it found. Messages are taken to keep their order.
-        components: Normal components of the law.
-        seed: Of the Gibbs draws.
+        found: A fit, best with the delay of the commands among its parameters. Messages are assumed to keep their
+            order.
+        components: Number of normal components of the law.
+        seed: Seed of the Gibbs draws.
 
     Raises:
-        FitError: No command changes in the windows, there are too few changes for so many components, the commands
-            do not move the joint, or the simulation diverges when one of them acts later.
+        FitError: Fewer than 10 commands per component change inside the windows, or they do not move the joint. Or
+            the simulation diverges when a command acts later.
 
     Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999).
     """
     if components < 1:
-        raise FitError(f"components: {components}; a law has at least one")
+        raise FitError(f"components: {components}; a law needs at least one component")
     generator = np.random.default_rng(seed)
     with one_thread():
         messages = _Messages(found)
@@ -122,7 +123,7 @@ def hidden_delays(found: Identification, components: int = 1, seed: int = 0) -> 
             single = normal_law(linear)
             if not math.isfinite(single.mean_sd):
                 raise FitError(
-                    "the commands that change do not move the joint; the log shows nothing of their delay"
+                    "the commands that change do not move the joint, so the log has no information about their delay"
                 )
             size = np.ones(len(shift))
             posterior = linear.posterior(single.mean * size, single.spread * size)
@@ -181,7 +182,7 @@ class _Messages:
         self.windows = found.request.windows
         self.delays = command_delays(found.request.system.base)
         own = [found.fit.values[n] for n in self.delays if n in found.fit.values]
-        # A message carries the commands of all joints: what it adds to their fitted delays is one number.
+        # A message contains the commands of all joints, so it adds one number to their fitted delays.
         self.base = base = float(np.mean(own)) if own else 0.0
         sent, log, index, members = [], [], [], [[] for _ in range(len(self.windows))]
         for number, command in enumerate(self.windows.commands):
@@ -190,7 +191,7 @@ class _Messages:
             for w in np.flatnonzero(self.windows.log == number):
                 begin = self.windows.t0[w]
                 acts = command.t[changed] + base
-                # A message that may act before its window, or too late in it to be seen, tells nothing there.
+                # Messages that act outside a window give it no information about their delays.
                 inside = changed[(acts > begin) & (acts < begin + self.windows.length)]
                 for k in inside:
                     members[w].append(len(sent))
@@ -201,7 +202,7 @@ class _Messages:
         self.members = [np.array(m, dtype=int) for m in members]
 
     def problem(self, shift: np.ndarray) -> FitProblem:
-        """The problem in which message k acts ``shift[k]`` [s] later than the fitted delay says."""
+        """The fit problem in which message k acts ``shift[k]`` [s] later than the fitted delay."""
         commands = []
         for number, command in enumerate(self.windows.commands):
             own = self.log == number
@@ -211,16 +212,17 @@ class _Messages:
         return self.request.problem(replace(self.windows, commands=tuple(commands)))
 
     def towards(self, shift: np.ndarray, wanted: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Delays nearer to those wanted, and whether they hardly moved, by their standard deviations.
+        """Move ``shift`` towards ``wanted`` by at most `LARGEST_STEP`, so that no delay becomes negative.
 
-        A step stays within reach of the linearisation, and no delay falls below zero.
+        Returns:
+            The new shift, and whether it has converged (`SETTLED`).
         """
         step = np.clip(wanted - shift, -LARGEST_STEP, LARGEST_STEP)
         moved = np.maximum(shift + step, -self.base)
         return moved, float(np.sqrt(np.mean(((moved - shift) / sd) ** 2))) < SETTLED
 
     def linearise(self, fit: Fit, shift: np.ndarray) -> LinearDelays:
-        """Residuals of a fit as linear in the delays of all messages, states projected out."""
+        """Linearise the residuals of a fit in the delays of all messages, initial states projected out."""
         problem = self.problem(shift)
         base, states = self._predict(problem, fit)
         weight = problem.weight
@@ -231,7 +233,7 @@ class _Messages:
         response = np.zeros((len(self.members), residual.shape[1], most))
         for j in range(most):
             moved = shift.copy()
-            # The j-th message of every window at once: windows do not see each other's.
+            # One simulation shifts the j-th message of every window: a shift affects its own window only.
             moved[[m[j] for m in self.members if len(m) > j]] += SHIFT
             there, _ = self._predict(self.problem(moved), fit, states=False)
             response[:, :, j] = ((there - base) * weight).flatten(1).numpy() / SHIFT
@@ -255,7 +257,7 @@ class _Messages:
         return LinearDelays(members, information, pull)
 
     def refit(self, values: dict[str, float], shift: np.ndarray, fit: Fit) -> Fit:
-        """Parameters under the messages' delays; the fitted delay stays, the messages carry the rest."""
+        """Fit the parameters again at given delays of the messages, without the delay parameters themselves."""
         free = tuple(n for n in self.request.free if n not in self.delays)
         trial = Trial("delays", free, self.request.prior, values, fit.state, fit.nuisance)
         try:

@@ -1,4 +1,4 @@
-"""Delays of messages whose effect is linear and known: posteriors, marginal likelihood, mixtures."""
+"""Posterior, marginal likelihood and mixture law of delays in which the residuals are linear."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 from deepkoco.graph.episodes.fitting.mixture_fit import expectation_maximisation
 
-SMALLEST_SPREAD = 2e-5  # of a component [s]
+SMALLEST_SPREAD = 2e-5  # smallest standard deviation of a component [s]
 SWEEPS, WARM_UP = 200, 60
 
 
 @dataclass(frozen=True)
 class LinearDelays:
-    """Likelihood of the messages' delays, window by window: exp(-eps' A eps / 2 + h' eps)."""
+    """Likelihood of the messages' delays eps in each window: exp(-eps' A eps / 2 + h' eps)."""
 
-    members: Sequence[np.ndarray]  # per window, its messages
+    members: Sequence[np.ndarray]  # per window, indices of its messages
     information: Sequence[np.ndarray]  # A
     pull: Sequence[np.ndarray]  # h
 
@@ -34,10 +34,12 @@ class LinearDelays:
 
 @dataclass(frozen=True)
 class MixtureLaw:
-    """A mixture of normals of the delays, and the messages' posterior under it.
+    """Normal mixture of the delays, and the posterior of each message's delay under it.
 
     Attributes:
-        means, spreads, weights: (C,) of the components; means and spreads in seconds.
+        means: (C,) means of the components [s].
+        spreads: (C,) their standard deviations [s].
+        weights: (C,) their shares.
         centre: (K,) posterior means of the messages' delays [s].
         sd: (K,) their posterior standard deviations [s].
     """
@@ -52,18 +54,18 @@ class MixtureLaw:
 def mixture_law(
     linear: LinearDelays, start: np.ndarray | MixtureLaw, components: int, generator: np.random.Generator
 ) -> MixtureLaw:
-    """Law of the delays by stochastic-approximation EM.
+    """Fit a normal mixture to the delays by stochastic-approximation EM.
 
-    Only the component of each message is drawn; the delays are integrated out, in closed form. A sampler that also
-    draws the delays stays for ever in the first assignment that fits: a message cannot change its component while
-    its neighbours' delays are held, because together they explain one motion. With the delays integrated out, the
-    neighbours give way, and the law forgets where the draws began.
+    Gibbs sampling draws the component of each message; the delays are integrated out in closed form. A sampler that
+    also draws the delays cannot leave the first assignment that fits. Neighbouring messages explain one motion
+    together, so a message could not change its component while their delays are fixed. With the delays integrated
+    out, the result is independent of the start.
 
     Args:
-        linear: What the data say of the delays; every message acts in one window.
-        start: A law to go on from, or (K,) rough delays [s].
+        linear: Likelihood of the delays; every message acts in one window.
+        start: A law to start from, or (K,) approximate delays [s].
         components: Number of components.
-        generator: Of all draws.
+        generator: Generator of all draws.
 
     Source: Delyon, Lavielle, Moulines, Convergence of a stochastic approximation version of the EM algorithm (1999);
         Liu, The collapsed Gibbs sampler in Bayesian computations (1994).
@@ -88,7 +90,7 @@ def mixture_law(
         weights = (size + 1.0) / (size + 1.0).sum()
         means = np.where(size > 0.5, held[1] / size, means)
         spread = held[2] / size - means**2
-        # An inverse-gamma prior of weight one on the spread keeps a component from closing on one message.
+        # Without this inverse-gamma prior of weight one, the spread of a component with one message goes to 0.
         spreads = np.sqrt(np.maximum((size * spread + least**2) / (size + 1.0), SMALLEST_SPREAD**2))
         if sweep >= WARM_UP:
             total, square = total + centre, square + centre**2 + variance
@@ -98,7 +100,7 @@ def mixture_law(
 
 
 class _Components:
-    """Components of the messages, drawn with all delays integrated out; the j-th messages of all windows at once."""
+    """Gibbs sampler of the messages' components, with all delays integrated out, for all windows at once."""
 
     def __init__(self, linear: LinearDelays, labels: np.ndarray) -> None:
         most = max(len(own) for own in linear.members)
@@ -118,12 +120,12 @@ class _Components:
         weights: np.ndarray,
         generator: np.random.Generator,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Components (K, C) as zeros and ones after a sweep, and the delays given all of them.
+        """Draw all components once, and compute the delays given all components.
 
-        Neighbours are drawn in pairs, since one may explain what the other does.
+        Neighbouring messages are drawn in pairs, because their delays are correlated.
 
         Returns:
-            Components, means (K,) and variances (K,) of the delays.
+            Components (K, C) as zeros and ones, means (K,) [s] and variances (K,) [s^2] of the delays.
         """
         covariance, pull = self._posterior(means, spreads)
         places = self.index.shape[1]
@@ -146,17 +148,17 @@ class _Components:
         weights: np.ndarray,
         generator: np.random.Generator,
     ) -> None:
-        """Draw the components of one or two messages of every window together; the posterior follows."""
+        """Draw the components of one or two messages of every window together, and update the posterior."""
         count = len(pair)
         combined = np.array(list(itertools.product(range(len(means)), repeat=count)))  # (choices, count)
         precision, tilt = spreads**-2, means / spreads**2
         old = self.labels[:, pair]
-        # What all other messages and the data say of these: exp(-eps' own eps / 2 + rest' eps).
+        # Likelihood of these delays given all other messages: exp(-eps' own eps / 2 + rest' eps).
         inverse = np.linalg.inv(covariance[:, pair[:, None], pair])
         centre = np.einsum("wpj,wj->wp", covariance[:, pair], pull)
         own = inverse - precision[old][:, :, None] * np.eye(count)
         rest = np.einsum("wpq,wq->wp", inverse, centre) - tilt[old]
-        # The law of each choice put in: how probable all that is seen is then.
+        # Log marginal likelihood of each choice of components.
         total = own[:, None] + precision[combined][:, :, None] * np.eye(count)
         right = rest[:, None] + tilt[combined]
         score = np.log(weights / spreads)[combined].sum(1) - 0.5 * (means * tilt)[combined].sum(1)
@@ -170,7 +172,7 @@ class _Components:
             now, was = new[changed], was[changed]
             self.labels[changed, place] = now
             pull[changed, place] += tilt[now] - tilt[was]
-            # Sherman-Morrison: the precision of one delay changes.
+            # Sherman-Morrison update for the changed precision of one delay.
             more = precision[now] - precision[was]
             column = covariance[changed, place]
             change = more / (1.0 + more * column[:, place])

@@ -1,4 +1,4 @@
-"""One normal law of delays that nobody measured, by marginal likelihood in closed form."""
+"""Fit one normal law to unmeasured delays by marginal likelihood in closed form."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from scipy.optimize import minimize_scalar, root_scalar
 
 from deepkoco.fit.delays.linear_delays import SMALLEST_SPREAD, LinearDelays
 
-LARGEST_SPREAD = 1.0  # [s]
-PLACES = 80  # spreads at which the likelihood is looked at before its maximum is refined
-DROP_95 = (
-    1.920729410347062  # of the log likelihood at the ends of a 95 % interval: chi2 of one degree, halved
-)
+LARGEST_SPREAD = 1.0  # largest standard deviation of the law [s]
+PLACES = 80  # number of spreads at which the likelihood is evaluated before its maximum is refined
+DROP_95 = 1.920729410347062  # decrease of the log likelihood at the ends of a 95 % interval: chi2(1) / 2
 
 
 @dataclass(frozen=True)
@@ -22,12 +20,12 @@ class NormalLaw:
     """A normal law of the delays.
 
     Attributes:
-        mean: [s].
+        mean: Mean [s].
         spread: Standard deviation [s], at least :data:`.SMALLEST_SPREAD`.
         mean_sd: Standard error of the mean at this spread [s].
-        spread_interval: 95 % interval of the spread [s], by profile likelihood; it begins at 0 where no spread is
-            small enough to be excluded.
-        evidence: Twice the gain of the log marginal likelihood over a constant delay.
+        spread_interval: 95 % interval of the spread [s], by profile likelihood; it begins at 0 if the data do not
+            exclude a constant delay.
+        evidence: Twice the difference of the log marginal likelihoods of this law and of a constant delay.
     """
 
     mean: float
@@ -38,7 +36,7 @@ class NormalLaw:
 
 
 def normal_law(linear: LinearDelays) -> NormalLaw:
-    r"""Mean and spread of the delays at the maximum of their marginal likelihood.
+    r"""Maximise the marginal likelihood of the delays over mean and spread.
 
     In the eigenvectors of a window's information A = V diag(l) V', with u = V' 1 and g = V' h, the log marginal
     likelihood of a mean m and a spread s is a sum over all eigenvalues,
@@ -46,10 +44,10 @@ def normal_law(linear: LinearDelays) -> NormalLaw:
     .. math:: \sum_i m \frac{u_i g_i}{d_i} - \frac{m^2}{2} \frac{l_i u_i^2}{d_i} + \frac{s^2}{2} \frac{g_i^2}{d_i}
         - \frac{1}{2} \log d_i, \quad d_i = 1 + s^2 l_i,
 
-    so the best mean at each spread is a ratio of two sums, and one coordinate is left to search.
+    so the best mean at each spread is a ratio of two sums. Only the spread is searched.
 
     Args:
-        linear: What the data say of the delays.
+        linear: Likelihood of the delays.
     """
     profile = _Profile(linear)
     reach = np.linspace(math.log(SMALLEST_SPREAD), math.log(LARGEST_SPREAD), PLACES)
@@ -73,7 +71,7 @@ def normal_law(linear: LinearDelays) -> NormalLaw:
 
 
 class _Profile:
-    """Marginal likelihood of a spread, its best mean put in."""
+    """Profile likelihood of the spread: marginal likelihood at the best mean."""
 
     def __init__(self, linear: LinearDelays) -> None:
         values, ones, pulls = [], [], []
@@ -85,7 +83,7 @@ class _Profile:
         self.values, self.ones, self.pulls = (np.concatenate(x) for x in (values, ones, pulls))
 
     def mean(self, log_spread: float) -> tuple[float, float]:
-        """Best mean at a spread and its standard error [s]; 0 and infinity where the data say nothing."""
+        """Best mean at a spread and its standard error [s]; 0 and infinity without information."""
         shrunk = 1.0 + math.exp(2.0 * log_spread) * self.values
         information = float(np.sum(self.values * self.ones**2 / shrunk))
         if information <= 0.0:

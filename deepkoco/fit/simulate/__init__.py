@@ -1,1 +1,1 @@
-"""The simulator of a fit: many parameter sets and windows in one batch."""
+"""Simulator of a fit: many sets of parameters and windows in one batch."""

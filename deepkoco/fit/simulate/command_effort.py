@@ -1,4 +1,4 @@
-"""What the actuator delivers over each integration step, from zero-order-hold commands."""
+"""Compute the effort of the actuators over each integration step from zero-order-hold commands."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from deepkoco.systems import System
 
 
 class TooManyLagsError(ValueError):
-    """A command goes through more lags in a row than the efforts are worked out for."""
+    """A command has more than two first-order lags in series."""
 
 
 def step_efforts(
     system: System, windows: Windows, parameters: Mapping[str, Tensor], lanes: int
 ) -> tuple[Tensor, Tensor]:
-    """As :func:`command_efforts` for a system of one command, lanes first: (L, W, n)."""
+    """As :func:`command_efforts` for a system with one command, but in the order (L, W, n)."""
     start, slope = command_efforts(system, windows, parameters, lanes, 0)
     return start.permute(2, 1, 0), slope.permute(2, 1, 0)
 
@@ -34,29 +34,28 @@ def command_efforts(
     index: int,
     differ: Mapping[str, Tensor] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Effort of one command at the start, and its slope, over every integration step of every window.
+    """Compute start value a and slope b of one command's effort over every integration step of every window.
 
-    Effects of the actuator act on the log of the command, then its lags, then the delays. A delayed
-    command jumps inside a step; the effort a + b s over the step is chosen so that its integral and its
-    double integral over the step equal those of the true effort, so that speed and angle after the step
-    are right to the order of the integrator and depend smoothly on the delay. A sensing delay acts as one
-    more delay of the command: the window's state is then the state that the sensor shows. Where the clock
-    of the measurements runs faster than that of the commands, the delay grows in proportion to the time
-    since the log's first command; within a window it is held.
+    The logged command passes the effects of the actuator, then its lags, then the delays. A delayed command can jump
+    inside a step. The line a + b s over the step has the same integral and double integral as the true effort. Speed
+    and angle after the step then have the order of the integrator, and they depend smoothly on the delay. A sensing
+    delay is added to the delay of the command; the window's state is then the state that the sensor shows. If the
+    clock of the measurements is faster than that of the commands, the delay grows with the time since the log's
+    first command. Within a window it is constant.
 
     Args:
         system: Gives ``shape_command`` and ``command_timing``.
         windows: W windows of n steps.
         parameters: Named values, each (L,) or scalar.
-        lanes: L.
-        index: Which command.
-        differ: Parameter -> (K, 1) or (K, L) amounts by which it differs in each of K logs.
+        lanes: Number L of lanes.
+        index: Index of the command.
+        differ: Parameter -> (K, 1) or (K, L) differences in each of K logs.
 
     Returns:
         a (n, W, L) in the command's unit and b (n, W, L) per second.
 
     Raises:
-        TooManyLagsError: More than two lags in a row are not 0.
+        TooManyLagsError: More than two lags in series have a time constant above 0.
     """
     start = torch.empty(windows.steps, len(windows), lanes, dtype=torch.float64)
     slope = torch.empty_like(start)
@@ -70,10 +69,10 @@ def command_efforts(
         shaped = system.shape_command(index, given, torch.from_numpy(command.t), own_values)
         shaped = shaped.expand(len(given), lanes).numpy().T  # (L, n)
         edges = windows.t0[own]
-        # Lanes with the same efforts share one series, lanes with the same series and delay one result.
+        # Lanes with the same efforts share one series. Lanes with the same series and delay share one result.
         key = np.column_stack([shaped[:, _probe(command, index)], *lags])
         _, distinct, member = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        series = _Held(command, shaped[distinct], [lag[distinct] for lag in lags])
+        series = _HeldEfforts(command, shaped[distinct], [lag[distinct] for lag in lags])
         late = np.column_stack([member.ravel(), delay, skew])
         _, distinct, group = np.unique(late, axis=0, return_index=True, return_inverse=True)
         a, b = series.steps(
@@ -92,39 +91,40 @@ def command_efforts(
 def _timing(
     system: System, index: int, parameters: Mapping[str, Tensor], lanes: int
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """(L,) delay [s], skew of the clocks, and time constant of each lag [s]."""
+    """(L,) delay [s], skew of the clocks [1], and time constant of each lag [s]."""
     timing = system.command_timing(index, parameters)
     delay, skew = timing.delay.expand(lanes).numpy(), timing.skew.expand(lanes).numpy()
     lags = [lag.expand(lanes).numpy() for lag in timing.lag]
     most = np.count_nonzero(np.stack(lags) > 0.0, axis=0).max() if len(lags) > 2 else 0
     if most > 2:
         raise TooManyLagsError(
-            f'{system.name}: the command "{system.commands[index].name}" goes through {most} lags in a row; two can be '
+            f'{system.name}: the command "{system.commands[index].name}" has {most} lags in series; at most two can be '
             "fitted: set the time constant of one to 0 s"
         )
     return delay, skew, lags
 
 
 def _probe(command: CommandSeries, index: int) -> np.ndarray:
-    """A few samples that tell two effects apart: spread over the sorted command values and over time."""
+    """Samples at which to compare efforts of lanes: spread over the sorted command values and over time."""
     order = np.argsort(command.column(index), kind="stable")
     spread = np.linspace(0, len(order) - 1, 65).astype(int)
     return np.unique(np.concatenate([order[spread], spread]))
 
 
-class _Held:
-    """First and second integral over time of held efforts (U, n) behind first-order lags, exact.
+class _HeldEfforts:
+    """Exact first and second time integrals of held efforts (U, n) behind first-order lags.
 
-    A grid would blur each jump by an amount that depends on where the jump falls in its cell, so that the cost
-    would quiver with the delay: on a plant that is unstable enough to hide a small delay from a fit.
+    On a grid, the error of a jump would depend on its position in its cell, and the cost would oscillate with the
+    delay. On an unstable plant, these oscillations can be larger than the effect of a small delay.
 
-    What a lag T y' + y = u shows has the integral of u less T (y - y_0), so that beyond u itself only y is needed
-    at the times asked for.
+    For a lag T y' + y = u, the integral of y is that of u minus T (y - y_0). Besides u, only the values y at the
+    requested times are therefore needed.
 
     Args:
         command: Stamps of the log.
         effort: (U, n) efforts, each held from its stamp to the next.
-        lags: (U,) time constants [s] of one or two lags in a row; 0 for none. Before the log they have settled.
+        lags: (U,) time constants [s] of one or two lags in series; 0 for none. At the start of the log the lags are in
+            steady state.
     """
 
     def __init__(self, command: CommandSeries, effort: np.ndarray, lags: Sequence[np.ndarray]) -> None:
@@ -134,10 +134,10 @@ class _Held:
         np.cumsum(effort[:, :-1] * gap, axis=1, out=once[:, 1:])
         np.cumsum(once[:, :-1] * gap + 0.5 * effort[:, :-1] * gap**2, axis=1, out=twice[:, 1:])
         self.once, self.twice = once, twice
-        # Lags commute; the shorter one first keeps the exponentials below in range.
+        # Lags commute. With the shorter one first, the exponentials below do not overflow.
         chain = np.sort(np.array([*lags, *[np.zeros(len(effort))] * (2 - len(lags))]), axis=0)
         self.short, self.long = chain[-2], chain[-1]
-        # What each lag has still to go at the stamps.
+        # Deviation of the output of each lag from the effort, at the stamps.
         self.first, self.second = np.zeros_like(effort), np.zeros_like(effort)
         jump = -np.diff(effort, axis=1)
         for pair in np.unique(np.column_stack([self.short, self.long]), axis=0):
@@ -145,17 +145,21 @@ class _Held:
             rows = np.flatnonzero((self.short == short) & (self.long == long))
             own = jump[rows].T
             if short > 0.0:
-                self.first[rows] = _remaining(np.exp(-gap / short), own).T
+                self.first[rows] = _lag_deviation(np.exp(-gap / short), own).T
             if long > 0.0:
-                passed = _passed(gap, short, long)[:, None] * self.first[rows, :-1].T if short > 0.0 else 0.0
-                self.second[rows] = _remaining(np.exp(-gap / long), own + passed).T
+                passed = (
+                    _long_lag_response(gap, short, long)[:, None] * self.first[rows, :-1].T
+                    if short > 0.0
+                    else 0.0
+                )
+                self.second[rows] = _lag_deviation(np.exp(-gap / long), own + passed).T
 
     def steps(
         self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """a, b (R, W, n) for rows of this series, each with a delay (R, W) [s]."""
+        """Start values a and slopes b (R, W, n) of the efforts in these rows, each with a delay (R, W) [s]."""
         at = _nodes(delay, t0, step, steps)
-        # Before the log the first command holds: its piece reaches back without end.
+        # The first command is assumed to hold at all times before the log.
         piece = np.clip(np.searchsorted(self.t, at, side="right") - 1, 0, None)
         lane, inside = row[:, None, None], at - self.t[piece]
         effort, before = self.effort[lane, piece], self.once[lane, piece]
@@ -169,7 +173,7 @@ class _Held:
             start = self.effort[own, 0][:, None, None]
             one = self.first[lane, piece] * _decay(since, short)
             two = self.second[lane, piece] * _decay(since, long)
-            two = two + self.first[lane, piece] * _passed(since, short, long)
+            two = two + self.first[lane, piece] * _long_lag_response(since, short, long)
             for constant, left in ((short, one), (long, two)):
                 shown = np.where(constant > 0.0, effort[slow] + left - start, 0.0)
                 once[slow] -= constant * shown
@@ -177,12 +181,12 @@ class _Held:
         return _line(once, twice, step)
 
 
-def _remaining(keep: np.ndarray, jump: np.ndarray) -> np.ndarray:
-    """(n + 1, U) how far a lag is from its input: x[0] = 0, x[i + 1] = keep[i] x[i] + jump[i]."""
+def _lag_deviation(keep: np.ndarray, jump: np.ndarray) -> np.ndarray:
+    """(n + 1, U) output minus input of a lag: x[0] = 0, x[i + 1] = keep[i] x[i] + jump[i]."""
     band = np.ones((2, len(keep) + 1))
     band[1, :-1], band[1, -1] = -keep, 0.0
     given = np.concatenate([np.zeros((1, jump.shape[1])), jump])
-    # Every column is a lane of its own: one that is not finite must not stop the others.
+    # A lane that is not finite must not raise an error for the others.
     return solve_banded((1, 0), band, given, check_finite=False)
 
 
@@ -190,23 +194,23 @@ def _decay(since: np.ndarray, constant: np.ndarray) -> np.ndarray:
     return np.where(constant > 0.0, np.exp(-since / np.where(constant > 0.0, constant, 1.0)), 0.0)
 
 
-def _passed(since: np.ndarray, short: np.ndarray | float, long: np.ndarray | float) -> np.ndarray:
-    """What of a shorter lag's remainder the longer one still has after a time, for a remainder of 1."""
+def _long_lag_response(since: np.ndarray, short: np.ndarray | float, long: np.ndarray | float) -> np.ndarray:
+    """Response of the longer lag after a time to a unit deviation of the shorter lag from its input."""
     acts = np.asarray(short) > 0.0
     quick, slow = np.where(acts, short, 1.0), np.where(acts, long, 1.0)
     apart = since * (1.0 / quick - 1.0 / slow)  # never below 0
-    # -expm1(-x) / x goes to 1 as x goes to 0: equal lags are no exception.
+    # -expm1(-x) / x goes to 1 as x goes to 0, so equal lags need no special case.
     ratio = np.where(apart > 1e-12, -np.expm1(-apart) / np.where(apart > 1e-12, apart, 1.0), 1.0)
     return np.where(acts, np.exp(-since / slow) * since / slow * ratio, 0.0)
 
 
 def _nodes(delay: np.ndarray, t0: np.ndarray, step: float, steps: int) -> np.ndarray:
-    """(R, W, n + 1) when the commands were sent that act at the nodes [s]."""
+    """(R, W, n + 1) times [s] at which the commands that act at the nodes were sent."""
     return (t0[:, None] + step * np.arange(steps + 1))[None] - delay[..., None]
 
 
 def _line(once: np.ndarray, twice: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """The line over each step that has the same integral and double integral, from both at the nodes."""
+    """Line over each step with the given integral and double integral, which are given at the nodes."""
     first = np.diff(once, axis=2)
     second = np.diff(twice, axis=2) - step * once[:, :, :-1]
     b = 12.0 * (0.5 * step * first - second) / step**3

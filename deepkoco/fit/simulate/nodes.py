@@ -6,12 +6,14 @@ from torch import Tensor
 
 
 class Nodes(NamedTuple):
-    """States at the n + 1 nodes of the steps and their derivatives; lanes are the last axis.
+    """States and derivatives at the n + 1 nodes of the integration steps; lanes are the last axis.
+
+    The derivatives before and after a node differ if a command jumps there.
 
     Attributes:
         value: Per state (n + 1, W, L).
         left: Per state (n, W, L), derivative at the start of each step.
-        right: Per state (n, W, L), derivative at its end: a command may jump at the node.
+        right: Per state (n, W, L), derivative at the end of each step.
     """
 
     value: tuple[Tensor, ...]

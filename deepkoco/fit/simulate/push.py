@@ -1,4 +1,4 @@
-"""A push: an outside load on a joint that lasts for a while."""
+"""A push: a constant outside load on one joint for a limited time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LONGEST = 2.0  # [s]
 class Push:
     """Names and bounds of a push's parameters.
 
-    A push belongs to one log and one joint, told apart by ``log`` and ``joint``, which are never fitted.
+    A push acts on one joint in one log. Their indices ``event.joint`` and ``event.log`` are never fitted.
     """
 
     NAMES: ClassVar[tuple[str, ...]] = (
@@ -47,12 +47,12 @@ class Push:
 
 
 def push_torque(windows: Windows, push: np.ndarray, joints: int = 1) -> Tensor | None:
-    """Mean outside load over each step, (J, L, W, n) [N m or N]; None where no lane is pushed.
+    """Mean outside load over each step, (J, L, W, n) [N m or N]; None if no lane has a push.
 
     Args:
         windows: W windows of n steps.
         push: (L, 5) load, start [s], duration [s], log, joint.
-        joints: J.
+        joints: Number J of joints.
     """
     if not push[:, 0].any():
         return None

@@ -1,4 +1,4 @@
-"""First-order filter of sensors, exact along the cubics between integration nodes."""
+"""First-order filter of sensors: exact for the cubic states between integration nodes."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from deepkoco.fit.simulate.nodes import Nodes
 
 
 def filtered(nodes: Nodes, time_constant: Tensor, h: float) -> Nodes:
-    """What a filter T y' + y = x shows of simulated states.
+    """Filter simulated states by T y' + y = x.
 
-    On a step x is a cubic; y = p + (y_0 - p_0) exp(-t/T) with the polynomial p = x - T x' + T^2 x'' - T^3 x'''.
-    At the start of a window the filter is taken to have forgotten what was before.
+    Within a step x is a cubic, so y = p + (y_0 - p_0) exp(-t/T) with p = x - T x' + T^2 x'' - T^3 x'''. A window starts
+    with y = p, as if its first cubic had lasted for a long time.
 
     Args:
         nodes: Simulated states.
-        time_constant: T [s], scalar or (L,); lanes with 0 stay as they are.
+        time_constant: T [s], scalar or (L,); lanes with 0 are not filtered.
         h: Integration step [s].
     """
     lanes = nodes.value[0].shape[-1]

@@ -1,4 +1,4 @@
-"""Batched multiple-shooting simulator: lanes (parameter sets) times windows, one tensor."""
+"""Simulate all windows for all lanes in one batch. A lane is one set of parameters and initial states."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def integrate(
 
     Args:
         system, windows, parameters, initial, push: As there.
-        lanes: Effect -> lanes that it concerns; None for all.
-        differ: Parameter -> (K, L) amounts by which it differs in each of K logs, beside what is known.
+        lanes: Effect -> lanes in which it acts; None for all.
+        differ: Parameter -> (K, L) differences in each of K logs, in addition to the known ones.
     """
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
@@ -92,7 +92,7 @@ def integrate(
     width: tuple[Tensor, ...] = tuple(torch.full((), s, dtype=torch.float64) for s in sharpest)
     half = 0.5 * h
     time = torch.from_numpy(windows.t0)[:, None]
-    # What does not depend on the motion is made for all steps at once: every call costs as much as a small tensor.
+    # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
     offsets = torch.tensor([i * h for i in range(windows.steps)], dtype=torch.float64)[:, None, None]
     at = [(time + offsets + later).unbind(0) for later in (0.0, half, h)]
     efforts = [_over_steps(start, slope, later) for later in (0.0, half, h)]
@@ -141,13 +141,13 @@ def predict(
 ) -> Tensor:
     """Noise-free measurements (L, W, N, M) at the windows' own time stamps.
 
-    Between the integration nodes the state follows the cubic through its values and derivatives. The
-    derivative at a step's end is the last stage of the step, since a command may jump at the node.
+    Between two integration nodes, the state is the cubic with the values and derivatives at both. The derivative at
+    the end of a step is the step's last stage, because a command can jump at the node.
 
     Args:
         system, windows, parameters, initial, push: As for :func:`trajectories`, with its source.
-        delays: Channel -> (L,) time [s] that its measurements lag behind their stamps. Samples stamped
-            earlier after the window's start than that are extrapolated: leave them out of the windows.
+        delays: Channel -> (L,) lag [s] of its measurements behind their stamps. A sample within this lag after the
+            window's start is extrapolated; leave such samples out of the windows.
         lanes, differ: As for :func:`integrate`.
     """
     nodes = integrate(system, windows, parameters, initial, push, lanes, differ)
@@ -179,7 +179,7 @@ def _log_starts(windows: Windows) -> np.ndarray:
 
 
 def _between(nodes: Nodes, t: Tensor, h: float) -> Tensor:
-    """Hermite interpolation at times t (W, M) -> (W, M, L, S)."""
+    """Interpolate states by Hermite cubics at times t (W, M) [s] -> (W, M, L, S)."""
     steps, count = nodes.left[0].shape[:2]
     cell = (t / h).floor().long().clamp(0, steps - 1)
     s = (t / h - cell)[..., None]
@@ -200,7 +200,7 @@ def _between(nodes: Nodes, t: Tensor, h: float) -> Tensor:
 
 
 def _between_each(nodes: Nodes, t: Tensor, h: float) -> Tensor:
-    """As :func:`_between`, at times t (W, M, L) of each lane's own."""
+    """As :func:`_between`, with separate times t (W, M, L) [s] for each lane."""
     steps, count, lanes = nodes.left[0].shape
     cell = (t / h).floor().long().clamp(0, steps - 1)
     s = t / h - cell

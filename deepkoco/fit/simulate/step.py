@@ -1,4 +1,4 @@
-"""One integration step of a batch of windows and lanes, in finer parts for windows in which a joint reverses."""
+"""One integration step of a batch of windows and lanes; windows in which a joint reverses get shorter steps."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ from torch import Tensor
 
 from deepkoco.systems.system import Acceleration, Motion
 
-# The sign of dry friction is smoothed over at least SHARPEST of the joint's own smoothing speed, and over as much
-# speed as the joint gains in CROSSING steps. A fast reversal inside one step would otherwise see the sign at the
-# four stages only; spread over the step it gives the right impulse where the speed changes evenly across the
-# reversal.
+# The sign of dry friction is smoothed over at least SHARPEST of the joint's own smoothing speed, and over the change
+# of speed in CROSSING steps. A reversal within one step would otherwise sample the sign at four stages only. The
+# impulse of the smoothed sign is right if the speed changes evenly across the reversal.
 SHARPEST = 0.6
 CROSSING = 0.3
-SATURATED = 2.0  # smoothing speeds from which the smoothed sign hardly changes
+SATURATED = 2.0  # speed above which the smoothed sign hardly changes [smoothing speeds]
 
 Values = tuple[Tensor, ...]
 
 
 class Drive(NamedTuple):
-    """What drives one step.
+    """Efforts, times and outside loads of one step.
 
     Attributes:
-        efforts: At its start, middle and end: per command (W, L).
-        times: (W, 1) log time there [s].
+        efforts: Effort of each command (W, L) at start, middle and end of the step.
+        times: (W, 1) log time at start, middle and end [s].
         load: Per joint (W, L), outside load over the step; None for none.
     """
 
@@ -35,7 +34,7 @@ class Drive(NamedTuple):
     load: Values | None
 
     def part(self, rows: Tensor, k: int, parts: int) -> Drive:
-        """What drives some windows over the k-th of so many parts of the step: efforts are linear in time."""
+        """Drive of the windows ``rows`` over the k-th of ``parts`` parts of the step; efforts are linear in time."""
         shares = (k / parts, (k + 0.5) / parts, (k + 1.0) / parts)
         start, end = _rows(self.efforts[0], rows), _rows(self.efforts[2], rows)
         efforts = [tuple(torch.lerp(a, b, s) for a, b in zip(start, end, strict=True)) for s in shares]
@@ -46,7 +45,7 @@ class Drive(NamedTuple):
 
 
 class Step(NamedTuple):
-    """State after a step, and the accelerations at its two ends; per joint (W, L)."""
+    """State after a step, and the accelerations at its start and end; per joint (W, L)."""
 
     angle: Values
     speed: Values
@@ -71,7 +70,7 @@ def step_of(law: Acceleration, angle: Values, speed: Values, drive: Drive, width
         law: Equations of motion.
         angle: Per joint (W, L).
         speed: Per joint (W, L).
-        drive: What drives the step.
+        drive: Efforts, times and loads of the step.
         width: Per joint, speed over which the sign of dry friction is smoothed.
         h: Step [s].
     """
@@ -88,12 +87,12 @@ def step_of(law: Acceleration, angle: Values, speed: Values, drive: Drive, width
 
 
 def reversing(before: Values, after: Values, width: Values, parts: Sequence[int]) -> Tensor:
-    """Windows in which a joint whose reversals are divided reverses, comes to rest or starts from rest.
+    """Find windows in which a joint with divided reversals reverses, stops or starts.
 
     Args:
         before, after: Per joint (W, L), speeds at the ends of the step.
         width: Per joint, speed over which the sign of dry friction is smoothed.
-        parts: Per joint, in how many parts a step with a reversal is divided.
+        parts: Per joint, number of parts of a step with a reversal.
     """
     found: Tensor | None = None
     for v0, v1, w, n in zip(before, after, width, parts, strict=True):
@@ -115,14 +114,14 @@ def divided(
     rows: Tensor,
     parts: int,
 ) -> Step:
-    """The step of some windows in finer parts; the rest as for :func:`step_of`, of all windows.
+    """Integrate the step of some windows in shorter parts.
 
     Args:
         law: Equations of motion of the windows ``rows``.
-        angle, speed, drive, width, h: As there.
+        angle, speed, drive, width, h: As for :func:`step_of`, of all windows.
         sharpest: Smallest width of each joint.
         rows: Windows to integrate.
-        parts: How many parts.
+        parts: Number of parts.
     """
     fine, angle, speed = h / parts, _rows(angle, rows), _rows(speed, rows)
     width = tuple((w / parts).clamp_min(s) for w, s in zip(_rows(width, rows), sharpest, strict=True))
@@ -136,7 +135,7 @@ def divided(
 
 
 def replaced(step: Step, rows: Tensor, part: Step) -> Step:
-    """A step of all windows, with another one in the windows ``rows``."""
+    """Replace the result of a step in the windows ``rows``."""
     return Step(
         *(
             tuple(
@@ -157,7 +156,7 @@ def _moved(x: Values, rate: Values, h: float) -> Values:
 
 
 def _mean(x: Values, k1: Values, k2: Values, k3: Values, k4: Values, h: float) -> Values:
-    """State after Runge-Kutta's weighted mean of four rates over a step."""
+    """Runge-Kutta step with the weighted mean of four rates."""
     return tuple(
         torch.add(a, torch.add(r1, r2 + r3, alpha=2.0).add_(r4), alpha=h / 6.0)
         for a, r1, r2, r3, r4 in zip(x, k1, k2, k3, k4, strict=True)

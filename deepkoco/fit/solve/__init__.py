@@ -1,1 +1,1 @@
-"""Solving a fit: methods, priors, nuisances and what the data cannot tell."""
+"""Solve a fit: methods, priors, nuisances and identifiability."""

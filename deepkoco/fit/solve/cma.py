@@ -1,4 +1,4 @@
-"""CMA-ES: a search by populations, for costs that are not smooth or have many minima."""
+"""CMA-ES with the package `cma`, for costs that are not smooth or have many minima."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ class MissingExtraError(ImportError):
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search.
+    """Result of CMA-ES.
 
     Attributes:
-        best: (d,) best point that was evaluated.
-        cost: Its cost.
+        best: (d,) best evaluated point.
+        cost: Cost of the best point.
         mean: (d,) mean of the last distribution.
         costs: (G, 3) lowest, median and highest cost of each generation.
-        spreads: (G,) overall standard deviation, as a part of the one at the start.
-        evaluations: Number of points.
-        reason: Why it stopped.
-        converged: Whether it stopped by itself, not at the limit of generations.
+        spreads: (G,) overall standard deviation of each generation, relative to the start.
+        evaluations: Number of evaluated points.
+        reason: Stopping criteria of the package that were met.
+        converged: Whether it stopped before the limit of generations.
     """
 
     best: np.ndarray
@@ -56,19 +56,19 @@ def cma_es(
 ) -> Search:
     """Minimise a cost inside a box.
 
-    The distribution starts at ``start`` with independent coordinates of standard deviation ``spread``; a
-    bounded coordinate is folded smoothly at its bounds. Points whose cost is not finite rank last.
+    The distribution starts at ``start`` with independent coordinates of standard deviation ``spread``. A smooth map
+    folds bounded coordinates at their bounds. Points without a finite cost rank last.
 
     Args:
-        cost: (L, d) points -> (L,) costs; called once for each generation.
+        cost: (L, d) points -> (L,) costs; called once per generation.
         start: (d,) point inside the box.
-        spread: (d,) standard deviations at the start, in which the search is scaled.
+        spread: (d,) standard deviations at the start; they scale the coordinates.
         low: (d,) lower bounds, -inf where there is none.
         high: (d,) upper bounds, inf where there is none.
-        generator: Where all draws come from.
+        generator: Generator of all draws.
         population: Points in a generation; None: 4 + 3 ln d.
-        generations: Most generations.
-        tolerance: Spread of the costs of the last generations below which the search ends.
+        generations: Largest number of generations.
+        tolerance: The search ends when the range of the lowest costs of recent generations is smaller.
         progress: Called after each generation with its number and the lowest cost so far.
 
     Raises:
@@ -82,10 +82,10 @@ def cma_es(
         box.inverse(np.zeros(len(start))).tolist(),
         1.0,
         {
-            # Draws come from the caller's generator; the library's own seed would set NumPy's global state.
+            # A seed of the library would set NumPy's global state.
             "randn": lambda *shape: generator.standard_normal(shape),
             "seed": np.nan,
-            # As the library limits them in a box of its own.
+            # The library has the same limit for its own box constraints.
             "maxstd": ((box.high - box.low) / 3.0).tolist(),
             "maxiter": generations,
             "tolfun": tolerance,
@@ -99,7 +99,7 @@ def cma_es(
     costs, spreads = [], []
     while not strategy.stop():
         points = strategy.ask()
-        # The library would fold point by point, which took longer than simulating them.
+        # The library folds point by point, which took longer than the simulations.
         at = start + spread * box.fold(np.asarray(points))
         values = np.asarray(cost(at), dtype=np.float64)
         worst = np.max(values[np.isfinite(values)], initial=0.0)
@@ -126,7 +126,7 @@ def cma_es(
 
 
 class Box:
-    """Folds space smoothly into a box: the identity inside, quadratic near a bound, periodic beyond.
+    """Smooth map of R^d into a box: the identity inside, quadratic near a bound, periodic outside.
 
     The same map as the `BoxConstraintsLinQuadTransformation` of the package `cma`, for many points at once.
 
@@ -142,9 +142,9 @@ class Box:
         self._above = np.where(np.isfinite(high), np.minimum(half, 0.05 * np.maximum(1.0, np.abs(high))), 1.0)
 
     def fold(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., d) inside the box."""
+        """Map points (..., d) into the box."""
         low, high, below, above = self.low, self.high, self._below, self._above
-        left, right = low - below, high + above  # where the map turns round
+        left, right = low - below, high + above  # reflection points of the map
         with np.errstate(invalid="ignore"):
             along = np.mod(points - left, 2.0 * (right - left))
             turned = left + np.minimum(along, 2.0 * (right - left) - along)
@@ -158,7 +158,7 @@ class Box:
         return np.where(near_low, lower, np.where(near_high, upper, inside))
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., d) that are folded onto these of the box, each the nearest to it."""
+        """Nearest points (..., d) that `fold` maps to these points of the box."""
         low, high, below, above = self.low, self.high, self._below, self._above
         with np.errstate(invalid="ignore"):
             lower = low - below + 2.0 * np.sqrt(below * np.maximum(points - low, 0.0))

@@ -1,4 +1,4 @@
-"""How far the residuals of a fit are from independent noise of the assumed size."""
+"""Compute size and autocorrelation of the residuals of a fit, relative to independent noise."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
 
-LONGEST_LAG = 25  # samples over which residuals are correlated
+LONGEST_LAG = 25  # longest lag of the autocorrelation [samples]
 
 
 @dataclass(frozen=True)
 class Dispersion:
-    """How far residuals are from independent noise of the assumed size.
+    """Size and autocorrelation of residuals, relative to independent noise of the assumed size.
 
     Attributes:
         chi2_per_sample: Mean squared residual in noise variances.
-        correlation: 1 + 2 sum of the autocorrelations inside windows: samples per independent sample.
-        lag_one: Correlation of neighbouring residuals.
+        correlation: 1 + 2 times the sum of autocorrelations within windows: samples per independent sample.
+        lag_one: Autocorrelation at a lag of one sample.
     """
 
     chi2_per_sample: float
@@ -29,12 +29,12 @@ class Dispersion:
 
     @property
     def deflation(self) -> float:
-        """Factor by which likelihood ratios under white noise are too large; at least 1."""
+        """Factor by which the assumption of white noise overestimates likelihood ratios; at least 1."""
         return max(1.0, self.chi2_per_sample) * self.correlation
 
 
 def dispersion(fit: Fit, windows: Windows) -> Dispersion:
-    """Dispersion of a fit's residuals, over all channels and windows."""
+    """Compute the dispersion of a fit's residuals over all channels and windows."""
     totals = np.zeros(LONGEST_LAG + 1)
     counts = np.zeros(LONGEST_LAG + 1)
     residual, valid = fit.residual.numpy(), windows.valid.numpy()
@@ -47,7 +47,7 @@ def dispersion(fit: Fit, windows: Windows) -> Dispersion:
     samples = counts[0]
     power = totals[0] / max(samples, 1.0)
     rho = totals[1:] / np.maximum(counts[1:], 1.0) / max(power, 1e-300)
-    # Summed up to the first autocorrelation that chance explains (initial positive sequence).
+    # The sum ends before the first autocorrelation that is not significant (initial positive sequence).
     inside = rho > 2.0 / math.sqrt(max(samples, 1.0))
     reach = int(np.argmin(inside)) if not inside.all() else len(rho)
     return Dispersion(float(power), 1.0 + 2.0 * float(rho[:reach].sum()), float(rho[0]))

@@ -1,4 +1,4 @@
-"""Encoder zeros: nuisances that differ from log to log."""
+"""Unknown zeros of angle sensors, one set per log."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from deepkoco.systems import System
 
 @dataclass(frozen=True)
 class EncoderZeros:
-    """One unknown zero for each log and each angle channel whose sensor does not know its zero.
+    """One unknown zero for each log and each angle channel with an unknown zero.
 
-    A vector of zeros holds those of the first such channel, one per log, then those of the next.
+    A vector of zeros contains those of the first such channel, one per log, then those of the next channel.
 
     Attributes:
-        channels: The channels.
+        channels: Indices of the channels.
         sd: Standard deviation of each channel's zeros around 0 [rad].
-        logs: How many logs.
+        logs: Number of logs.
     """
 
     channels: tuple[int, ...]
@@ -29,7 +29,7 @@ class EncoderZeros:
 
     @staticmethod
     def of(system: System, logs: int, sd: float | None = None) -> EncoderZeros:
-        """Those that a system declares; ``sd`` [rad] overrides its spreads, 0 for zeros that are known."""
+        """Zeros that a system declares; ``sd`` [rad] replaces its standard deviations, 0 means known zeros."""
         spread = [(c.zero_sd if sd is None else sd) if c.angle else 0.0 for c in system.measurements]
         channels = tuple(c for c, s in enumerate(spread) if s > 0.0)
         return EncoderZeros(channels, tuple(spread[c] for c in channels), logs)
@@ -46,11 +46,11 @@ class EncoderZeros:
 
     @property
     def precision(self) -> Tensor:
-        """(count,) of the prior."""
+        """(count,) prior precisions [1/rad^2]."""
         return torch.from_numpy(1.0 / self.spread**2)
 
     def none(self) -> Tensor:
-        """A vector in which every sensor is right."""
+        """A vector (count,) of zeros that are all 0."""
         return torch.zeros(self.count, dtype=torch.float64)
 
     def add(self, predicted: Tensor, zero: Tensor, log: np.ndarray) -> None:
@@ -59,7 +59,7 @@ class EncoderZeros:
             predicted[:, :, channel] += zero[:, k * self.logs + log][..., None]
 
     def slopes(self, weight: Tensor, log: np.ndarray) -> Tensor:
-        """(count, W, N, M) derivatives of measurements that are weighted by (W, N, M)."""
+        """(count, W, N, M) derivatives of the measurements by the zeros, times the weights (W, N, M)."""
         result = torch.zeros(self.count, *weight.shape, dtype=torch.float64)
         of_log = torch.from_numpy(log[None] == np.arange(self.logs)[:, None])
         for k, channel in enumerate(self.channels):
@@ -68,7 +68,7 @@ class EncoderZeros:
         return result
 
     def name(self, index: int, system: System) -> str:
-        """Name of one entry of a vector of zeros, for reports."""
+        """Name of one element of a vector of zeros, for reports."""
         k, log = divmod(index, self.logs)
         of = f" of {system.measurements[self.channels[k]].name}" if len(self.channels) > 1 else ""
         return f"zero{of} of log {log + 1}"

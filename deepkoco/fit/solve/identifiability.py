@@ -1,4 +1,4 @@
-"""Which combinations of parameters a log cannot tell apart."""
+"""Find combinations of parameters that the data do not identify."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from deepkoco.fit.solve.prior import Prior
 
 @dataclass(frozen=True)
 class Direction:
-    """A combination of parameters about which the data say less than the prior.
+    """A combination of parameters about which the data contain less information than the prior.
 
     Attributes:
-        weights: Parameter -> share, in prior standard deviations; squares add up to 1.
-        information: Information of the data along it, in units of the prior's; below 1.
+        weights: Parameter -> share in prior standard deviations. Shares below 0.1 are left out.
+        information: Information of the data along the combination, relative to the prior's; below 1.
     """
 
     weights: dict[str, float]
@@ -24,10 +24,10 @@ class Direction:
 
 
 def unidentified(fit: Fit, prior: Prior) -> tuple[Direction, ...]:
-    """Near null space of the Jacobian, in the metric of the prior.
+    """Find the combinations of the free parameters that are not identified.
 
-    The eigenvectors of L^T I L, with I the data's information (initial states eliminated) and L L^T the
-    prior's covariance, whose eigenvalues are below 1: along them the prior decides, not the log.
+    They are the eigenvectors of L^T I L with eigenvalues below 1. I is the information of the data with initial states
+    eliminated, and L L^T is the covariance of the prior. Along them the prior determines the estimate.
     """
     index = [prior.names.index(n) for n in fit.free]
     if not index:

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt steps of many trials, simulated in one batch."""
+"""Levenberg-Marquardt for many trials, with one batch of simulations per iteration."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
 if TYPE_CHECKING:
     from deepkoco.fit.fit import FitProblem
 
-TOLERANCE = 0.02  # a fit has converged when a step lowers chi2 by less
+TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
-PARAMETER_STEP = 1e-5  # finite difference of a parameter, in its scale
+PARAMETER_STEP = 1e-5  # finite difference of a parameter, relative to its scale
 LARGEST_DAMPING = 1e8
 
 
@@ -63,7 +63,7 @@ class Batch:
             normals = self._linearise(active, trial_theta, trial_initial, trial_nuisance)
             for k, normal in zip(active, normals, strict=True):
                 decrease = self.cost[k] - normal.cost
-                # A cost may be finite and its derivatives not: one lane of them diverged.
+                # The cost can be finite although a lane of the finite differences diverged.
                 if normal.finite and decrease >= 0:
                     self.normal[k] = normal
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
@@ -72,7 +72,7 @@ class Batch:
                     self.converged[k] = decrease < self.tolerance
                 else:
                     self.damping[k] *= 20.0
-                    # A step that is refused although the model is exact to rounding has nothing to win.
+                    # If the step raises the cost by rounding errors only, the cost is at its minimum.
                     self.converged[k] = normal.finite and -decrease < 1e-3 * self.tolerance
                 self.history[k].append(float(self.cost[k]))
                 self.done[k] = (
@@ -92,7 +92,7 @@ class Batch:
     def _linearise(
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
     ) -> list[NormalEquations]:
-        """Simulate base and perturbed lanes of the active trials at once; form their normal equations."""
+        """Simulate the active trials and their finite differences in one batch; form the normal equations."""
         problem = self.problem
         states = initial.shape[-1]
         nudge = state_steps(states)
@@ -151,7 +151,7 @@ class Batch:
         limit = np.zeros(p)
         while True:
             move, states, gain = normal.solve(self.damping[k], held, limit)
-            # What leaves the box stops at its bound, and the others are solved again around it.
+            # Parameters that leave their bounds are set to them, and the step of the others is solved again.
             outside = ((move[:p] < low) | (move[:p] > high)) & ~held
             if not outside.any():
                 break
@@ -191,7 +191,7 @@ class Batch:
         )
 
     def _diverged(self, k: int) -> Fit:
-        """Of a trial whose simulation diverges: the start, of which the data say nothing."""
+        """Result of a trial whose simulation diverges: start values and prior, without information of the data."""
         trial, prior = self.trials[k], self.precision[k].numpy()
         p = len(self.columns[k])
         curvature = np.diag(np.append(np.zeros(p), self.problem.nuisances.precision.numpy()))

@@ -1,4 +1,4 @@
-"""How a question is answered: a new method is one class and one line in METHODS."""
+"""Methods of a fit. A new method is one class and one line in `METHODS`."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from deepkoco.fit.solve.cma import cma_es
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import sharpen_noise
 
-TOLERANCE = 1e-4  # fall of the cost below which a user's fit has converged
-HELD_STEPS = 8  # simulations that suit the initial states to held parameters
-STATE_STEPS = 3  # simulations that suit the initial states to one point of a population
+TOLERANCE = 1e-4  # a user's fit has converged when a step lowers its cost by less
+HELD_STEPS = 8  # Gauss-Newton steps of the initial states at fixed parameters
+STATE_STEPS = 3  # Gauss-Newton steps of the initial states for each point of a population
 
-Progress = Callable[[str, int, int, float], None]  # stage, iteration, most iterations, cost
+Progress = Callable[[str, int, int, float], None]  # stage, iteration, largest number of iterations, cost
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What a method found.
+    """Result of a method.
 
     Attributes:
-        fit: The optimum, with its linearisation.
-        request: The question, with the noise that the fit was weighted by at the end.
+        fit: The optimum with its linearisation.
+        request: The request, with the noise that weights the residuals of ``fit``.
         stages: As in :class:`deepkoco.fit.identification.Convergence`.
         simulations: Number of simulations of all windows.
-        converged: Whether nothing was left to gain.
-        reason: Why it stopped.
+        converged: Whether the method stopped by its tolerance, not at a limit.
+        reason: Why it stopped, in words.
     """
 
     fit: Fit
@@ -46,24 +46,24 @@ class MethodResult:
 
 
 class Method(Protocol):
-    """Answers questions."""
+    """Solver of a fit."""
 
     @property
     def name(self) -> str:
-        """Name that results carry."""
+        """Name of the method in results."""
         ...
 
     def solve(self, request: FitRequest, generator: np.random.Generator, progress: Progress) -> MethodResult:
-        """Fit; every draw comes from the generator."""
+        """Solve a request; all draws come from the generator."""
         ...
 
 
 @dataclass(frozen=True)
 class LevenbergMarquardt:
-    """Damped Gauss-Newton on multiple shooting: smooth models, tens of simulations.
+    """Levenberg-Marquardt on multiple shooting, for smooth costs; needs tens of iterations.
 
     Attributes:
-        iterations: Most iterations of a stage.
+        iterations: Largest number of iterations of a stage.
     """
 
     iterations: int = 60
@@ -80,7 +80,7 @@ class LevenbergMarquardt:
             progress(stage, len(fit.history), self.iterations, fit.cost)
             return fit
 
-        # A long window across an unstable equilibrium has many minima, the half windows have fewer.
+        # The cost of long windows across an unstable equilibrium has many minima; that of half windows has fewer.
         halves = request.problem(halved(request.windows))
         state, _ = halves.fit_states(request.start, halves.windows.state)
         first = run("half windows", halves, _trial(request, request.start, state))
@@ -99,14 +99,14 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class CmaEs:
-    """CMA-ES over parameters and nuisances of the logs, a generation in one batch of simulations.
+    """CMA-ES over parameters and nuisances of the logs, for costs with many minima or edges.
 
-    Initial states of the windows are suited to each point by a few Gauss-Newton steps (variable projection), so
-    that the search has as many coordinates as there are parameters. For costs with many minima or edges.
+    Each generation is one batch of simulations. A few Gauss-Newton steps adapt the initial states to each point
+    (variable projection). The initial states are therefore no coordinates of the search.
 
     Attributes:
         population: Points in a generation; None: 4 + 3 ln d.
-        generations: Most generations.
+        generations: Largest number of generations.
     """
 
     population: int | None = None
@@ -119,7 +119,7 @@ class CmaEs:
         start = np.array([request.start[n] for n in request.free])
         low, high = (np.array([getattr(p, side) for p in request.declared]) for side in ("low", "high"))
         own, free = problem.nuisances.spread, problem.nuisances.count
-        objective = _Profile(problem, request)
+        objective = _ProfileCost(problem, request)
         search = cma_es(
             objective,
             np.concatenate([start, np.zeros(free)]),
@@ -140,7 +140,7 @@ class CmaEs:
         return MethodResult(fit, request, stages, objective.simulations, search.converged, search.reason)
 
     def _at(self, problem: FitProblem, request: FitRequest, values: dict, nuisance: np.ndarray) -> Fit:
-        """The linearised fit at a point: states at their best, parameters where they are."""
+        """Fit the initial states at fixed parameters, and linearise there."""
         at = torch.from_numpy(nuisance) if len(nuisance) else None
         both = torch.stack([problem.windows.state])
         state, _ = problem.fit_states_each([values], both, nuisance=None if at is None else at[None])
@@ -150,8 +150,8 @@ class CmaEs:
 METHODS: dict[str, type[LevenbergMarquardt] | type[CmaEs]] = {"lm": LevenbergMarquardt, "cma": CmaEs}
 
 
-class _Profile:
-    """Cost of points of a population, minimised over the windows' initial states."""
+class _ProfileCost:
+    """Profile cost: cost of each point of a population, minimised over the initial states of the windows."""
 
     def __init__(self, problem: FitProblem, request: FitRequest) -> None:
         self.problem, self.request = problem, request
@@ -191,7 +191,7 @@ def _trial(
 
 
 def _first_spread(request: FitRequest) -> np.ndarray:
-    """Standard deviations at the start of a search: the prior's, within a quarter of the bounds."""
+    """Standard deviations at the start of CMA-ES: the prior's, limited by bounds, value and declared prior."""
     sd = np.sqrt(np.diag(request.prior.covariance))
     index = [request.prior.names.index(n) for n in request.free]
     width = np.array([0.25 * (p.high - p.low) for p in request.declared])
@@ -200,7 +200,10 @@ def _first_spread(request: FitRequest) -> np.ndarray:
 
 
 def held(request: FitRequest, values: dict[str, float], state: torch.Tensor, nuisance: torch.Tensor) -> Fit:
-    """Fit of the initial states alone, every parameter held: how well given values explain the windows."""
+    """Fit the initial states alone at fixed parameters, to get the simulation errors at these parameters.
+
+    Nuisances start at ``nuisance``, and are fitted too.
+    """
     problem = request.problem()
     starts: Sequence[torch.Tensor] = [problem.windows.state, state]
     own = nuisance[None].repeat(2, 1)

@@ -1,4 +1,4 @@
-"""Normal equations of multiple shooting: parameters coupled to each window's own initial state."""
+"""Normal equations of multiple shooting; the initial states of the windows are eliminated."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
 
 @dataclass
 class NormalEquations:
-    """Gauss-Newton system of one trial: q parameters (nuisances of the logs last), S states in each of W windows.
+    """Gauss-Newton equations of one trial: q parameters (nuisances of the logs last), S states in each of W windows.
 
-    Each window's states couple to the parameters and to nothing else, so they are eliminated window by
-    window and the reduced system has the size of the parameters.
+    The initial state of a window is coupled to the parameters, but not to other windows. It is eliminated window by
+    window. The reduced equations then contain the q parameters only.
 
     Attributes:
-        residual: (W, N, M) whitened.
-        chi2: Sum of its squares.
+        residual: (W, N, M) residuals in noise standard deviations.
+        chi2: Sum of their squares.
         cost: chi2 plus the prior's penalty.
         hpp: (q, q) curvature of the parameters, prior included.
-        hps: (W, q, S) coupling.
+        hps: (W, q, S) mixed curvature of parameters and states.
         hss: (W, S, S) curvature of the states.
         gp: (q,) descent direction of the parameters, prior included.
         gs: (W, S) descent direction of the states.
@@ -53,14 +53,14 @@ class NormalEquations:
         """Form the equations.
 
         Args:
-            residual: (W, N, M) whitened.
-            slopes: (p, W, N, M) whitened derivatives by the parameters.
+            residual: (W, N, M) residuals in noise standard deviations.
+            slopes: (p, W, N, M) derivatives by the parameters, in noise standard deviations.
             state_slopes: (S, W, N, M) the same by the initial states.
             nuisance_slopes: (z, W, N, M) the same by the nuisances of the logs.
-            prior: (p, p) precision.
+            prior: (p, p) precision of the prior.
             offset: (p,) parameters minus the prior's mean.
-            nuisance: (z,) nuisances.
-            precision: (z,) of their prior around 0.
+            nuisance: (z,) nuisances of the logs.
+            precision: (z,) precisions of their prior around 0.
         """
         count, p, own = len(residual), len(slopes), len(nuisance)
         r = residual.reshape(count, -1)
@@ -84,17 +84,17 @@ class NormalEquations:
 
     @property
     def finite(self) -> bool:
-        """Whether neither the residuals nor any derivative diverged."""
+        """Whether all residuals and derivatives are finite."""
         parts = (self.hpp, self.hps, self.hss, self.gp, self.gs)
         return math.isfinite(self.cost) and all(bool(torch.isfinite(part).all()) for part in parts)
 
     def reduced(self, damping: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Schur complement on the parameters, its right-hand side, and the inverse state blocks."""
+        """Schur complement (q, q) of the parameters, right-hand side (q,), and inverse state blocks (W, S, S)."""
         diagonal = torch.diagonal(self.hss, dim1=-2, dim2=-1)
         blocks = self.hss + torch.diag_embed(damping * diagonal + 1e-9)
         inverse, singular = torch.linalg.inv_ex(blocks)
         if singular.any():
-            # Two states that the measurements do not tell apart: the step leaves their difference as it is.
+            # If the measurements do not distinguish two states, the step does not change their difference.
             again = torch.from_numpy(scaled_inverse(blocks.numpy()))
             inverse = torch.where((singular > 0)[:, None, None], again, inverse)
         through = self.hps @ inverse  # (W, q, S)
@@ -103,18 +103,18 @@ class NormalEquations:
         return matrix, self.gp - torch.einsum("wis,ws->i", through, self.gs), inverse
 
     def solve(self, damping: float, held: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, Tensor, float]:
-        """Damped step, with some parameters moved by a given amount, and the decrease that it promises.
+        """Compute the damped step and its predicted decrease of the cost; some parameters have a given step.
 
         Args:
             damping: Relative addition to the diagonals.
-            held: (p,) True where ``limit`` says how far the parameter moves.
-            limit: (p,) moves of the held parameters.
+            held: (p,) True for parameters whose step is given by ``limit``.
+            limit: (p,) given steps.
 
         Returns:
             Moves of parameters and nuisances (q,), of states (W, S), predicted decrease of the cost.
 
         Raises:
-            NotFiniteError: The reduced system overflows.
+            NotFiniteError: The reduced equations overflow.
         """
         matrix, right, inverse = self.reduced(damping)
         free = torch.ones(len(right), dtype=torch.bool)
@@ -127,9 +127,9 @@ class NormalEquations:
             wanted = (right - matrix @ move)[free] / scale
             if not (torch.isfinite(scaled).all() and torch.isfinite(wanted).all()):
                 raise NotFiniteError(
-                    "the reduced normal equations are not finite: a simulation nearly diverged"
+                    "the reduced normal equations are not finite: the residuals of a simulation are too large"
                 )
-            # NumPy's solver repeats to the last bit; torch's (gelsy) does not on a singular matrix.
+            # On a singular matrix, only NumPy's solver gives the same bits every time; torch's (gelsy) does not.
             solution = np.linalg.lstsq(scaled.numpy(), wanted.numpy(), rcond=None)[0]
             move[free] = torch.from_numpy(solution) / scale
         states = torch.einsum("wst,wt->ws", inverse, self.gs - torch.einsum("wis,i->ws", self.hps, move))

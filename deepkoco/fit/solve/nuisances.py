@@ -1,4 +1,4 @@
-"""Nuisances: what each log has of its own, free in every fit."""
+"""Nuisances of the logs: encoder zeros and per-log differences, which every fit estimates too."""
 
 from __future__ import annotations
 
@@ -15,16 +15,14 @@ from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 
 @dataclass(frozen=True)
 class Nuisances:
-    """Encoder zeros, and how far parameters of each log are from the mean of all logs (random effects).
+    """Encoder zeros, and differences of each log's parameters from the mean of all logs (random effects).
 
-    A vector of nuisances holds the zeros, then the amounts by which the first parameter that varies differs, one per
-    log, then those of the next.
-
-    They are not held within the bounds of their parameters.
+    A vector of nuisances contains the zeros, then the differences of the first parameter that varies, one per log, then
+    those of the next. Differences are not limited by the bounds of their parameters.
 
     Attributes:
-        zeros: The zeros.
-        varies: Standard deviation of each parameter that varies, in its unit.
+        zeros: Encoder zeros.
+        varies: Parameter that varies -> standard deviation between logs, in its unit.
     """
 
     zeros: EncoderZeros
@@ -43,33 +41,33 @@ class Nuisances:
 
     @property
     def precision(self) -> Tensor:
-        """(count,) of the prior."""
+        """(count,) prior precisions."""
         return torch.from_numpy(1.0 / self.spread**2)
 
     def index(self, name: str, log: int) -> int:
-        """Where a vector holds what a parameter differs by in a log."""
+        """Index of the difference of a parameter in a log, within a vector of nuisances."""
         return self.zeros.count + list(self.varies).index(name) * self.zeros.logs + log
 
     def penalty(self, nuisance: Tensor) -> float:
-        """The prior's share of the cost at a vector (count,)."""
+        """Penalty of the prior at a vector (count,)."""
         return float(self.precision @ nuisance**2)
 
     def none(self) -> Tensor:
-        """A vector in which every sensor is right and all logs share their parameters."""
+        """A vector (count,) in which all zeros and differences are 0."""
         return torch.zeros(self.count, dtype=torch.float64)
 
     def differ(self, nuisance: Tensor) -> dict[str, Tensor]:
-        """Parameter -> (K, L) amounts by which it differs in each of K logs, for vectors (L, count)."""
+        """Parameter -> (K, L) differences in each of K logs, from vectors (L, count)."""
         logs, first = self.zeros.logs, self.zeros.count
         return {
             n: nuisance[:, first + k * logs : first + (k + 1) * logs].T for k, n in enumerate(self.varies)
         }
 
     def slopes(self, weight: Tensor, log: np.ndarray, parameters: Tensor) -> Tensor:
-        """(count, W, N, M) derivatives of measurements that are weighted by (W, N, M).
+        """(count, W, N, M) derivatives of the measurements by the nuisances, times the weights.
 
         Args:
-            weight: One over the noise.
+            weight: (W, N, M) 1 / noise standard deviation, 0 where padded.
             log: (W,) log of each window.
             parameters: (V, W, N, M) weighted derivatives by the parameters that vary.
         """
@@ -78,7 +76,7 @@ class Nuisances:
         return torch.cat([self.zeros.slopes(weight, log), each.flatten(0, 1)])
 
     def known_in(self, windows: Windows, nuisance: Tensor) -> Windows:
-        """Windows in which the differences of a vector (count,) are known beside what was, and nothing varies."""
+        """Add the differences of a vector (count,) to the known ones of the windows; then nothing varies."""
         known = [dict(own) for own in windows.known or ({},) * self.zeros.logs]
         for name, each in self.differ(nuisance[None]).items():
             for own, amount in zip(known, each[:, 0].tolist(), strict=True):

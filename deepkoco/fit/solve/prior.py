@@ -32,26 +32,26 @@ class Prior:
 
     @staticmethod
     def of(parameters: Iterable[Parameter]) -> Prior:
-        """Independent priors as the parameters declare them."""
+        """Independent priors with the mean and standard deviation that the parameters declare."""
         declared = tuple(parameters)
         sd = np.array([p.prior_sd for p in declared])
         return Prior(tuple(p.name for p in declared), np.array([p.value for p in declared]), np.diag(sd**2))
 
     def mean(self, names: Iterable[str]) -> np.ndarray:
-        """Means of some of the parameters, in the order asked for."""
+        """Means of these parameters, in their order."""
         return self.centre[[self.names.index(n) for n in names]]
 
     def precision(self, names: Iterable[str]) -> np.ndarray:
-        """Inverse covariance of some of the parameters (the others marginalised)."""
+        """Inverse covariance of these parameters; the others are marginalised."""
         index = [self.names.index(n) for n in names]
         return scaled_inverse(self.covariance[np.ix_(index, index)])
 
     def widened(self, added: Iterable[Parameter], values: Mapping[str, float]) -> Prior:
-        """With further uncertainty on some parameters, new or known: their declared spread is added.
+        """Add the declared prior variance of parameters to this prior, which need not contain them.
 
         Args:
-            added: Parameters that become (more) uncertain.
-            values: Means of those that are new.
+            added: Parameters whose variance is added.
+            values: Means of parameters that this prior does not contain.
         """
         names, centre = list(self.names), list(self.centre)
         covariance = self.covariance

@@ -1,4 +1,4 @@
-"""Sensor noise estimated from what a fit leaves."""
+"""Estimate the sensor noise from the residuals of a fit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deepkoco.logs.quantum import quantum_of
 
 
 def sharpen_noise(windows: Windows, fit: Fit) -> tuple[Noise, ...]:
-    """Noise of each channel from the residuals of a fit, where that is below what the windows hold."""
+    """Noise of each channel: the smaller one of the estimate from the residuals and that of the windows."""
     result = []
     for c, noise in enumerate(windows.noise):
         valid = windows.valid[:, c].numpy()

@@ -1,4 +1,4 @@
-"""The inverse of a symmetric matrix whose rows have units of their own."""
+"""Pseudo-inverse of a symmetric matrix whose rows differ in unit."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 
 
 class NotFiniteError(FloatingPointError):
-    """A simulation diverged, or its derivatives did: there is nothing to fit."""
+    """A simulation or its derivatives diverged, so they cannot be fitted."""
 
 
 def scaled_inverse(matrix: np.ndarray, ridge: float = 0.0, smallest: float = 0.0) -> np.ndarray:
-    """Pseudo-inverse after scaling to a unit diagonal, so that no row is small beside the others for its unit.
+    """Compute the pseudo-inverse after scaling to a unit diagonal, so that units do not matter.
 
     Args:
         matrix: (..., n, n) symmetric, such as a curvature or a covariance. Of directions that are hardly known the

@@ -1,1 +1,1 @@
-"""The state of a system now, from measurements that are late."""
+"""Estimate the present state of a system from delayed measurements."""

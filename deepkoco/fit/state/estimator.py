@@ -1,4 +1,4 @@
-"""State now, from measurements that are late: filter in the past, predict with the commands since."""
+"""Estimate the present state from delayed measurements: filter in the past, then predict with the commands."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from torch import Tensor
 
 from deepkoco.fit.state.unscented import Belief, FilterError, SigmaPoints, predict, update
 
-LONGEST_STEP = 0.01  # of the integration between two instants [s]
+LONGEST_STEP = 0.01  # longest integration step [s]
 Derivative = Callable[[Tensor, Tensor], Tensor]  # states (B, K, S), commands (B, 1, M) -> (B, K, S)
 Density = Tensor | Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
 class Memory:
-    """What an estimator remembers of B environments; it is replaced, never changed.
+    """Measurements, beliefs and commands that an estimator keeps for B environments. It is immutable.
 
     Attributes:
-        time: (B, K) instants at which the kept measurements were taken, ascending; -inf in empty places.
-        value: (B, K, N) measurements, not a number where a channel was missing.
-        noise_sd: (B, K, N) of each.
-        mean: (B, K, S) beliefs, each after the measurement of its place.
-        root: (B, K, S, S) their roots.
+        time: (B, K) times at which the kept measurements were taken [s], ascending; -inf in unused places.
+        value: (B, K, N) measurements, NaN where a channel was missing.
+        noise_sd: (B, K, N) standard deviations of their noise.
+        mean: (B, K, S) means of the beliefs after each measurement.
+        root: (B, K, S, S) roots of their covariances.
         before: Belief before the oldest kept measurement.
-        since: (B,) its instant [s].
-        acts: (B, C) instants from which the kept commands act, ascending; -inf in empty places.
+        since: (B,) time of ``before`` [s].
+        acts: (B, C) times from which the kept commands act [s], ascending; -inf in unused places.
         command: (B, C, M) commands, each held until the next.
-        dropped: (B,) measurements that came too late to be put in their place.
+        dropped: (B,) number of measurements that were older than ``since`` and not used.
     """
 
     time: Tensor
@@ -45,7 +45,7 @@ class Memory:
     dropped: Tensor
 
     def newest(self) -> tuple[Belief, Tensor]:
-        """Belief after the newest measurement and its instant (B,) [s]."""
+        """Belief after the newest measurement, and the time (B,) of that measurement [s]."""
         there = torch.isfinite(self.time[:, -1])
         last = Belief(self.mean[:, -1], self.root[:, -1]).where(there, self.before)
         return last, torch.where(there, self.time[:, -1], self.since)
@@ -54,24 +54,24 @@ class Memory:
 class DelayedEstimator:
     """Unscented filter with forward prediction, for B environments at once.
 
-    A measurement stamped t shows the state at t - tau_s; a command sent at t acts from t + tau_a. Measurements are
-    filtered at the instant at which they were taken, wherever that lies among those that came before (out of
-    order, irregular, missing, each with noise of its own); the belief is then carried on to the instant at which
-    the next command will act, under the commands that act until then, each from its own time stamp.
+    A measurement with time stamp t shows the state at t - tau_s. A command that is sent at t acts from t + tau_a. The
+    filter processes each measurement at the time at which it was taken. Measurements can be out of order, irregular or
+    incomplete, and each can have its own noise. `estimate` then predicts the belief to the time at which the next
+    command will act, under the commands that act until then.
 
     Args:
-        derivative: Equations of motion, under the command that acts.
+        derivative: Equations of motion: states (B, K, S), commands (B, 1, M) -> (B, K, S).
         measure: States (B, K, S) -> measurements (B, K, N).
         noise_density: Spectral density of the process noise, (S, S) or (B, S, S), units of the state squared per
-            second; or a function that gives it for instants (B,) [s].
-        noise_sd: (N,) standard deviation of each sensor; a measurement may bring its own.
-        kept: Measurements among which a late one is put in its place.
-        points: Rule of the sigma points.
-        angle: (N,) True where a sensor wraps.
+            second; or a function that computes it for times (B,) [s].
+        noise_sd: (N,) standard deviation of each sensor; `receive` can replace it.
+        kept: Number of measurements that are kept. A measurement that is older than these is not used.
+        points: Parameters of the sigma points.
+        angle: (N,) True for channels that are wrapped angles [rad].
         longest_step: Longest integration step [s].
 
     Raises:
-        FilterError: A density is not positive semidefinite, or nothing is kept.
+        FilterError: A density is not symmetric and positive semidefinite, or ``kept`` is below 1.
 
     Source: thesis alg. 6; Julier, Uhlmann, Unscented filtering and nonlinear estimation (2004).
     """
@@ -89,7 +89,7 @@ class DelayedEstimator:
         longest_step: float = LONGEST_STEP,
     ) -> None:
         if kept < 1:
-            raise FilterError(f"an estimator keeps at least one measurement, not {kept}")
+            raise FilterError(f"kept: {kept}; an estimator must keep at least one measurement")
         self.derivative, self.measure, self.noise_sd = derivative, measure, noise_sd
         self.density = noise_density
         self._constant = None if callable(noise_density) else _root_of(noise_density)
@@ -100,10 +100,10 @@ class DelayedEstimator:
         """Memory before the first measurement.
 
         Args:
-            belief: Over the states at ``since``.
-            since: (B,) [s].
-            command: (B, M) that has acted all along.
-            commands: Commands that are kept: as many as act between the oldest kept measurement and now.
+            belief: Belief over the states at ``since``.
+            since: (B,) start time [s].
+            command: (B, M) command that acts before the first one that is sent.
+            commands: Number of commands that are kept, at least those that act after the oldest kept measurement.
         """
         count, kept = len(since), self.kept
         channels = (count, kept, len(self.noise_sd))
@@ -122,13 +122,13 @@ class DelayedEstimator:
         )
 
     def send(self, memory: Memory, time: Tensor, command: Tensor, actuation_delay: Tensor | float) -> Memory:
-        """Remember commands.
+        """Add commands to the memory.
 
         Args:
-            memory: Until now.
-            time: (B,) when each was sent [s].
-            command: (B, M).
-            actuation_delay: tau_a of these commands [s], scalar or (B,); none acts before the one before.
+            memory: Memory before.
+            time: (B,) times at which they are sent [s].
+            command: (B, M) commands.
+            actuation_delay: tau_a of these commands [s], scalar or (B,). A command never acts before an earlier one.
         """
         acts = torch.maximum(time + actuation_delay, memory.acts[:, -1])
         return replace(
@@ -145,34 +145,34 @@ class DelayedEstimator:
         sensing_delay: Tensor | float,
         noise_sd: Tensor | None = None,
     ) -> Memory:
-        """Take measurements in, each at the instant at which it was taken.
+        """Add measurements to the memory, each at the time at which it was taken.
 
         Args:
-            memory: Until now.
-            time: (B,) time stamps [s]; not a number where an environment has received nothing.
-            value: (B, N); not a number where a channel is missing.
+            memory: Memory before.
+            time: (B,) time stamps [s]; NaN for an environment without a new measurement.
+            value: (B, N) measurements; NaN where a channel is missing.
             sensing_delay: tau_s of these measurements [s], scalar or (B,).
-            noise_sd: Sensors' noise now, (N,) or (B, N); None takes the usual.
+            noise_sd: Standard deviations of their noise, (N,) or (B, N); None takes the estimator's.
         """
         taken = time - sensing_delay
         new = torch.isfinite(taken) & (taken >= memory.since)
         dropped = memory.dropped + (torch.isfinite(taken) & ~new)
         noise = (self.noise_sd if noise_sd is None else noise_sd).expand_as(value)
-        # Without a measurement an environment gets an empty place, which sorts to the front and falls out.
+        # An environment without a new measurement gets an unused place. It sorts to the front and is removed.
         times = torch.cat([memory.time, torch.where(new, taken, -math.inf)[:, None]], 1)
         order = torch.argsort(times, dim=1, stable=True)
         times = times.gather(1, order)
         columns = order[..., None].expand(-1, -1, value.shape[1])
         values = torch.cat([memory.value, value[:, None]], 1).gather(1, columns)
         noises = torch.cat([memory.noise_sd, noise[:, None]], 1).gather(1, columns)
-        # One place more than there is: the first is absorbed in the belief before all others.
+        # There is one place too many: the oldest measurement becomes a part of the belief `before`.
         size = memory.mean.shape[2]
         means = torch.cat([memory.mean, memory.mean[:, -1:]], 1).gather(
             1, order[..., None].expand(-1, -1, size)
         )
         roots = torch.cat([memory.root, memory.root[:, -1:]], 1)
         roots = roots.gather(1, order[..., None, None].expand(-1, -1, size, size))
-        # Beliefs after the new measurement and all later ones hold no more.
+        # Beliefs at and after the new measurement are computed again.
         stale = torch.cumsum(order == self.kept, 1).bool() & new[:, None]
         belief, at = memory.before, memory.since
         beliefs = []
@@ -180,7 +180,7 @@ class DelayedEstimator:
             again, there = stale[:, k], torch.isfinite(times[:, k])
             kept = Belief(means[:, k], roots[:, k])
             if bool(again.any()):
-                moved = self._carry(memory, belief, at, torch.where(again, times[:, k], at))
+                moved = self._predict_until(memory, belief, at, torch.where(again, times[:, k], at))
                 stepped, _ = update(moved, self.measure, values[:, k], noises[:, k], self.points, self.angle)
                 kept = stepped.where(again, kept)
             belief = kept.where(there, belief)
@@ -201,18 +201,18 @@ class DelayedEstimator:
         )
 
     def estimate(self, memory: Memory, time: Tensor, actuation_delay: Tensor | float = 0.0) -> Belief:
-        """Belief over the states at ``time`` + tau_a: what a command sent now will meet.
+        """Predict the belief over the states at ``time`` + tau_a, when a command that is sent now will act.
 
         Args:
-            memory: Until now.
-            time: (B,) now [s].
+            memory: Memory at this time.
+            time: (B,) present time [s].
             actuation_delay: tau_a [s], scalar or (B,); 0 for the state now.
         """
         belief, at = memory.newest()
-        return self._carry(memory, belief, at, torch.maximum(time + actuation_delay, at))
+        return self._predict_until(memory, belief, at, torch.maximum(time + actuation_delay, at))
 
-    def _carry(self, memory: Memory, belief: Belief, start: Tensor, stop: Tensor) -> Belief:
-        """Carry a belief from ``start`` to ``stop`` (B,), one piece for each command that acts in between."""
+    def _predict_until(self, memory: Memory, belief: Belief, start: Tensor, stop: Tensor) -> Belief:
+        """Predict a belief from ``start`` to ``stop`` (B,) [s], in one piece per command that acts in between."""
         edges = torch.cat([start[:, None], memory.acts, stop[:, None]], 1)
         edges = torch.minimum(torch.maximum(edges, start[:, None]), stop[:, None])
         length = edges.diff(dim=1)  # (B, C + 1)
@@ -244,10 +244,10 @@ class DelayedEstimator:
 
 
 def system_derivative(system: object, parameters: dict[str, Tensor]) -> Derivative:
-    """Equations of motion of a system (`deepkoco.systems.System`) as an estimator takes them.
+    """Equations of motion of a system (`deepkoco.systems.System`) in the form that the estimator needs.
 
     Args:
-        system: The system; its timing is left to the estimator.
+        system: The system. Its delays are not included: `send` and `receive` take them.
         parameters: Named values, each scalar or (B, 1).
     """
 
@@ -259,7 +259,7 @@ def system_derivative(system: object, parameters: dict[str, Tensor]) -> Derivati
 
 
 def _root_of(density: Tensor) -> Tensor:
-    """Symmetric root of a positive semidefinite matrix, which may be singular."""
+    """Root R with R R^T = density, for a symmetric positive semidefinite matrix."""
     values, vectors = torch.linalg.eigh(density)
     if not torch.allclose(density, density.mT) or bool((values < -1e-9 * values.abs().max()).any()):
         raise FilterError("noise_density is not symmetric and positive semidefinite")

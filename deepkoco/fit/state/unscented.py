@@ -1,4 +1,4 @@
-"""The unscented Kalman filter in square-root form, batched over environments."""
+"""Unscented Kalman filter in square-root form, for a batch of environments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Map = Callable[[Tensor], Tensor]
 
 
 class FilterError(ValueError):
-    """A filter is set up wrongly."""
+    """A parameter of a filter is wrong."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Belief:
         return self.root @ self.root.mT
 
     def where(self, mask: Tensor, other: Belief) -> Belief:
-        """This belief in the environments of the mask (B,), the other one elsewhere."""
+        """Combine two beliefs: this one in the environments of the mask (B,), ``other`` in the rest."""
         return Belief(
             torch.where(mask[:, None], self.mean, other.mean),
             torch.where(mask[:, None, None], self.root, other.root),
@@ -46,10 +46,10 @@ class SigmaPoints:
     """Scaled unscented transform of S dimensions with 2 S + 1 points.
 
     Points: mean and mean +- sqrt(S + lambda) times the columns of the root, lambda = alpha^2 (S + kappa) - S.
-    Weights of the mean point: lambda / (S + lambda) for the mean, plus 1 - alpha^2 + beta for the covariance;
-    the others 1 / (2 (S + lambda)). The square-root form asks for weights of the covariance that are not
-    negative, which also keeps every covariance positive; the defaults give the cubature rule, exact for
-    polynomials of degree three.
+    Weights of the mean point: lambda / (S + lambda) for the mean, plus 1 - alpha^2 + beta for the covariance. The other
+    weights are 1 / (2 (S + lambda)). The square-root form needs weights of the covariance that are not negative. They
+    also keep every covariance positive semidefinite. The defaults give the cubature rule, exact for polynomials of
+    degree three.
 
     Source: van der Merwe, Wan, The square-root unscented Kalman filter (2001); Arasaratnam, Haykin, Cubature
         Kalman filters (2009).
@@ -60,7 +60,7 @@ class SigmaPoints:
     kappa: float = 0.0
 
     def spread(self, size: int) -> float:
-        """S + lambda."""
+        """S + lambda for S = ``size``."""
         return self.alpha**2 * (size + self.kappa)
 
     def weights(self, size: int) -> tuple[Tensor, Tensor]:
@@ -94,10 +94,10 @@ def predict(belief: Belief, transition: Map, noise_root: Tensor, points: SigmaPo
     """Belief after a transition with additive noise.
 
     Args:
-        belief: Before.
-        transition: (B, K, S) -> (B, K, S).
-        noise_root: Root of the noise's covariance, (S, S) or (B, S, S), lower triangular.
-        points: The rule.
+        belief: Belief before.
+        transition: States (B, K, S) -> states (B, K, S).
+        noise_root: Lower triangular root of the noise's covariance, (S, S) or (B, S, S).
+        points: Parameters of the sigma points.
     """
     size = belief.mean.shape[1]
     mean_weight, weight = points.weights(size)
@@ -116,19 +116,19 @@ def update(
     points: SigmaPoints,
     angle: Tensor | None = None,
 ) -> tuple[Belief, Tensor]:
-    """Belief after a measurement; what is not a number was not measured.
+    """Belief after a measurement; NaN marks a missing channel.
 
-    One orthogonal triangularisation of [predicted measurements; states] gives the innovation's root, the gain
-    and the new root at once: nothing is subtracted, so the covariance cannot lose its sign. A missing channel
-    is given no gain and no part in the likelihood.
+    One orthogonal triangularisation of [predicted measurements; states] gives the root of the innovation's covariance,
+    the gain and the new root. Nothing is subtracted, so the covariance stays positive semidefinite. A missing channel
+    has no gain and no part in the likelihood.
 
     Args:
-        belief: Before.
+        belief: Belief before.
         measure: States (B, K, S) -> measurements (B, K, N).
-        measured: (B, N).
+        measured: (B, N) measurements.
         noise_sd: Standard deviations of the sensors, (N,) or (B, N).
-        points: The rule.
-        angle: (N,) True where a sensor wraps: the innovation is taken into (-pi, pi].
+        points: Parameters of the sigma points.
+        angle: (N,) True for wrapped angles: their innovation is wrapped to [-pi, pi) [rad].
 
     Returns:
         The belief, and log likelihoods (B,) of the measurements.
@@ -148,7 +148,7 @@ def update(
     scale = weight.sqrt()[:, None]
     of_shown = torch.where(there[:, None], shown - expected[:, None], 0.0) * scale
     of_state = (sigma - belief.mean[:, None]) * scale
-    # A channel that is missing keeps a row of its own with unit noise, uncorrelated with everything.
+    # A missing channel has a row with unit noise that is uncorrelated with all others.
     noise = torch.diag_embed(torch.where(there, noise_sd.expand_as(measured), 1.0))
     zero = torch.zeros(len(measured), channels, size, dtype=measured.dtype)
     rows = torch.cat([torch.cat([of_shown, of_state], 2), torch.cat([noise, zero], 2)], 1)

@@ -1,1 +1,1 @@
-"""What is checked of a log before it is used."""
+"""Checks of a log before it is used."""

@@ -1,4 +1,4 @@
-"""What is checked of a log once its channels are read: enough samples, live sensors, units that fit each other."""
+"""Check the channels of a log: number of samples, constant sensors, units that contradict each other."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.series import Series
 from deepkoco.logs.sidecar import ChannelColumn
 
-RATIO = 2.0  # an angle and its speed that differ by more than this are not in the units that are said
-AGREES = 0.6  # agreement from which a ratio is believed
-APART = 0.1  # agreement below which an angle and a speed have nothing in common
-MOVES = 8.0  # quanta of an angle that count as motion
-STANDS = 4.0  # deviations of its noise below which an angle's changes tell nothing: the joint stands still
-TURNS = 200.0  # range of an angle that more likely is in degrees [rad]
-LOST = 0.01  # [s] of a typical command that may be unknown before a stretch counts as a gap
+RATIO = 2.0  # above this ratio of an angle's changes to its integrated speed, a unit is wrong
+AGREES = 0.6  # agreement above which the ratio is significant
+APART = 0.1  # agreement below which an angle and a speed are unrelated
+MOVES = 8.0  # change of a moving angle [quanta]
+STANDS = 4.0  # change below which a joint is taken to stand still [noise standard deviations]
+TURNS = 200.0  # range above which an angle is probably in degrees [rad]
+LOST = 0.01  # integral of an unknown change of the command above which a step is a gap [typical command s]
 _DERIVATIVES = {"rad": "rad/s", "m": "m/s", "rad/s": "rad/s^2", "m/s": "m/s^2"}
 
 Span = tuple[float, float]
@@ -29,10 +29,10 @@ Span = tuple[float, float]
 def check_content(
     path: Path, channels: Mapping[str, Series], min_samples: int, min_seconds: float, constant_command: bool
 ) -> None:
-    """Check that there is enough in a log.
+    """Check that a log contains enough samples, time and changes of the command.
 
     Raises:
-        LogError: a channel is too short or a command constant, or the channels do not overlap.
+        LogError: a channel is too short, a command is constant, or channels do not overlap.
     """
     for name, series in channels.items():
         wanted = min_samples if series.kind == "measurement" else 1
@@ -43,8 +43,8 @@ def check_content(
             )
         if series.kind == "command" and not constant_command and np.ptp(series.value) == 0:
             raise LogError(
-                f'{path}: command "{name}" is constant ({series.value[0]:g} {series.unit}) and teaches '
-                "nothing; record with an excitation (chirp, steps, prbs)"
+                f'{path}: command "{name}" is constant ({series.value[0]:g} {series.unit}); a fit '
+                "needs a command that changes; record with an excitation (chirp, steps, prbs)"
             )
     measured = [series for series in channels.values() if series.kind == "measurement"]
     if not measured:
@@ -53,7 +53,7 @@ def check_content(
     seconds = stop - start
     if seconds < min_seconds:
         raise LogError(
-            f"{path}: too short: the measurements cover {max(seconds, 0.0):.3g} s together, at least "
+            f"{path}: too short: all measurements together cover {max(seconds, 0.0):.3g} s, at least "
             f"{min_seconds:g} s needed; if the log is longer, check the unit of the time column"
         )
     for name, series in channels.items():
@@ -68,13 +68,13 @@ def check_content(
 def check_units(
     path: Path, channels: Mapping[str, Series], columns: Mapping[str, ChannelColumn]
 ) -> list[str]:
-    """Compare each position with its speed, and ranges with what machines do.
+    """Compare each position with its integrated speed, and the range of each angle with `TURNS`.
 
     Returns:
-        Doubts that are no reason to refuse the log.
+        Warnings about possible mistakes.
 
     Raises:
-        LogError: two channels contradict each other, so that a unit, a scale or a mapping is wrong.
+        LogError: two channels contradict each other, or a range is implausible: a unit, a scale or a mapping is wrong.
     """
     doubts = []
     for first, second in derivative_pairs(channels):
@@ -90,19 +90,19 @@ def check_units(
         span = float(np.ptp(np.unwrap(series.value))) if series.unit == "rad" else 0.0
         if columns[name].checked or series.kind != "measurement":
             continue
-        # Steps of a scale that is far off look like turns to unwrapping; a few wild samples are another matter.
+        # Unwrapping takes the steps of a wrong scale for turns. A few glitches do not make an angle implausible.
         bulk = float(np.ptp(np.quantile(series.value, [0.02, 0.98]))) if series.unit == "rad" else 0.0
         if (span > TURNS and np.ptp(series.value) > TURNS) or bulk > TURNS:
             raise LogError(
                 f'{path}: channel "{name}" (column "{columns[name].value.name}") spans {np.ptp(series.value):.4g} rad, '
-                f"{np.ptp(series.value) / (2 * math.pi):.0f} turns; if it is in deg, say so in the sidecar; if it is "
-                'right, write "checked: true" there'
+                f"{np.ptp(series.value) / (2 * math.pi):.0f} turns; if it is in deg, correct its unit in the sidecar; "
+                'if it is right, write "checked: true" there'
             )
     return doubts
 
 
 def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:
-    """Pairs of measured channels, the second the derivative of the first: by unit and number of the joint."""
+    """Pairs of measured channels in which the second is the derivative of the first, by unit and number of joint."""
     pairs = []
     measured = {name: series for name, series in channels.items() if series.kind == "measurement"}
     for first, series in measured.items():
@@ -140,7 +140,7 @@ def _contradiction(
         )
         if moves or (dead == first and np.ptp(b.value) > 1.0):
             raise LogError(
-                f'{said}: "{dead}" never changes while the other moves; a dead sensor or a wrong column; {remedy}'
+                f'{said}: "{dead}" never changes while the other does; a dead sensor or a wrong column; {remedy}'
             )
         return None
     if not relation.moved > MOVES * quantum:
@@ -158,17 +158,17 @@ def _contradiction(
     turned = relate(b.t, b.value, a.t, a.value)
     if turned is not None and turned.agreement > AGREES and 1.0 / RATIO < turned.ratio < RATIO:
         raise LogError(
-            f"{said}: the first is the derivative of the second (agreement {turned.agreement:.2f} of 1, the other way "
-            f"round {max(relation.agreement, 0):.2f}); the two columns are swapped; {remedy}"
+            f"{said}: the first is the derivative of the second (agreement {turned.agreement:.2f} of 1, against "
+            f"{max(relation.agreement, 0):.2f} for the reverse); the two columns are swapped; {remedy}"
         )
     if relation.agreement < APART:
         raise LogError(
             f"{said}: the second is not the derivative of the first (agreement {max(relation.agreement, 0):.2f} of 1); "
-            f"a wrong column, a wrong clock or frozen samples; {remedy}"
+            f"a column or a clock is wrong, or samples are frozen; {remedy}"
         )
     return (
-        f'"{second}" follows the derivative of "{first}" badly (agreement {relation.agreement:.2f} of 1); look at the '
-        "log with deepkoco inspect"
+        f'"{second}" differs much from the derivative of "{first}" (agreement {relation.agreement:.2f} of 1); look at '
+        "the log with deepkoco inspect"
     )
 
 
@@ -179,12 +179,12 @@ def smallest_step(value: np.ndarray) -> float:
 
 
 def _noise(value: np.ndarray) -> float:
-    """Standard deviation of what changes from sample to sample only, robust against jumps."""
+    """Standard deviation of the noise, from the median of second differences, which is robust against jumps."""
     return float(np.median(np.abs(np.diff(value, 2)))) / (0.6745 * math.sqrt(6.0)) if len(value) > 2 else 0.0
 
 
 def unknown_stretches(channels: Mapping[str, Series]) -> tuple[Span, ...]:
-    """Stretches [s] in which a command is not known or a measurement is filled in: nothing is to be learned there."""
+    """Stretches [s] in which a command is unknown or a measurement is filled in; fits leave them out."""
     spans: list[Span] = []
     for series in channels.values():
         if series.unknown is not None:
@@ -195,7 +195,7 @@ def unknown_stretches(channels: Mapping[str, Series]) -> tuple[Span, ...]:
 
 
 def gaps_in_command(series: Series) -> list[Span]:
-    """Gaps in a command that is sampled regularly and changes over them; one logged at changes only has none."""
+    """Gaps [s] in a regularly sampled command that changes over them; a command logged at changes only has none."""
     if len(series) < 20:
         return []
     step = np.diff(series.t)
@@ -205,7 +205,7 @@ def gaps_in_command(series: Series) -> list[Span]:
         return []
     typical = float(np.sqrt(np.mean((series.value - series.value.mean()) ** 2)))
     jump = np.abs(np.diff(series.value))
-    # Over several steps the command may have gone anywhere and come back.
+    # Over several lost samples, the command can have changed and returned.
     jump = np.where(step > 3.5 * base, np.maximum(jump, typical), jump)
     lost = (step > 1.5 * base) & (jump * (step - base) > LOST * typical)
     return [(float(series.t[k] + base), float(series.t[k + 1])) for k in np.flatnonzero(lost)]

@@ -1,4 +1,4 @@
-"""Whether one series is the derivative of another, and by which factor."""
+"""Test whether one series is the derivative of another, and find the ratio."""
 
 from __future__ import annotations
 
@@ -7,35 +7,35 @@ from typing import NamedTuple
 
 import numpy as np
 
-STRIDES = (1, 2, 4, 8, 16, 32, 64, 128)  # samples over which changes are compared
-MIN_CHANGES = 8  # changes to compare, at least
+STRIDES = (1, 2, 4, 8, 16, 32, 64, 128)  # strides over which changes are compared [samples]
+MIN_CHANGES = 8  # smallest number of changes to compare
 _TRIM = 0.1  # share of the largest disagreements that is left out: wraps of an angle, glitches
-# Factors between an angle and a speed in SI units that tell of a unit, and what they tell.
+# Ratios of an angle to its integrated speed that wrong units explain, and the explanations.
 SLIPS = {
-    180.0 / math.pi: "the angle is in deg, or the speed in rad/s where deg/s is said",
-    math.pi / 180.0: "the speed is in deg/s, or the angle in rad where deg is said",
+    180.0 / math.pi: "the angle is in deg, or the speed is in rad/s and not in deg/s",
+    math.pi / 180.0: "the speed is in deg/s, or the angle is in rad and not in deg",
     30.0
     / math.pi: "the angle is not in rad or the speed not in rad/s: one revolution per minute is 0.105 rad/s",
     math.pi / 30.0: "the speed is in rpm",
     1.0 / (2.0 * math.pi): "the angle is in revolutions",
     2.0 * math.pi: "the speed is in revolutions per second",
     6.0: "the angle is in deg and the speed in rpm",
-    1e3: "the angle is in mrad, or the time in s where ms is said",
+    1e3: "the angle is in mrad, or the time is in s and not in ms",
     1e-3: "the time is in ms, or the speed in mrad/s",
-    1e6: "the time is in s where us is said",
+    1e6: "the time is in s and not in us",
     1e-6: "the time is in us",
     1e-9: "the time is in ns",
 }
 
 
 class Relation(NamedTuple):
-    """How the changes of a series follow the integral of another.
+    """Relation of the changes of a series to the integral of another.
 
     Attributes:
-        ratio: change of the first over integral of the second; 1 for an angle [rad] and its speed [rad/s].
-        agreement: 1 where the changes are the integral times the ratio, 0 or less where they have nothing in common.
-        moved: mean absolute change of the first, its unit.
-        integral: mean absolute integral of the second.
+        ratio: change of the first / integral of the second; 1 for an angle [rad] and its speed [rad/s].
+        agreement: 1 if the changes are the integral times the ratio, 0 or less if they are unrelated.
+        moved: mean absolute change of the first, in its unit.
+        integral: mean absolute integral of the second, in its unit times s.
     """
 
     ratio: float
@@ -51,10 +51,10 @@ def relate(t: np.ndarray, value: np.ndarray, t_rate: np.ndarray, rate: np.ndarra
         t: (n,) times of `value` [s], increasing.
         value: (n,) samples, for example an angle; wraps are left out as outliers.
         t_rate: (m,) times of `rate` [s], increasing.
-        rate: (m,) samples of what may be the derivative.
+        rate: (m,) samples of the possible derivative.
 
     Returns:
-        The relation at the stride at which it is clearest; None where there is too little to compare.
+        The relation at the stride with the largest agreement; None if there are too few samples.
     """
     inside = (t >= t_rate[0]) & (t <= t_rate[-1]) if len(t_rate) else np.zeros(len(t), dtype=bool)
     t, value = t[inside], value[inside]
@@ -68,13 +68,13 @@ def relate(t: np.ndarray, value: np.ndarray, t_rate: np.ndarray, rate: np.ndarra
 
 
 def slip(ratio: float) -> str | None:
-    """Say what a ratio of angle and speed in SI units other than 1 tells about their units; None: nothing."""
+    """Explain a ratio of an angle to its integrated speed by a wrong unit or direction; None if none fits."""
     if not math.isfinite(ratio) or ratio == 0:
         return None
     for factor, meaning in SLIPS.items():
         if abs(math.log(abs(ratio) / factor)) < 0.15:
             return meaning
-    return "one of them counts the other way round" if abs(ratio + 1.0) < 0.3 else None
+    return "one of them has the opposite direction" if abs(ratio + 1.0) < 0.3 else None
 
 
 def _at_stride(t: np.ndarray, value: np.ndarray, integral: np.ndarray, stride: int) -> Relation | None:

@@ -1,4 +1,4 @@
-"""Frozen stretches: a sensor repeats one value for many samples while the joint moves on."""
+"""Find frozen stretches: a sensor repeats one value for many samples while the joint moves."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.series import Series
 
-MIN_FROZEN_SAMPLES = 6  # equal samples in a row that may be a frozen stretch
-MOST = 50  # stretches of one channel that are looked at, the longest first
-BEYOND = (
-    4.0  # times what a position and the integral of its speed part by in typical stretches of that length
-)
-TYPICAL = 0.9  # quantile of those
-SAME = 2  # samples by which the ends of two stretches may differ if both channels froze together
-JUMP = 1.5  # times the largest change between two other samples
-STEPS = 4.0  # resolutions of the sensor; smaller jumps are the rounding's
-POSITIONS = ("rad", "m")  # units of what cannot jump; speeds and efforts can
+MIN_FROZEN_SAMPLES = 6  # smallest number of equal samples in a frozen stretch
+MOST = 50  # largest number of stretches of a channel that are tested, the longest first
+BEYOND = 4.0  # drift of position minus integrated speed in a frozen stretch, relative to the typical drift
+TYPICAL = 0.9  # quantile of the drifts that is called typical
+SAME = 2  # difference of the ends of two stretches below which both channels froze together [samples]
+JUMP = 1.5  # jump after a frozen stretch, relative to the largest change between two other samples
+STEPS = 4.0  # smallest jump [resolutions of the sensor]; rounding explains smaller ones
+POSITIONS = ("rad", "m")  # units of channels that cannot jump; speeds and efforts can
 REMEDY = "write checked: true at the channel"
-LARGEST_SHARE = 0.5  # of a channel's samples; a log that has lost more tells little
+LARGEST_SHARE = 0.5  # largest share of frozen samples in a channel
 
 
 @dataclass(frozen=True)
@@ -46,25 +44,25 @@ class Frozen:
 
     @property
     def note(self) -> str:
-        """What to tell the user."""
+        """Warning for the user."""
         return (
             f'"{self.channel}" repeats one value from {self.start:.6g} to {self.stop:.6g} s '
-            f"({self.last - self.first + 1} samples) while the joint moves: taken as a frozen sensor, the repetitions "
-            f"are left out; if it is right, {REMEDY}"
+            f"({self.last - self.first + 1} samples) while the joint moves: the sensor is taken as frozen, and the "
+            f"repetitions are left out; if the values are right, {REMEDY}"
         )
 
 
 def frozen_stretches(channels: Mapping[str, Series], pairs: list[tuple[str, str]]) -> list[Frozen]:
     """Find the frozen stretches of the measurements.
 
-    A sensor of coarse steps repeats a value at rest as well, and a joint may start at once. A stretch is frozen if
-    position and integrated speed part in it far more than elsewhere, or if it is one of a position that ends in a jump
-    that no two other samples show. A command may stay what it is for any reason, so that its stretches mean nothing.
-    So do those of a channel that holds slower readings.
+    A sensor with coarse steps also repeats values at rest, and a joint can start quickly. A stretch is therefore frozen
+    in two cases only. Position minus integrated speed drifts in it much more than elsewhere. Or it is a stretch of
+    a position and ends in a jump that is larger than any other change. Commands are not tested, because they can be
+    constant. Channels that hold the readings of a slower sensor are not tested either.
 
     Args:
         channels: Channels of a log.
-        pairs: Names of a position and its speed, of each joint that has both.
+        pairs: Names of position and speed, for each joint that has both.
     """
     measured = {n: s for n, s in channels.items() if s.kind == "measurement"}
     runs = {name: _runs(series.value) for name, series in measured.items()}
@@ -72,12 +70,12 @@ def frozen_stretches(channels: Mapping[str, Series], pairs: list[tuple[str, str]
         (n, *run) for n in runs if measured[n].unit in POSITIONS for run in _jumping(measured[n], runs[n])
     }
     for position, speed in pairs:
-        found |= _parting(channels, runs, position, speed)
+        found |= _drifting(channels, runs, position, speed)
     return [Frozen(n, a, b, float(channels[n].t[a]), float(channels[n].t[b])) for n, a, b in sorted(found)]
 
 
 def summarised(stretches: list[Frozen]) -> list[str]:
-    """What to tell the user: every stretch of a channel that has up to three, else one line for the channel."""
+    """Warnings for the user: one for each stretch, or one for a channel with more than three."""
     notes = []
     for name in sorted({stretch.channel for stretch in stretches}):
         own = [stretch for stretch in stretches if stretch.channel == name]
@@ -87,15 +85,15 @@ def summarised(stretches: list[Frozen]) -> list[str]:
             if len(own) <= 3
             else [
                 f'"{name}" repeats one value in {len(own)} stretches ({seconds:.3g} s, the first from '
-                f"{own[0].start:.6g} s) while the joint moves: taken as a frozen sensor, the repetitions are left "
-                f"out; if it is right, {REMEDY}"
+                f"{own[0].start:.6g} s) while the joint moves: the sensor is taken as frozen, and the repetitions "
+                f"are left out; if the values are right, {REMEDY}"
             ]
         )
     return notes
 
 
 def without_frozen(series: Series, stretches: list[Frozen]) -> Series:
-    """The series without the repetitions, which are no measurements."""
+    """The series without the repetitions in these stretches."""
     keep = np.ones(len(series), dtype=bool)
     for stretch in stretches:
         keep[stretch.first + 1 : stretch.last + 1] = False
@@ -103,12 +101,12 @@ def without_frozen(series: Series, stretches: list[Frozen]) -> Series:
 
 
 def check_share(path: Path, before: Mapping[str, Series], after: Mapping[str, Series]) -> None:
-    """Refuse a log that has lost too much to be judged.
+    """Refuse a log in which too many samples of a channel are frozen.
 
     Args:
         path: The log, for the message.
         before: Its channels.
-        after: The same without what is frozen.
+        after: The same channels without frozen samples.
 
     Raises:
         LogError: More than half of a channel is frozen.
@@ -118,7 +116,7 @@ def check_share(path: Path, before: Mapping[str, Series], after: Mapping[str, Se
         if share > LARGEST_SHARE:
             raise LogError(
                 f'{path}: "{name}" repeats values in {100 * share:.0f} % of its samples while the joint moves, as a '
-                f"frozen sensor does; mend the sensor and record again, or, if it is right, {REMEDY}"
+                f"frozen sensor does; repair the sensor and record again; if the values are right, {REMEDY}"
             )
 
 
@@ -129,19 +127,19 @@ def _all_runs(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _runs(value: np.ndarray) -> list[tuple[int, int]]:
-    """First and last index of every run of equal values that is long enough, the longest runs only."""
+    """First and last index of the `MOST` longest runs of at least `MIN_FROZEN_SAMPLES` equal values."""
     first, last = _all_runs(value)
     length = last - first + 1
     usual = np.abs(length - np.median(length)) <= 1.0
     if np.median(length) >= MIN_FROZEN_SAMPLES - 1 and length[usual].sum() > 0.5 * len(value):
         return []  # held readings of a slower sensor
     order = np.argsort(-length, kind="stable")[:MOST]
-    # A channel that never changes is another mistake, and is told as one.
+    # `check_units` reports a channel that never changes.
     return [(int(first[k]), int(last[k])) for k in order if MIN_FROZEN_SAMPLES <= length[k] < len(value)]
 
 
-def _bar(series: Series) -> float:
-    """Largest change between two samples that a moving sensor shows, times `JUMP`."""
+def _jump_threshold(series: Series) -> float:
+    """Smallest change that is a jump: `JUMP` times the largest change between two other samples."""
     step = np.abs(np.diff(_unwrapped(series)))
     first, last = _all_runs(series.value)
     ends = last[(last - first + 1 >= MIN_FROZEN_SAMPLES) & (last < len(step))]
@@ -152,33 +150,33 @@ def _bar(series: Series) -> float:
 
 
 def _jumping(series: Series, runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Runs that end in a jump."""
+    """Select the runs that end in a jump."""
     step, gap = np.abs(np.diff(_unwrapped(series))), np.diff(series.t)
-    bar, usual = _bar(series), 1.5 * float(np.median(gap)) if len(gap) else 0.0
+    bar, usual = _jump_threshold(series), 1.5 * float(np.median(gap)) if len(gap) else 0.0
     return [(a, b) for a, b in runs if b < len(step) and step[b] > bar and gap[b] < usual]
 
 
-def _at_a_dead_band(value: np.ndarray, first: int, last: int, bar: float) -> bool:
-    """Whether a speed is exactly 0 in a run that begins and ends without a jump: it is too slow to be measured."""
+def _in_dead_band(value: np.ndarray, first: int, last: int, bar: float) -> bool:
+    """Whether a run is a dead band: the speed is exactly 0 and begins and ends without a jump."""
     before = 0.0 if first == 0 else abs(value[first - 1])
     after = 0.0 if last == len(value) - 1 else abs(value[last + 1])
     return value[first] == 0.0 and max(before, after) <= bar
 
 
-def _parting(
+def _drifting(
     channels: Mapping[str, Series], runs: Mapping[str, list[tuple[int, int]]], position: str, speed: str
 ) -> set[tuple[str, int, int]]:
-    """Runs of either channel in which the position and the integral of its speed part."""
+    """Runs of either channel in which position minus integrated speed drifts by more than the limit."""
     a, b = channels[position], channels[speed]
     held = np.interp(a.t, b.t, b.value)
     travelled = np.append(0.0, np.cumsum(0.5 * np.diff(a.t) * (held[1:] + held[:-1])))
     apart = _unwrapped(a) - travelled
     spans: list[tuple[str, int, int, int, int]] = []
-    bar = _bar(b)
+    bar = _jump_threshold(b)
     for name in (position, speed):
         t = channels[name].t
         for first, last in runs[name]:
-            if name == speed and _at_a_dead_band(b.value, first, last, bar):
+            if name == speed and _in_dead_band(b.value, first, last, bar):
                 continue
             begin, end = np.searchsorted(a.t, [t[first], t[last]])
             spans.append((name, first, last, int(begin), min(int(end), len(a.t) - 1)))
@@ -186,14 +184,14 @@ def _parting(
     for _, _, _, begin, end in spans:
         free[begin : end + 1] = False
     at: list[tuple[int, int]] = []
-    typical: dict[int, float] = {}  # by the count, rounded up to a power of two: the filters are slow
+    typical: dict[int, float] = {}  # by the count, rounded up to a power of two to save slow filters
     found, told = set(), np.zeros(len(apart), dtype=bool)
     for name, first, last, begin, end in sorted(spans, key=lambda span: span[3] - span[4]):
         count = 1 << (end - begin).bit_length()
         if count not in typical:
             typical[count] = _typical(apart, free, count)
         limit = BEYOND * typical[count]
-        # Where the other channel is known to be frozen, and at the jump there, this one is not to blame.
+        # Stretches in which the other channel is already known to be frozen explain the drift there.
         left = np.flatnonzero(~told[begin : end + 1]) + begin
         pieces = np.split(apart[left], np.flatnonzero(np.diff(left) > 1) + 1)
         both = any(abs(begin - a) <= SAME and abs(end - b) <= SAME for a, b in at)
@@ -205,7 +203,7 @@ def _parting(
 
 
 def _typical(apart: np.ndarray, free: np.ndarray, count: int) -> float:
-    """How far the two part within so many samples where nothing repeats."""
+    """Typical drift within ``count`` samples, in stretches without repeated values."""
     factor = 1.0
     while count >= 2:
         spread = maximum_filter1d(apart, count) - minimum_filter1d(apart, count)
@@ -213,7 +211,7 @@ def _typical(apart: np.ndarray, free: np.ndarray, count: int) -> float:
         inside = slice(count // 2, len(apart) - count // 2)
         if clear[inside].sum() > 2:
             return factor * float(np.quantile(spread[inside][clear[inside]], TYPICAL))
-        # Over a longer time they part in proportion at most.
+        # The drift over a longer time is at most proportional to it.
         count, factor = count // 2, 2.0 * factor
     return np.inf
 

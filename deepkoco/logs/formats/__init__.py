@@ -1,4 +1,4 @@
-"""Files that logs are stored in, one reader per format, all giving tables of columns."""
+"""Read log files into tables of columns, with one reader per format."""
 
 from deepkoco.logs.formats.log_file import LogFile, Table
 from deepkoco.logs.formats.open_log import FORMATS, open_log

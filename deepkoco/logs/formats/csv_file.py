@@ -1,4 +1,4 @@
-"""Logs in CSV: a header row, then numbers; comma, semicolon, tab or bar between them."""
+"""Read logs in CSV: a header row, then numbers, separated by comma, semicolon, tab or bar."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def read_csv(path: Path) -> LogFile:
     """Read a CSV.
 
     Raises:
-        LogError: it is empty, no text in UTF-8, has no header, a name twice, or rows of unequal length.
+        LogError: it is empty, not UTF-8, has no header, a repeated name, or rows with more cells than the header.
     """
     text = _decode(path)
     first, _, _ = text.partition("\n")
@@ -50,17 +50,17 @@ def _decode(path: Path) -> str:
             f"{path}: the first row is empty; the column names belong there (the file has 0 bytes)"
         )
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise LogError(f"{path}: is text in UTF-16; save it as UTF-8")
+        raise LogError(f"{path}: the file is in UTF-16; save it as UTF-8")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         row = raw.count(b"\n", 0, error.start) + 1
         raise LogError(
-            f"{path}: is no text in UTF-8: byte 0x{raw[error.start]:02x} in line {row}; save the file as UTF-8"
+            f"{path}: the file is not UTF-8: byte 0x{raw[error.start]:02x} in line {row}; save the file as UTF-8"
         ) from error
     if "\0" in text:
         row = text.count("\n", 0, text.index("\0")) + 1
-        raise LogError(f"{path}: holds a zero byte in line {row}; it is damaged or no text file")
+        raise LogError(f"{path}: there is a zero byte in line {row}; the file is damaged or not a text file")
     return text
 
 
@@ -68,7 +68,7 @@ def _check_header(path: Path, line: str, header: list[str], delimiter: str) -> N
     filled = [name for name in header if name]
     if filled and all(_NUMBER.fullmatch(name) or name.lower() == "nan" for name in filled):
         raise LogError(
-            f'{path}: the first row holds numbers ("{line.strip()[:40]}"); write the names of the columns above it'
+            f'{path}: the first row contains numbers ("{line.strip()[:40]}"); write the names of the columns above it'
         )
     if len(header) == 1 and len(line.split()) > 1:
         raise LogError(
@@ -81,7 +81,7 @@ def _check_header(path: Path, line: str, header: list[str], delimiter: str) -> N
 
 
 def _cells(path: Path, delimiter: str, columns: int, text: str) -> pd.DataFrame:
-    """Cells as text: pandas' own float parser may be off by an ulp, and a written log must read back bit for bit."""
+    """Read the cells as text, because pandas' float parser can be wrong by one unit in the last place."""
     widest = max(columns, max(line.count(delimiter) for line in text.splitlines()) + 1)
     if widest > 100_000:
         raise LogError(f"{path}: a row has {widest} cells; the header has {columns} names")
@@ -101,14 +101,14 @@ def _cells(path: Path, delimiter: str, columns: int, text: str) -> pd.DataFrame:
     if beyond.any():
         raise LogError(
             f"{path}: data row {int(np.flatnonzero(beyond)[0]) + 1} has more cells than the header has names "
-            f"({columns}); a decimal comma or a comma in a text does that: write points, or put semicolons between the "
-            "columns"
+            f"({columns}); decimal commas or commas in a text cause this: write decimal points, or separate columns by "
+            "semicolons"
         )
     return table.iloc[:, :columns]
 
 
 def _decimal_commas(table: pd.DataFrame) -> list[str]:
-    """Columns whose numbers have decimal commas; none if any number of the table has a decimal point."""
+    """Columns with decimal commas; empty if any number of the table has a decimal point."""
     found = []
     for name in table.columns:
         cells = table[name].dropna()

@@ -1,4 +1,4 @@
-"""Fields of messages as columns: `joints.position[2]`, and `position[shoulder]` where a message names its joints."""
+"""Convert fields of messages to columns: `joints.position[2]`, or `position[shoulder]` if joints have names."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ import pandas as pd
 from deepkoco.logs.formats.log_file import HEADER, RECEIVED, LogError, Table
 
 MOST_ELEMENTS = 64
-"""Longer lists (images, scans) are read only where a field of them is asked for."""
+"""Longer lists (images, scans) are read only if one of their fields is requested."""
 MOST_CELLS = 1 << 27
-"""Values of a topic: messages times fields, whether a message has the field or not."""
+"""Largest number of values of a topic: messages times fields."""
 NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name")
-"""Fields whose texts name the elements of the lists beside and below them (JointState, JointTrajectory)."""
+"""Fields with names of the elements of the lists beside and below them (JointState, JointTrajectory)."""
 NANO = 10**9
-_RECENT = 10**8 * NANO  # stamps later than 1973 are times of day, others count from a start of their own
+_RECENT = 10**8 * NANO  # stamps after 1973 count since 1970; earlier ones count from another start
 _STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"secs", "nsecs"})
 _TOKEN = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
 
 
 class _Missing(Exception):
-    """A message has no such field."""
+    """A message does not have the field."""
 
 
 class TopicColumns:
@@ -32,8 +32,8 @@ class TopicColumns:
 
     Args:
         kind: type of the messages.
-        origin_ns: what times are counted from.
-        fields: fields to take; None takes every number but those of long lists.
+        origin_ns: origin of the times [ns since 1970].
+        fields: fields to read; None reads every number except those of long lists.
     """
 
     def __init__(self, kind: str, origin_ns: int, fields: Iterable[str] | None = None) -> None:
@@ -49,14 +49,14 @@ class TopicColumns:
         return len(self._received)
 
     def add(self, received_ns: int, message: Any) -> None:
-        """Take one message, an object with fields or what JSON holds."""
+        """Add one message: an object with fields, or a value of JSON."""
         row = len(self._received)
         self._received.append(received_ns)
         for name, value in self._fields(message):
             self._columns.setdefault(name, []).append((row, value))
 
     def table(self) -> Table:
-        """The messages as a table, the usual time column first.
+        """Convert the messages to a table, the usual time column first.
 
         Raises:
             LogError: the table would have more than `MOST_CELLS` values.
@@ -131,7 +131,7 @@ def parse_field(field: str) -> list[str]:
     """Split `joints.position[2]` into `joints`, `position`, `[2]`.
 
     Raises:
-        LogError: it is no path of fields.
+        LogError: the text is not a path of fields.
     """
     tokens, at = [], 0
     for match in _TOKEN.finditer(field):
@@ -140,7 +140,7 @@ def parse_field(field: str) -> list[str]:
         tokens.append(match.group(1) if match.group(1) is not None else f"[{match.group(2)}]")
         at = match.end()
     if at != len(field) or not tokens:
-        raise LogError(f'field "{field}" is no path like joints.position[2] or position[shoulder]')
+        raise LogError(f'field "{field}" is not a path such as joints.position[2] or position[shoulder]')
     return tokens
 
 
@@ -191,7 +191,7 @@ def _names(members: Mapping[str, Any]) -> Sequence[str]:
 
 
 def _stamp(value: Any) -> int | None:
-    """Nanoseconds, if the value is a stamp of seconds and nanoseconds."""
+    """Stamp in ns if the value has fields of seconds and nanoseconds, else None."""
     members = _members(value)
     if members is None or set(members) not in _STAMPS:
         return None
@@ -201,7 +201,7 @@ def _stamp(value: Any) -> int | None:
 
 
 def _compact(column: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Numbers as float64 with NaN where there is none; anything else stays as it is."""
+    """Convert numbers to float64, NaN where missing; other values are not converted."""
     values = column[present]
     if all(isinstance(v, int | float | np.number | np.bool_) for v in values):
         result = np.full(len(column), np.nan)

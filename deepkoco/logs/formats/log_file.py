@@ -1,4 +1,4 @@
-"""What every reader of a log file gives: tables of columns, one for each topic."""
+"""Result of every reader of log files: one table of columns per topic."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 RECEIVED = "received"
-"""Column of a topic: when each message was recorded [s since the file began]."""
+"""Column of a topic: time at which the recorder got each message [s since the first message]."""
 HEADER = "header.stamp"
-"""Column of a topic: when each message says it was made [s, as `RECEIVED`]."""
+"""Column of a topic: stamp in the header of each message [s, same origin as `RECEIVED`]."""
 
 
 class LogError(ValueError):
@@ -20,13 +20,13 @@ class LogError(ValueError):
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of one topic, or of a whole file that has no topics.
+    """Columns of one topic, or of a file without topics.
 
     Attributes:
         frame: one row per message or line of the file.
-        kind: type of the messages, empty for a file of columns.
-        times: columns that are known to be times [s].
-        absent: by column, True in the rows whose message has no such field (another joint's message).
+        kind: type of the messages, empty for a file without topics.
+        times: columns that are known to be times [s], the usual one first.
+        absent: column -> True in rows whose message does not have this field (message of another joint).
         left_out: fields that were not read, with the reason.
     """
 
@@ -39,16 +39,16 @@ class Table:
 
 @dataclass(frozen=True)
 class LogFile:
-    """A log file as it is stored, before anything says what its columns mean.
+    """Content of a log file, without a mapping of its columns to channels.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         form: name of its format.
-        tables: by topic; a file of columns has one table, of the topic "".
+        tables: table of each topic; a file without topics has one table, of the topic "".
         skipped: topics that cannot be read, with the reason.
-        origin_ns: what the times of the tables count from [ns since 1970]; 0 for a file of columns.
-        row_name: what a row of a table is called in a message to the user.
-        notes: what reading had to assume.
+        origin_ns: origin of the times in the tables [ns since 1970]; 0 for a file without topics.
+        row_name: name of a row in messages to the user.
+        notes: assumptions of the reader.
     """
 
     path: Path
@@ -61,14 +61,14 @@ class LogFile:
 
     @property
     def has_topics(self) -> bool:
-        """Whether columns are found by topic and field."""
+        """Whether the file has topics."""
         return "" not in self.tables
 
     def table(self, topic: str) -> Table:
         """Return the table of a topic.
 
         Raises:
-            LogError: there is no such topic, or it cannot be read.
+            LogError: the topic is missing or cannot be read.
         """
         if topic in self.tables:
             return self.tables[topic]
@@ -76,14 +76,14 @@ class LogFile:
             raise LogError(f'{self.path}: topic "{topic}" cannot be read: {self.skipped[topic]}')
         if not self.has_topics:
             raise LogError(
-                f'{self.path}: is a {self.form} file, which has columns and no topics; write "column: NAME" in the '
-                f'place of topic "{topic}"'
+                f'{self.path}: a {self.form} file has columns and no topics; write "column: NAME" instead of '
+                f'topic "{topic}"'
             )
-        there = ", ".join(self.tables) or "no readable one"
+        there = ", ".join(self.tables) or "no readable topic"
         if not topic:
             raise LogError(
-                f'{self.path}: is a {self.form} file; say the topic and the field of each channel, "topic: '
-                f'/joint_states, field: position[0]"; its topics are {there}'
+                f'{self.path}: a {self.form} file has topics; give topic and field of each channel, such as "topic: '
+                f'/joint_states, field: position[0]"; it has {there}'
             )
         raise LogError(f'{self.path}: has no topic "{topic}"; it has {there}; correct the mapping')
 
@@ -91,7 +91,7 @@ class LogFile:
         """Return one column as float64, an empty cell as NaN.
 
         Raises:
-            LogError: the topic or the column is missing, or the column holds text.
+            LogError: the topic or the column is missing, or the column contains text.
         """
         table = self.table(topic)
         if column not in table.frame.columns:
@@ -131,10 +131,10 @@ class LogFile:
 
 
 def iso_seconds(log: LogFile, topic: str, column: str) -> np.ndarray:
-    """Return a column of dates (2024-05-01T12:00:00.125, with or without zone) in seconds since 1970, empty as NaN.
+    """Convert a column of dates (2024-05-01T12:00:00.125, with or without zone) to s since 1970; empty is NaN.
 
     Raises:
-        LogError: the column is missing, or a cell is no date.
+        LogError: the column is missing, or a cell is not a date.
     """
     table = log.table(topic)
     if column not in table.frame.columns:

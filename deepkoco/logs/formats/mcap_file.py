@@ -1,4 +1,4 @@
-"""Logs in MCAP: our own recordings, and topics of any writer in JSON or in the encodings of ROS."""
+"""Read logs in MCAP: recordings of our own runtimes, and topics in JSON or in the encodings of ROS."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from deepkoco.logs.formats.wanted import Wanted
 
 MAGIC = b"\x89MCAP0\r\n"
 Decoder = Callable[[bytes], Any]
-_OWN = "deepkoco"  # name of the metadata record that our own recordings begin with
+_OWN = "deepkoco"  # name of the first metadata record of our own recordings
 
 
 def read_mcap(path: Path, wanted: Wanted = None) -> LogFile:
     """Read an MCAP file; a recording of our own runtimes has a topic `/node/NAME` for each node.
 
     Raises:
-        LogError: it is damaged or cut off.
+        LogError: the file is damaged or truncated.
     """
     with path.open("rb") as file:
         magic = file.read(len(MAGIC))
     if magic != MAGIC:
         raise LogError(
-            f"{path}: is no MCAP file; those begin with the letters MCAP{'; it is empty' if not magic else ''}"
+            f"{path}: not an MCAP file: it does not begin with MCAP{'; it is empty' if not magic else ''}"
         )
     if _is_own(path):
         return _own_recording(path)
@@ -49,7 +49,7 @@ def _records(path: Path) -> Iterator[McapRecord]:
         except DAMAGE as damage:
             reason = " ".join(str(damage).split()) or type(damage).__name__
             raise LogError(
-                f"{path}: is cut off or damaged after {count} messages ({reason[:160]}); copy it again, or "
+                f"{path}: truncated or damaged after {count} messages ({reason[:160]}); copy it again, or "
                 'repair it with "mcap recover"'
             ) from damage
         count += isinstance(record, Message)
@@ -81,7 +81,7 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
             origin = record.log_time if origin is None else origin
             if record.channel_id not in channels:
                 raise LogError(
-                    f"{path}: is damaged: it does not describe channel {record.channel_id}; copy it again"
+                    f"{path}: damaged: it does not describe channel {record.channel_id}; copy it again"
                 )
             channel = channels[record.channel_id]
             topic = channel.topic
@@ -99,9 +99,11 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
             number = len(topics[topic]) + 1
             try:
                 topics[topic].add(record.log_time, decoders[channel.id](record.data))
-            except Exception as error:  # a decoder of a foreign library may raise anything on damaged bytes
+            except (
+                Exception
+            ) as error:  # decoders of other libraries raise many kinds of errors on damaged bytes
                 raise LogError(
-                    f'{path}: topic "{topic}": message {number} is no {channel.message_encoding}: '
+                    f'{path}: topic "{topic}": message {number} is not {channel.message_encoding}: '
                     f"{' '.join(str(error).split())[:160]}"
                 ) from error
     tables = {topic: columns.table() for topic, columns in topics.items()}
@@ -113,16 +115,16 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decoder:
         return json.loads
     if channel.message_encoding not in ("cdr", "ros1"):
         raise LogError(
-            f'its encoding "{channel.message_encoding}" is not known (json, cdr and ros1 are); convert it'
+            f'its encoding "{channel.message_encoding}" is not known; convert it to json, cdr or ros1'
         )
     if schema is None:
-        raise LogError("its messages have no schema, so nothing says what their bytes mean")
+        raise LogError("its messages have no schema and cannot be decoded")
     from deepkoco.logs.formats.ros_bag import message_decoder
 
     try:
         text = schema.data.decode()
     except UnicodeDecodeError as error:
-        raise LogError(f'the definition of "{schema.name}" is no text in UTF-8') from error
+        raise LogError(f'the definition of "{schema.name}" is not UTF-8') from error
     return message_decoder(schema.name, schema.encoding, text, channel.message_encoding)
 
 
@@ -146,7 +148,7 @@ def _own_recording(path: Path) -> LogFile:
             if output is not None and output.dtype.kind in "biuf":
                 flat = output.reshape(len(output), -1)
                 for place in range(flat.shape[1]):
-                    # The supervisor's last step may have no output.
+                    # The last step of the supervisor can lack an output.
                     padded = np.full(len(columns["t_end"]), np.nan)
                     padded[: len(flat)] = flat[:, place]
                     columns[f"output[{place}]"] = padded

@@ -1,4 +1,4 @@
-"""The formats that logs are stored in: a new one is one reader and one line here."""
+"""Open a log file in any known format. A new format is one reader and one line in `FORMATS`."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
 
 
 def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
-    """Read what a log file holds.
+    """Read a log file.
 
     Args:
         path: `.csv`, `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), or the folder of a ROS 2 bag.
-        wanted: fields to read, by topic; None reads all. Formats without topics are read whole.
+        wanted: fields to read of each topic; None reads all. Files without topics are always read completely.
 
     Raises:
         LogError: the file is missing, empty or damaged, its format is not known, or a library is missing.
@@ -57,8 +57,8 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             raise LogError(
-                f"{path}: is a folder; give the log file in it (only the folder of a ROS 2 bag, with its "
-                "metadata.yaml, is a log)"
+                f"{path}: is a folder; give the log file in it (a folder can only be a ROS 2 bag, which contains "
+                "a metadata.yaml)"
             )
         reader = _bag
     elif not path.is_file():
@@ -79,5 +79,5 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
         if log.skipped:
             topic, reason = next(iter(log.skipped.items()))
             raise LogError(f'{path}: no topic can be read; "{topic}": {reason}')
-        raise LogError(f"{path}: has no rows of data")
+        raise LogError(f"{path}: contains no data rows")
     return log

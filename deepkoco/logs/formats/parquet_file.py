@@ -1,4 +1,4 @@
-"""Logs in Parquet."""
+"""Read logs in Parquet."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from deepkoco.logs.formats.log_file import LogError, LogFile, Table
 
 
 def read_parquet(path: Path) -> LogFile:
-    """Read a Parquet file; the index that pandas may have stored becomes a column if it has a name.
+    """Read a Parquet file. An index that pandas stored becomes a column if it has a name.
 
     Raises:
-        LogError: it is damaged, or has a column name twice.
+        LogError: the file is damaged, or a column name is repeated.
     """
     try:
-        # Through an open file, so that a folder named key=value above it adds no column.
+        # From a path, pyarrow would add a column for each parent folder with a name key=value.
         with path.open("rb") as file:
             table = pyarrow.parquet.ParquetFile(file).read()
         names = table.column_names
@@ -29,8 +29,8 @@ def read_parquet(path: Path) -> LogFile:
         if isinstance(error, LogError):
             raise
         raise LogError(
-            f"{path}: not readable as parquet: {' '.join(str(error).split())[:200]}; it may be cut off or no Parquet "
-            "file: copy it again"
+            f"{path}: not readable as parquet: {' '.join(str(error).split())[:200]}; it may be truncated or not "
+            "Parquet: copy it again"
         ) from error
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()

@@ -1,4 +1,4 @@
-"""Logs in bags of ROS 1 and ROS 2, read by the library rosbags."""
+"""Read bags of ROS 1 and ROS 2 with the library rosbags."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deepkoco.logs.formats.ros_definition import Definitions, check_size, check_
 from deepkoco.logs.formats.wanted import Wanted
 
 FALLBACK = "ROS2_HUMBLE"
-"""Definitions of the usual messages for bags that carry none (ROS 2 bags in sqlite3 before Iron)."""
+"""Definitions of common messages for bags without definitions (ROS 2 bags in sqlite3 before Iron)."""
 
 
 def _rosbags() -> SimpleNamespace:
@@ -30,11 +30,11 @@ def _rosbags() -> SimpleNamespace:
 
 
 def message_decoder(name: str, schema_encoding: str, text: str, encoding: str) -> Callable[[bytes], Any]:
-    """Decoder of one message type from its definition.
+    """Make a decoder of one message type from its definition.
 
     Args:
-        name: such as "sensor_msgs/msg/JointState".
-        schema_encoding: "ros1msg", "ros2msg" or "ros2idl"; empty takes a usual message by its name.
+        name: name of the type, such as "sensor_msgs/msg/JointState".
+        schema_encoding: "ros1msg", "ros2msg" or "ros2idl"; empty takes a common message by its name.
         text: the definition.
         encoding: "cdr" or "ros1".
 
@@ -81,8 +81,8 @@ def read_bag(path: Path, wanted: Wanted = None) -> LogFile:
     except LogError:
         raise
     except (AssertionError, KeyError, IndexError, struct.error, sqlite3.Error) as error:
-        raise LogError(f"{path}: is cut off or no bag: {_damage(error)}; copy or reindex it") from error
-    except Exception as error:  # the library and what it decompresses with raise errors of many kinds
+        raise LogError(f"{path}: truncated or not a bag: {_damage(error)}; copy or reindex it") from error
+    except Exception as error:  # the library and its decompressors raise errors of many kinds
         raise LogError(f"{path}: cannot be read as a bag: {_damage(error)}; copy or reindex it") from error
 
 
@@ -93,9 +93,9 @@ def _read(path: Path, reader: Any, wanted: Wanted) -> LogFile:
     origin = reader.start_time
     if not connections or reader.message_count == 0:
         there = sorted({c.topic for c in reader.connections})
-        wrong = "" if wanted is None else f"; the mapping asks for {', '.join(wanted)}"
+        wrong = "" if wanted is None else f"; the mapping requests {', '.join(wanted)}"
         raise LogError(
-            f"{path}: has no message of a topic that is wanted; it has {', '.join(there) or 'none'}{wrong}"
+            f"{path}: has no message of a requested topic; it has {', '.join(there) or 'none'}{wrong}"
         )
     for connection in connections:
         fields = None if wanted is None else wanted[connection.topic]
@@ -114,7 +114,7 @@ def _read(path: Path, reader: Any, wanted: Wanted) -> LogFile:
             columns.add(received, reader.deserialize(data, connection.msgtype))
         except Exception as error:  # damaged bytes raise errors of several kinds
             raise LogError(
-                f'{path}: topic "{connection.topic}": message {number} is no {connection.msgtype}: '
+                f'{path}: topic "{connection.topic}": message {number} is not a valid {connection.msgtype}: '
                 f"{_damage(error)}"
             ) from error
     tables = {topic: columns.table() for topic, columns in topics.items() if len(columns)}

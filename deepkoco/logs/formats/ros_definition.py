@@ -1,4 +1,4 @@
-"""Bounds on definitions of ROS messages, which the library turns into a program before it reads a message."""
+"""Limit the size of definitions of ROS messages, from which the library generates a program."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 from deepkoco.logs.formats.log_file import LogError
 
-LONGEST_DEFINITION = 1 << 18  # characters
+LONGEST_DEFINITION = 1 << 18  # longest definition that is parsed [characters]
 MOST_LINES = 2048
-"""Of the program for one type: each field takes one, and each text or message in an array of fixed length."""
+"""Largest number of lines of the program for a type: one per field, and per text or message in a fixed array."""
 MOST_ELEMENTS = 1 << 20
-"""Of a message with all messages in it, lists of varying length counted once."""
+"""Largest number of elements of a message with all messages in it; lists of varying length count once."""
 _BASE, _NAME, _ARRAY = 1, 2, 3
 Definitions = Mapping[str, Any]
 
@@ -20,23 +20,23 @@ def check_text(name: str, text: str) -> None:
     """Refuse a definition that is too long to be parsed in reasonable time.
 
     Raises:
-        LogError: it is.
+        LogError: the definition is longer than `LONGEST_DEFINITION`.
     """
     if len(text) > LONGEST_DEFINITION:
         raise LogError(
-            f'the definition of "{name}" has {len(text)} characters; at most {LONGEST_DEFINITION} are read'
+            f'the definition of "{name}" has {len(text)} characters, more than the limit {LONGEST_DEFINITION}'
         )
 
 
 def check_size(name: str, definitions: Definitions) -> None:
-    """Refuse a type for which the library would write a program, or make a message, without bound.
+    """Refuse a type whose program or message would be too large.
 
     Args:
-        name: of the type.
-        definitions: by type name, constants and fields, as the library parses them.
+        name: name of the type.
+        definitions: type name -> constants and fields, as parsed by the library.
 
     Raises:
-        LogError: the type is too large, or holds itself.
+        LogError: the type is too large, or contains itself.
     """
     _elements(name, definitions, (), {})
 
@@ -46,7 +46,7 @@ def _elements(name: str, definitions: Definitions, above: tuple[str, ...], known
     if name in known:
         return known[name]
     if name in above:
-        raise LogError(f'the definition of "{name}" holds itself')
+        raise LogError(f'the definition of "{name}" contains itself')
     lines = total = 0
     for field, (kind, detail) in definitions[name][1] if name in definitions else ():
         inner, length = detail if int(kind) > _NAME else ((kind, detail), 1)

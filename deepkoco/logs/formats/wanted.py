@@ -1,6 +1,6 @@
-"""Which fields of a log file are read."""
+"""Selection of the fields to read from a log file."""
 
 from collections.abc import Iterable, Mapping
 
 Wanted = Mapping[str, Iterable[str]] | None
-"""Fields to read, by topic; None: all that are not too large."""
+"""Topic -> fields to read; None reads all fields except long lists."""

@@ -1,4 +1,4 @@
-"""Looking into a log before it is used: what is in it, what it may mean, what is doubtful."""
+"""Inspect a log: its contents, a proposed mapping, and possible mistakes."""
 
 from deepkoco.logs.inspect.doubts import doubts_of
 from deepkoco.logs.inspect.fitting import Fitting, NoProposalError, propose

@@ -1,4 +1,4 @@
-"""An inspection in plain JSON types."""
+"""Convert an inspection to plain JSON types."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deepkoco.logs.recording import Recording
 def content(
     survey: Survey, fitting: Fitting | None, recording: Recording | None, problem: str | None
 ) -> dict[str, Any]:
-    """All that is known of a log; keys are only ever added."""
+    """Content of `deepkoco inspect --json`; keys are only ever added."""
     proposal = None if fitting is None else fitting.proposal
     result: dict[str, Any] = {
         "path": str(survey.log.path),
@@ -60,7 +60,7 @@ def _proposal(fitting: Fitting) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
+    """Convert keys to text, and NaN and infinity to None, which JSON does not have."""
     if isinstance(value, dict):
         return {str(key): _plain(member) for key, member in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""The time columns of a log: which they are, their unit, rate, gaps, jitter, duplicates and resets."""
+"""Find the time columns of a log, with unit, rate, gaps, jitter, repeated stamps and resets."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from deepkoco.logs.sidecar import ISO
 from deepkoco.logs.units import factor_between, parse_unit
 
 GAP = 1.5  # a gap is a step of more than this many median steps
-FORWARD = 0.9  # share of the steps of a clock that go forward
-RATES = (1.0, 2e4)  # rates of logs of robots [Hz]
+FORWARD = 0.9  # smallest share of positive steps of a clock
+RATES = (1.0, 2e4)  # usual rates of logs of robots [Hz]
 
 
 @dataclass(frozen=True)
@@ -23,19 +23,19 @@ class Clock:
     """A time column.
 
     Attributes:
-        topic, column: where it is.
-        unit: its unit, named or guessed.
-        named: whether its name (or the format) says the unit.
-        samples: stamps that are there.
-        seconds: sum of all steps forward that are no gaps, and the gaps [s].
-        rate_hz: 1 / median step; None with fewer than two stamps.
-        jitter_s: standard deviation of the steps that are no gaps [s].
-        gaps: steps of more than 1.5 median steps.
+        topic, column: its place in the file.
+        unit: its unit, stated or guessed.
+        named: whether its name or the format states the unit.
+        samples: number of finite stamps.
+        seconds: sum of all positive steps, gaps included [s].
+        rate_hz: 1 / median positive step; None without a positive step.
+        jitter_s: standard deviation of the positive steps without gaps [s].
+        gaps: number of steps of more than 1.5 median steps.
         longest_gap_s: the longest step [s].
-        duplicates: steps of 0.
-        resets: rows at which it goes back.
-        missing: rows without a stamp.
-        counter: column that counts the stretches between resets, None if none does.
+        duplicates: number of repeated stamps.
+        resets: rows at which the stamps decrease.
+        missing: number of rows without a stamp.
+        counter: column that counts the stretches between resets, None if there is none.
     """
 
     topic: str
@@ -55,7 +55,7 @@ class Clock:
 
 
 def find_clocks(log: LogFile, topic: str) -> list[Clock]:
-    """Time columns of a table, the best first."""
+    """Find the time columns of a table, the most probable first."""
     table = log.table(topic)
     if table.times:
         return [clock for name in table.times if (clock := _clock(log, topic, name, "s", True)) is not None]
@@ -74,14 +74,14 @@ def find_clocks(log: LogFile, topic: str) -> list[Clock]:
 
 
 def stamps(log: LogFile, clock: Clock) -> np.ndarray:
-    """Values of a clock [s], NaN where there is none."""
+    """Stamps of a clock [s], NaN where missing."""
     if clock.unit == ISO:
         return iso_seconds(log, clock.topic, clock.column)
     return log.values(clock.topic, clock.column) * factor_between(clock.unit, "s")
 
 
 def _score(log: LogFile, topic: str, name: str) -> float | None:
-    """Evidence that a column is a clock, None if it cannot be one."""
+    """Score a column as a clock [nats]; None if it cannot be one."""
     hints = read_name(name)
     says = hints.speaks_for("time") > 0
     hinted = hints.unit is not None and parse_unit(hints.unit).quantity == "time"

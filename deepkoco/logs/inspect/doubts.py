@@ -1,4 +1,4 @@
-"""What in a log asks for a second look, each in one sentence with what to do."""
+"""Describe possible mistakes in a log, each with advice."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
 
-MANY = 8  # names listed before "and n more"
-OFF = 0.25  # of the logarithm of a ratio that is not what the units say
+MANY = 8  # largest number of listed names
+OFF = 0.25  # tolerance of the logarithm of a ratio of units
 _RATE = {"rad": "rad/s", "m": "m/s"}
 
 
 def doubts_of(survey: Survey, proposal: Proposal | None = None) -> list[str]:
-    """Sentences about clocks, columns and, with a proposal, units and commands."""
+    """Describe possible mistakes of clocks and columns, and with a proposal those of units and commands."""
     result = [*survey.log.notes]
     result += [f'topic "{topic}" is left out: {reason}' for topic, reason in survey.log.skipped.items()]
     mapped = (
@@ -41,7 +41,7 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
     result = []
     if not clock.named and clock.unit != "s":
         result.append(
-            f"{where} has no unit in its name and is taken to be in {clock.unit}, as its steps suggest; check it"
+            f"{where} has no unit in its name; its steps suggest {clock.unit}, which is used; check it"
         )
     if clock.resets:
         rows = ", ".join(str(row + 1) for row in clock.resets[:MANY]) + (
@@ -49,11 +49,11 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
         )
         first = survey.where.get(clock.counter or "", math.nan)
         remedy = (
-            f'the column "{clock.counter}" counts the parts; "where: {{{clock.counter}: {first:g}}}" takes one'
+            f'the column "{clock.counter}" counts the parts; "where: {{{clock.counter}: {first:g}}}" selects one'
             if clock.counter
             else "split the log there"
         )
-        result.append(f"{where} goes back at {survey.log.row_name} {rows}; {remedy}")
+        result.append(f"{where} decreases at {survey.log.row_name} {rows}; {remedy}")
     if clock.duplicates:
         result.append(f"{where} repeats a stamp {clock.duplicates} times; keep one row per stamp")
     if clock.missing:
@@ -65,14 +65,18 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
 
 def _columns(columns: list[ColumnSurvey]) -> list[str]:
     result = []
-    for kind, said in (("constant", "never change"), ("text", "hold text"), ("empty", "hold no number")):
+    for kind, said in (
+        ("constant", "never change"),
+        ("text", "contain text"),
+        ("empty", "contain no number"),
+    ):
         names = [f'"{c.label}"' for c in columns if c.kind == kind]
         if names:
             listed = ", ".join(names[:MANY]) + (f" and {len(names) - MANY} more" if len(names) > MANY else "")
             verb = (
                 said
                 if len(names) > 1
-                else {"never change": "never changes"}.get(said, said.replace("hold", "holds", 1))
+                else {"never change": "never changes"}.get(said, said.replace("contain", "contains", 1))
             )
             result.append(f"{listed} {verb}")
     for column in columns:
@@ -83,7 +87,9 @@ def _columns(columns: list[ColumnSurvey]) -> list[str]:
                 'reading needs fill "drop" or "hold"'
             )
         if column.far:
-            result.append(f'"{column.label}" has {column.far} values far away from all others; glitches?')
+            result.append(
+                f'"{column.label}" has {column.far} values far from all others; check whether they are glitches'
+            )
     return result
 
 
@@ -95,7 +101,7 @@ def _units(proposal: Proposal) -> list[str]:
         si = choice.channel.unit
         if not choice.stated and choice.unit != si:
             result.append(
-                f'"{choice.column.name}" names no unit; the numbers look like {choice.unit} and not like {si} '
+                f'"{choice.column.name}" does not name its unit; its values suggest {choice.unit} and not {si} '
                 f"({_range(choice)}); check it"
             )
         limit = max(abs(choice.channel.low), abs(choice.channel.high))
@@ -104,12 +110,12 @@ def _units(proposal: Proposal) -> list[str]:
             if top > 20.0 * limit:
                 result.append(
                     f'"{choice.column.name}" reaches {top:.3g} {si}, {top / limit:.0f} times the limit '
-                    f"of {proposal.system} ({limit:g} {si}); is it in another unit (m{si}, %)?"
+                    f"of {proposal.system} ({limit:g} {si}); check its unit (m{si}, %)"
                 )
             elif top < limit / 200.0:
                 result.append(
-                    f'"{choice.column.name}" reaches only {top:.3g} {si} of the {limit:g} {si} that '
-                    f"{proposal.system} takes; is it in another unit, or on the other side of a gear (key scale)?"
+                    f'"{choice.column.name}" reaches only {top:.3g} {si} of the limit {limit:g} {si} of '
+                    f"{proposal.system}; check its unit, or give the ratio of a gear (key scale)"
                 )
     return result
 
@@ -126,7 +132,7 @@ def _derivatives(survey: Survey, proposal: Proposal) -> list[str]:
             ):
                 continue
             relation = proposal.relations.get((first.column.label, second.column.label))
-            # Joints that move together look like each other's derivatives: of a speed, the angle that fits best.
+            # If joints move together, a speed can agree with several angles. Only the best one is checked.
             others = [
                 proposal.relations.get((c.column.label, second.column.label)) for c in found if c.column
             ]
@@ -144,11 +150,11 @@ def _derivatives(survey: Survey, proposal: Proposal) -> list[str]:
                     raw = relation.ratio
                     result.append(
                         f'"{first.column.name}" changes by {raw:.4g} times the integral of "{second.column.name}": '
-                        f"{second.unit} explains it, and so would a gear ratio of {abs(raw):.3g} (then write unit "
+                        f"{second.unit} explains it; a gear ratio of {abs(raw):.3g} explains it too (then write unit "
                         f"{second.channel.unit} and scale {raw:.3g})"
                     )
                 continue
-            meaning = slip(ratio) or "a unit, or a gear ratio that the key scale can undo"
+            meaning = slip(ratio) or "check the units, or give a gear ratio by the key scale"
             result.append(
                 f'"{first.column.name}" in {first.unit} changes by {ratio:.4g} times the integral of '
                 f'"{second.column.name}" in {second.unit}, not by 1: {meaning}'

@@ -1,4 +1,4 @@
-"""What the numbers themselves say: which column is the derivative of which, and which one drives the motion."""
+"""Evidence of the values: which column is the derivative of which, and which one drives the motion."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from deepkoco.logs.checks.derivative import Relation, relate
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between
 
-MOST_ROWS = 20_000
-MOST_COLUMNS = 48  # columns whose pairs are all compared; of more, only those whose names allow it
-STRIDE = 0.2  # [s] over which a change of speed is explained: over less the noise of the sensors hides it
-AGREES = 0.6
-TOLERANCE = 0.08  # of the logarithm of a ratio that is said to be a unit
+MOST_ROWS = 20_000  # rows of a column that are compared
+MOST_COLUMNS = 48  # up to this number all pairs are compared, above it only pairs whose names fit
+STRIDE = 0.2  # changes of speed are explained over this time [s]; sensor noise dominates shorter changes
+AGREES = 0.6  # agreement above which the ratio is significant
+TOLERANCE = 0.08  # standard deviation of the logarithm of a ratio of units
 POSITIONS = {"angle": ("rad", "deg", "rev", "mrad"), "length": ("m", "mm", "cm")}
 SPEEDS = {
     "angular velocity": ("rad/s", "deg/s", "rpm", "rev/s", "mrad/s"),
     "velocity": ("m/s", "mm/s", "cm/s"),
 }
 TIMES = ("s", "ms", "us", "ns")
-# Ranges beyond which a unit is less likely, in its own numbers.
+# Ranges above which a unit is less likely, in that unit.
 COMMON = {"rad": 60.0, "deg": 20_000.0, "rad/s": 150.0, "deg/s": 9_000.0, "m": 100.0, "m/s": 50.0}
 
 Samples = tuple[np.ndarray, np.ndarray]
 
 
 class Units(NamedTuple):
-    """Units of a position, its speed and the time column, and how much likelier they are than the next [nats]."""
+    """Units of a position, its speed and the time column, and the margin to the second best units [nats]."""
 
     position: str
     speed: str
@@ -40,7 +40,7 @@ class Units(NamedTuple):
 
 
 def samples_of(survey: Survey) -> dict[str, Samples]:
-    """Stamps and values of every column that may be a channel, by label."""
+    """Label -> stamps and values of every column that can be a channel."""
     result = {}
     for column in survey.columns:
         if column.usable:
@@ -52,11 +52,13 @@ def samples_of(survey: Survey) -> dict[str, Samples]:
 def derivatives(
     columns: list[ColumnSurvey], samples: Mapping[str, Samples]
 ) -> dict[tuple[str, str], Relation]:
-    """Relations of all pairs (position, speed) that the names do not rule out."""
+    """Compute the relations of all pairs (position, speed) that their names do not exclude."""
     moving = [c for c in columns if c.kind == "number" and len(samples[c.label][0]) > 10]
     few = len(moving) <= MOST_COLUMNS
-    firsts = [c for c in moving if _may(c, ("angle", "length", "angular velocity"), few)]
-    seconds = [c for c in moving if _may(c, ("angular velocity", "velocity", "angular acceleration"), few)]
+    firsts = [c for c in moving if _may_measure(c, ("angle", "length", "angular velocity"), few)]
+    seconds = [
+        c for c in moving if _may_measure(c, ("angular velocity", "velocity", "angular acceleration"), few)
+    ]
     found = {}
     for first, second in product(firsts, seconds):
         if first.label == second.label:
@@ -68,15 +70,16 @@ def derivatives(
 
 
 def drives(angle: Samples, speed: Samples | None, inputs: Mapping[str, Samples]) -> dict[str, float]:
-    """Share of the changes of a joint's speed that each input explains, of what gravity and friction leave.
+    """Share of a joint's changes of speed that each input explains, beyond gravity and friction.
 
-    Changes of the speed over 0.2 s are regressed on the integrals of sin and cos of the angle, the speed, its sign and
-    a constant, without and with the input, which holds from its stamp to the next.
+    Changes of the speed over 0.2 s are regressed on the integrals of five terms, without and with the input. The terms
+    are sin and cos of the angle, the speed, its smoothed sign and a constant. The input holds from its
+    stamp to the next. The share is the relative decrease of the sum of squared residuals.
 
     Args:
         angle: stamps [s] and angles [rad].
-        speed: stamps [s] and speeds; None takes the differences of the angle.
-        inputs: candidates by name.
+        speed: stamps [s] and speeds [rad/s]; None takes the gradient of the angle.
+        inputs: name -> stamps [s] and values of each candidate.
     """
     t, turn = angle
     if len(t) < 40:
@@ -120,17 +123,17 @@ def choose_units(
 
     Args:
         position, speed: the columns.
-        quantities: of the two, such as ("angle", "angular velocity").
-        relation: of the raw numbers, with the time in the unit `time`.
-        time: unit that the time was taken to be in.
-        named: whether the time's name says so.
+        quantities: their quantities, such as ("angle", "angular velocity").
+        relation: their relation as written in the file, with the time in the unit `time`.
+        time: assumed unit of the time.
+        named: whether the name of the time column states this unit.
     """
     scored = []
     for first, second, clock in product(POSITIONS[quantities[0]], SPEEDS[quantities[1]], TIMES):
         score = _prior(position, first) + _prior(speed, second)
         score += 0.0 if clock == time else -20.0 if named else -3.0
         if relation.agreement > AGREES and math.isfinite(relation.ratio) and relation.ratio != 0:
-            # The relation was taken with the time in `time`; in `clock` every integral is larger by their factor.
+            # The relation assumes the time in `time`. In `clock`, every integral is larger by their ratio.
             wanted = factor_between(second, SPEEDS[quantities[1]][0]) / factor_between(
                 first, POSITIONS[quantities[0]][0]
             )
@@ -153,14 +156,14 @@ def _prior(column: ColumnSurvey, unit: str) -> float:
 
 
 def factor_of(unit: str) -> tuple[str, float]:
-    """Quantity and size of a unit, equal for two spellings of one."""
+    """Quantity and SI value of a unit, equal for all its spellings."""
     from deepkoco.logs.units import parse_unit
 
     found = parse_unit(unit)
     return found.quantity, found.factor
 
 
-def _may(column: ColumnSurvey, quantities: tuple[str, ...], unknown: bool) -> bool:
+def _may_measure(column: ColumnSurvey, quantities: tuple[str, ...], unknown: bool) -> bool:
     if column.hints.unit is not None:
         return factor_of(column.hints.unit)[0] in quantities
     says = [column.hints.speaks_for(q) for q in quantities]

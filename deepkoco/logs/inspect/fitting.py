@@ -1,4 +1,4 @@
-"""The proposal for a named system, or for the one of all systems that fits a log best."""
+"""Propose a mapping for a named system, or for the system that fits a log best."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from deepkoco.logs.inspect.proposal import Proposal, Proposer
 from deepkoco.logs.inspect.survey import Survey
 from deepkoco.systems import SYSTEMS, make_system
 
-ALIKE = 1.0  # difference of evidence per channel below which two systems fit alike [nats]
+ALIKE = 1.0  # difference of evidence per channel below which two systems fit equally well [nats]
 
 
 class NoProposalError(ValueError):
-    """No system fits a log, or none fits better than the others."""
+    """No system fits a log."""
 
 
 class Fitting(NamedTuple):
-    """The best proposal, and the names of the systems that fit as well."""
+    """The best proposal, and the names of systems that fit equally well."""
 
     proposal: Proposal
     alike: tuple[str, ...]
@@ -27,11 +27,11 @@ def propose(survey: Survey, system: str | None = None) -> Fitting:
     """Propose which columns of a log are which channels.
 
     Args:
-        survey: of the log.
-        system: name of the system; None takes the one that fits best.
+        survey: survey of the log.
+        system: name of the system; None takes the system that fits best.
 
     Raises:
-        NoProposalError: No column can be a command or a measurement of any system.
+        NoProposalError: No column is a time, or no system gets a command and a measurement.
         UnknownSystemError: There is no such system.
     """
     proposer = Proposer(survey, samples_of(survey))
@@ -41,14 +41,16 @@ def propose(survey: Survey, system: str | None = None) -> Fitting:
     if not usable:
         if not any(clocks for clocks in survey.clocks.values()):
             raise NoProposalError(
-                f"{survey.log.path}: no column is a time (one that grows, named t, time or stamp); a "
-                "log needs one"
+                f"{survey.log.path}: no column is a time; a log needs a column of increasing stamps, "
+                "named t, time or stamp"
             )
         missing = [c.channel.name for c in proposals[0].choices if c.column is None]
-        what = f"nothing fits the channel {', '.join(missing)} of {system}" if system else "it fits no system"
+        what = (
+            f"no column fits the channel {', '.join(missing)} of {system}" if system else "no system fits it"
+        )
         raise NoProposalError(
-            f"{survey.log.path}: {what}: a mapping needs a command and a measurement at least; write the sidecar by "
-            'hand, or see "deepkoco systems" for those that there are'
+            f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; write the sidecar by "
+            'hand, or choose another system ("deepkoco systems" lists them)'
         )
     usable.sort(key=lambda p: -_fit(p))
     best = usable[0]
@@ -57,6 +59,6 @@ def propose(survey: Survey, system: str | None = None) -> Fitting:
 
 
 def _fit(proposal: Proposal) -> float:
-    """Evidence per channel: a system with more joints than the log has is no better."""
+    """Evidence per channel, lowered for channels without a column, so that larger systems have no advantage."""
     found = sum(c.column is not None for c in proposal.choices)
     return proposal.score * found / len(proposal.choices) ** 2

@@ -1,4 +1,4 @@
-"""What a log holds, channel by channel: rate, gaps, jitter, range."""
+"""Summarise each channel of a log: rate, gaps, jitter, range."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class ChannelSummary:
         samples: Number of samples.
         start: First time stamp [s].
         stop: Last time stamp [s].
-        rate_hz: Samples per median step; None for a single sample.
-        jitter_s: Standard deviation of the steps that are no gaps [s].
-        gaps: Steps of more than 1.5 median steps.
+        rate_hz: 1 / median step; None for a single sample.
+        jitter_s: Standard deviation of the steps without gaps [s].
+        gaps: Number of steps of more than 1.5 median steps.
         longest_gap_s: Longest step [s].
         low: Smallest value.
         high: Largest value.
@@ -83,7 +83,7 @@ def _summarise(name: str, series: Series) -> ChannelSummary:
 
 
 def summary_table(path: Path, recording: Recording) -> Table:
-    """Summary of a log as a table for the terminal."""
+    """Format the summary of a log as a table for the terminal."""
     from rich.table import Table
     from rich.text import Text
 

@@ -1,4 +1,4 @@
-"""What the name of a column says: quantity, unit, joint, and whether it is commanded, wanted or measured."""
+"""Read the name of a column: quantity, unit, joint, and whether it is a command, a goal or a measurement."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from deepkoco.logs.units import UnitError, known_units, parse_unit
 
-# How strongly a word speaks for a quantity [nats].
+# Evidence of a word for a quantity [nats].
 WORDS: dict[str, dict[str, float]] = {
     "angle": {
         **dict.fromkeys(("theta", "angle", "jpos", "qpos"), 3.0),
@@ -74,7 +74,7 @@ WANTED = (
 )
 MEASURED = ("meas", "measured", "act", "actual", "fb", "feedback", "est", "state", "states", "filt")
 COUNTING = ("episode", "seq", "index", "frame", "row", "step", "run", "trial", "unnamed", "iteration")
-# Words at the end of a name that are units; single letters count only where nothing else is left of the unit.
+# Units at the end of a name.
 SUFFIXES = {
     "rad": "rad", "deg": "deg", "degrees": "deg", "rad_s": "rad/s", "rad_per_s": "rad/s", "radps": "rad/s",
     "rads": "rad/s",
@@ -88,14 +88,14 @@ SUFFIXES = {
 
 @dataclass(frozen=True)
 class NameHints:
-    """What a name says.
+    """Parts of the name of a column.
 
     Attributes:
-        words: its parts in lower case, without unit and numbers.
-        unit: unit that it names, None if none.
-        number: number of the joint, None if none.
-        joint: what stands in the last brackets, if that is no unit.
-        commanded, wanted, measured, counting: whether a word says so.
+        words: its words in lower case, without unit and numbers.
+        unit: unit in the name, None if there is none.
+        number: number of the joint, None if there is none.
+        joint: text in the last brackets, if it is not a unit.
+        commanded, wanted, measured, counting: whether a word means a command, a goal, a measurement or a counter.
     """
 
     words: tuple[str, ...]
@@ -108,7 +108,7 @@ class NameHints:
     counting: bool
 
     def speaks_for(self, quantity: str) -> float:
-        """Evidence of the words for a quantity [nats], below 0 where they speak for another one."""
+        """Evidence of the words for a quantity [nats]; negative if another quantity fits better."""
         scores = {name: self._score(name) for name in WORDS}
         others = max((score for name, score in scores.items() if name != quantity), default=0.0)
         own = scores.get(quantity, 0.0)
@@ -127,13 +127,13 @@ class NameHints:
 
 
 def read_name(name: str) -> NameHints:
-    """Take a name like `theta_deg`, `pos [rad]`, `tau_meas1` or `position[shoulder]` apart."""
+    """Split a name such as `theta_deg`, `pos [rad]`, `tau_meas1` or `position[shoulder]` into its parts."""
     unit, joint, rest = None, None, name
     bracket = re.search(r"[\[(]([^\[\])(]*)[\])]\s*$", name)
     if bracket is not None:
         rest = name[: bracket.start()]
         inside = bracket.group(1).strip()
-        # A joint may be called "m" or "s"; a unit stands after a space or in a name without a point.
+        # Text in brackets that is a known unit is taken as the unit, not as the name of a joint.
         if _known(inside) and not inside.isdecimal():
             unit = inside
         else:

@@ -1,4 +1,4 @@
-"""All channels of a log over time, in one picture."""
+"""Draw all columns of a log over time in one picture."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.output.picture import Picture, house_style
 from deepkoco.output.whole_file import whole_file
 
-MOST = 24  # columns drawn
-POINTS = 4000  # a longer series is drawn by the lowest and highest of each stretch
+MOST = 24  # largest number of drawn columns
+POINTS = 4000  # longer series are reduced to the lowest and highest value of each stretch
 
 
 def draw_overview(survey: Survey, proposal: Proposal | None = None) -> Picture:
-    """Draw every column that changes, proposed channels first; grey bands are gaps, red lines resets of the clock."""
+    """Draw every column that changes, proposed channels first, with gaps (grey) and resets of the clock (red)."""
     named = (
         {c.column.label: c for c in proposal.choices if c.column is not None} if proposal is not None else {}
     )
@@ -45,7 +45,7 @@ def draw_overview(survey: Survey, proposal: Proposal | None = None) -> Picture:
             )
             tables.append(pd.DataFrame({"column": column.label, "time_s": t, "value": value}))
         axes[-1].set_xlabel("time [s]")
-    caption = "Every column that changes. Grey: gaps. Red: the clock goes back; what follows is put behind."
+    caption = "Every column that changes. Grey: gaps. Red: resets of the clock; later samples are shifted behind them."
     table = (
         pd.concat(tables, ignore_index=True)
         if tables
@@ -55,7 +55,11 @@ def draw_overview(survey: Survey, proposal: Proposal | None = None) -> Picture:
 
 
 def save_picture(picture: Picture, path: Path) -> None:
-    """Write the picture (its suffix says the format) and the table behind it, NAME_data.csv; overwrite nothing.
+    """Write the picture and the table of its data, NAME_data.csv; overwrite nothing.
+
+    Args:
+        picture: The picture.
+        path: File of the picture; its suffix selects the format.
 
     Raises:
         FileExistsError: One of the two is there already.
@@ -75,7 +79,7 @@ def save_picture(picture: Picture, path: Path) -> None:
 
 
 def _along(survey: Survey, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, values and resets of a column, with what follows a reset put behind what was before."""
+    """Times [s], values and times of resets of a column; stamps after a reset are shifted behind those before it."""
     clock = survey.clock(column)
     assert clock is not None
     t, value = stamps(survey.log, clock), survey.log.values(column.topic, column.name)

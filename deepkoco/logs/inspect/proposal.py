@@ -1,4 +1,4 @@
-"""Which column is which channel of a system: a proposal with reasons and how sure it is."""
+"""Propose which column is which channel of a system, with confidence and reasons."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from deepkoco.logs.sidecar import ChannelColumn, Column
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Channel, System
 
-NOTHING = 2.0  # evidence that a channel needs to be mapped at all [nats]
-BEST = 8  # columns by name that are tried for a channel
-SURE, LIKELY = 0.9, 0.6
+NOTHING = 2.0  # evidence for a channel without a column [nats]
+BEST = 8  # largest number of columns that are tried for a measurement, the best names first
+SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
 _RATES = {"angle": "angular velocity", "length": "velocity"}
 
 
@@ -36,13 +36,13 @@ class Choice:
     """The column proposed for one channel.
 
     Attributes:
-        channel: of the system.
+        channel: channel of the system.
         column: proposed column, None if none fits.
-        unit: unit that its numbers are in.
-        stated: whether the name says the unit.
-        probability: weight among all columns and none.
-        reasons: why, in words.
-        rival: the next best column, None if there is none.
+        unit: unit of the column's values.
+        stated: whether the name of the column states the unit.
+        probability: weight of the choice among all columns and "none".
+        reasons: reasons in words.
+        rival: label of the next best column, None if all others are much worse.
     """
 
     channel: Channel
@@ -67,10 +67,10 @@ class Proposal:
 
     Attributes:
         system: name of the system.
-        choices: one per channel, in the system's order, commands last.
+        choices: one per channel, in the order of the system, commands last.
         time: unit of the times.
-        score: evidence of all channels [nats].
-        relations: of the pairs (position, speed) that were compared, by label.
+        score: sum of the evidence of all channels [nats].
+        relations: labels (position, speed) -> relation of each compared pair.
     """
 
     system: str
@@ -81,13 +81,13 @@ class Proposal:
 
     @property
     def complete(self) -> bool:
-        """Whether there is a command and a measurement for all that is needed."""
+        """Whether at least one command and one measurement have a column."""
         kinds = {c.channel.kind for c in self.choices if c.column is not None}
         return kinds == {"command", "measurement"}
 
 
 class Proposer:
-    """Proposes mappings of one log; the numbers are compared once for all systems."""
+    """Proposes mappings of one log. Columns are compared once for all systems."""
 
     def __init__(self, survey: Survey, samples: dict[str, Samples]) -> None:
         self.survey, self.samples = survey, samples
@@ -125,7 +125,7 @@ class Proposer:
         for (a, said_a, why_a), (b, said_b, why_b) in product(firsts, seconds):
             if a is not None and b is not None and a.label == b.label:
                 continue
-            more, why = self._together(a, b)
+            more, why = self._derivative_evidence(a, b)
             scored.append((said_a + said_b + more, a, b, [*why_a, *why], [*why_b, *why]))
         scored.sort(key=lambda entry: -entry[0])
         best = scored[0]
@@ -157,7 +157,7 @@ class Proposer:
                 best = " (most of all)" if share == top else ""
                 why = [
                     *why,
-                    f"explains {100 * share:.0f} % of what gravity and friction leave of the motion{best}",
+                    f"explains {100 * share:.0f} % of the motion that gravity and friction do not{best}",
                 ]
             scored.append((said + more, column, None, why, []))
         scored.sort(key=lambda entry: -entry[0])
@@ -168,7 +168,7 @@ class Proposer:
         return Choice(channel, column, unit, stated, probability, tuple(scored[0][3]), rival), scored[0][0]
 
     def _shares(self, pair: Sequence[Choice]) -> dict[str, float]:
-        """What each column explains of the acceleration of a joint."""
+        """Column label -> share of the acceleration of a joint that it explains."""
         angle = next((c for c in pair if c.column is not None and c.channel.unit in ("rad", "m")), None)
         speed = next((c for c in pair if c.column is not None and c.channel.unit in ("rad/s", "m/s")), None)
         if angle is None or angle.column is None:
@@ -185,46 +185,46 @@ class Proposer:
     def _ranked(
         self, channel: Channel | None, joint: int, system: System, taken: set[str]
     ) -> list[tuple[ColumnSurvey | None, float, list[str]]]:
-        """Columns by what name and kind say about them, with "none"."""
+        """Columns by the evidence of name and kind, the best first, and "none" last."""
         if channel is None:
             return [(None, 0.0, [])]
         rows = []
         for column in self.columns:
             if column.label not in taken:
-                said, why = self._said(column, channel, joint, system)
+                said, why = self._name_evidence(column, channel, joint, system)
                 rows.append((column, said, why))
         rows.sort(key=lambda row: -row[1])
         most = BEST if channel.kind == "measurement" else len(rows)
         return [*rows[:most], (None, NOTHING, [])]
 
-    def _said(
+    def _name_evidence(
         self, column: ColumnSurvey, channel: Channel, joint: int, system: System
     ) -> tuple[float, list[str]]:
         hints, why = column.hints, []
         quantity = parse_unit(channel.unit).quantity
         if channel.default is not None:
-            # A log need not show it: only its own name, and values that it can have, speak for a column.
+            # A log can lack a channel with a default. Its column needs its own name and admissible values.
             inside = channel.low <= (column.low or 0.0) and (column.high or 0.0) <= channel.high
             named = bool({channel.name, f"{channel.name}d"} & set(hints.words))
-            return (6.0, [f'its name says "{channel.name}"']) if inside and named else (-6.0, [])
+            return (6.0, [f'its name contains "{channel.name}"']) if inside and named else (-6.0, [])
         score = hints.speaks_for(quantity)
         if score > 0:
-            why.append(f"its name says {quantity}")
+            why.append(f"its name means {quantity}")
         if hints.unit is not None:
             fits = parse_unit(hints.unit).quantity == quantity
             score += 3.0 if fits else -6.0
             if fits:
-                why.append(f"its name says {hints.unit}")
+                why.append(f"its name contains {hints.unit}")
         if column.name == channel.name:
             score += 4.0
-            why.append("it is called as the channel")
+            why.append("it has the name of the channel")
         if channel.kind == "command":
             named = hints.commanded or (hints.wanted and not hints.measured)
             score += 1.0 * named - 0.5 * hints.measured
-            # A command that is an angle is a goal, of which the measured angle is not one.
+            # A command that is an angle is a goal, so its name must differ from that of the measured angle.
             score += (2.0 * named - 2.0 * (not named)) * (quantity in POSITIONS)
             if named:
-                why.append("its name says that it is a command")
+                why.append("its name means a command")
             score -= 2.0 * ("feedforward" in hints.words or "ff" in hints.words)
         else:
             score += -5.0 * (hints.commanded or hints.wanted) + 1.0 * hints.measured
@@ -233,7 +233,7 @@ class Proposer:
         return score + self._numbered(column, joint, system), why
 
     def _numbered(self, column: ColumnSurvey, joint: int, system: System) -> float:
-        """Evidence of the number in a name: the k-th number there is belongs to joint k."""
+        """Evidence of the number or joint in a name [nats]; the k-th smallest number belongs to joint k."""
         numbers = sorted({c.hints.number for c in self.columns if c.hints.number is not None})
         named = list(
             dict.fromkeys(c.hints.joint for c in self.columns if c.hints.joint and c.hints.number is None)
@@ -245,8 +245,8 @@ class Proposer:
             return 0.5 if named.index(column.hints.joint) == joint else -0.5
         return 0.0
 
-    def _together(self, a: ColumnSurvey | None, b: ColumnSurvey | None) -> tuple[float, list[str]]:
-        """Evidence that b is the derivative of a."""
+    def _derivative_evidence(self, a: ColumnSurvey | None, b: ColumnSurvey | None) -> tuple[float, list[str]]:
+        """Evidence that b is the derivative of a [nats], with the reason."""
         if a is None or b is None:
             return 0.0, []
         relation = self.relations.get((a.label, b.label))
@@ -254,7 +254,8 @@ class Proposer:
             return (-0.5, []) if a.topic == b.topic else (-1.0, [])
         if relation.agreement < AGREES:
             return -4.0 * (AGREES - max(relation.agreement, 0.0)), []
-        said = f'"{b.name}" is the derivative of "{a.name}" (ratio {relation.ratio:.3g}, fits {relation.agreement:.2f})'
+        fit = f"ratio {relation.ratio:.3g}, agreement {relation.agreement:.2f}"
+        said = f'"{b.name}" is the derivative of "{a.name}" ({fit})'
         known = relation.agreement > 0.9 and (0.8 < relation.ratio < 1.25 or slip(relation.ratio) is not None)
         return 6.0 * (relation.agreement - 0.5) + 3.0 * known, [said]
 
@@ -273,7 +274,7 @@ class Proposer:
 
 
 def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
-    """The proposal as channels of a sidecar, commands last; channels without a column are left out."""
+    """Convert a proposal to channels of a sidecar; channels without a column are left out."""
     channels = {}
     for choice in proposal.choices:
         column = choice.column
@@ -292,12 +293,12 @@ def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
 
 
 def restrict(proposal: Proposal, names: Sequence[str]) -> Proposal:
-    """The proposal with only some of its channels."""
+    """Restrict a proposal to these channels."""
     return replace(proposal, choices=tuple(c for c in proposal.choices if c.channel.name in names))
 
 
 def _joints(system: System) -> list[tuple[Channel | None, Channel | None, list[Channel]]]:
-    """Position, speed and commands of each joint; what belongs to no joint comes alone."""
+    """Position, speed and commands of each joint; channels without a joint form groups of their own."""
     quantity = {c.name: parse_unit(c.unit).quantity for c in system.measurements}
     positions = [c for c in system.measurements if quantity[c.name] in _RATES]
     rates = [c for c in system.measurements if c not in positions]
@@ -318,7 +319,7 @@ def _joints(system: System) -> list[tuple[Channel | None, Channel | None, list[C
 
 
 def _weight(scored: list, place: int) -> tuple[float, str | None]:
-    """Weight of the best column among all, each with its best partner, and the next best one."""
+    """Probability of the best column, each column with its best partner, and the next best column."""
     best: dict[str | None, float] = {}
     for entry in scored:
         label = None if entry[place] is None else entry[place].label
@@ -334,6 +335,6 @@ def _weight(scored: list, place: int) -> tuple[float, str | None]:
 
 
 def _lone_unit(column: ColumnSurvey, channel: Channel) -> str:
-    """Unit of a position or speed that has no partner: degrees where the range is beyond radians."""
+    """Unit of a position or speed without a partner: degrees if the range is too large for radians."""
     span = (column.high or 0.0) - (column.low or 0.0)
     return {"rad": "deg", "rad/s": "deg/s"}.get(channel.unit, channel.unit) if span > 150.0 else channel.unit

@@ -1,4 +1,4 @@
-"""What a log file holds, column by column, before anything says what the columns mean."""
+"""Survey the columns of a log file without a mapping."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ class ColumnSurvey:
     """One column.
 
     Attributes:
-        topic, name: where it is.
+        topic, name: its place in the file.
         kind: "number", "constant", "clock", "counter", "text" or "empty".
-        rows: rows that its message or line has it in.
-        missing: of these, rows without a finite value.
-        bursts: stretches of missing values.
-        longest_burst: rows of the longest one.
+        rows: number of rows that contain the column.
+        missing: number of these rows without a finite value.
+        bursts: number of stretches of missing values.
+        longest_burst: length of the longest stretch [rows].
         low, high: range, None without a number.
-        quantum: step of the grid that all values lie on, 0 if there is none.
-        held: share of the values that repeat the one before.
-        far: values far away from all others.
+        quantum: step of quantisation, 0 if there is none.
+        held: share of the values that repeat the previous one.
+        far: number of values far from all others.
         clock: column of the stamps of its values, None if the table has no clock.
-        hints: what the name says.
+        hints: parts of the name.
     """
 
     topic: str
@@ -50,18 +50,25 @@ class ColumnSurvey:
 
     @property
     def usable(self) -> bool:
-        """Whether it may be a channel."""
+        """Whether the column can be a channel."""
         return self.kind in ("number", "constant")
 
     @property
     def label(self) -> str:
-        """Its name with the topic."""
+        """Topic and name."""
         return f"{self.topic} {self.name}".strip()
 
 
 @dataclass(frozen=True)
 class Survey:
-    """A whole file: clocks and columns by topic, in the file's order; `parts` of a table that a reset cuts."""
+    """Survey of a file.
+
+    Attributes:
+        log: the file.
+        clocks: topic -> its clocks, the most probable first.
+        columns: all columns, in the order of the file.
+        where: column that counts the stretches between resets -> its first value.
+    """
 
     log: LogFile
     clocks: dict[str, list[Clock]]
@@ -69,7 +76,7 @@ class Survey:
     where: dict[str, float]
 
     def samples(self, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps [s] and values of the first stretch of a column in which time goes forward, both finite."""
+        """Finite stamps [s] and values of a column up to the first reset of its clock, without glitches."""
         clock = self.clock(column)
         if clock is None:
             return np.zeros(0), np.zeros(0)
@@ -83,12 +90,12 @@ class Survey:
         return t[~far], value[~far]
 
     def clock(self, column: ColumnSurvey) -> Clock | None:
-        """The clock of a column."""
+        """Clock of a column, None if it has none."""
         return next((c for c in self.clocks.get(column.topic, []) if c.column == column.clock), None)
 
 
 def survey_log(log: LogFile) -> Survey:
-    """Look at every column of a log file."""
+    """Survey every column of a log file."""
     clocks = {topic: find_clocks(log, topic) for topic in log.tables}
     columns = []
     for topic, table in log.tables.items():
@@ -120,7 +127,7 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
         kind = "empty"
     elif kind == "number" and np.ptp(good) == 0:
         kind = "constant"
-    elif kind == "number" and _counts(good, hints, name):
+    elif kind == "number" and _is_counter(good, hints, name):
         kind = "counter"
     return ColumnSurvey(
         topic=topic,
@@ -140,7 +147,7 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
     )
 
 
-def _counts(values: np.ndarray, hints: NameHints, name: str) -> bool:
+def _is_counter(values: np.ndarray, hints: NameHints, name: str) -> bool:
     step = np.diff(values)
     whole = bool(np.all(values == np.round(values)))
     by_ones = (
@@ -153,7 +160,7 @@ def _counts(values: np.ndarray, hints: NameHints, name: str) -> bool:
 
 
 def _clock_of(name: str, clocks: list[Clock]) -> str | None:
-    """The clock that is named after the column (`t_torque`), else the table's first."""
+    """Clock that is named after the column (`t_torque`), else the first clock of the table."""
     for clock in clocks[1:]:
         if clock.column.lower() in (
             f"t_{name}".lower(),

@@ -1,4 +1,4 @@
-"""Tables of an inspection for the terminal."""
+"""Format an inspection as tables for the terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def clock_table(survey: Survey) -> Table:
     left = ("topic", "time") if several else ("time",)
     table = _table(
         left,
-        ("unit", "stamps", "rate\nHz", "jitter\nms", "seconds", "gaps", "longest\nms", "twice", "resets"),
+        ("unit", "stamps", "rate\nHz", "jitter\nms", "seconds", "gaps", "longest\nms", "repeated", "resets"),
     )
     for clocks in survey.clocks.values():
         for clock in clocks:
@@ -35,7 +35,7 @@ def clock_table(survey: Survey) -> Table:
 
 
 def column_table(survey: Survey, proposal: Proposal | None) -> Table:
-    """One row for each column that is no clock; the range in SI where a unit is known."""
+    """One row for each column except clocks; with the range in SI if the unit is known."""
     units = {c.column.label: c.unit for c in proposal.choices if c.column is not None} if proposal else {}
     several = survey.log.has_topics
     left = ("topic", "field") if several else ("column",)
@@ -55,16 +55,16 @@ def column_table(survey: Survey, proposal: Proposal | None) -> Table:
 
 
 def proposal_table(fitting: Fitting) -> Table:
-    """The proposed mapping with reasons."""
+    """The proposed mapping with confidence and reasons."""
     proposal = fitting.proposal
-    alike = f" (as well: {', '.join(fitting.alike)})" if fitting.alike else ""
+    alike = f" (equally good: {', '.join(fitting.alike)})" if fitting.alike else ""
     table = Table(
         title=Text(f"proposed for {proposal.system}{alike}"),
         title_justify="left",
         box=None,
         padding=(0, 1, 0, 0),
     )
-    for heading in ("channel", "column", "unit", "how sure", "why"):
+    for heading in ("channel", "column", "unit", "confidence", "reason"):
         table.add_column(heading, overflow="fold")
     for choice in proposal.choices:
         column = "-" if choice.column is None else choice.column.label
@@ -74,7 +74,7 @@ def proposal_table(fitting: Fitting) -> Table:
             if choice.column is None
             else f"{choice.sureness} ({100 * choice.probability:.0f} %)"
         )
-        rival = f"; else {choice.rival}" if choice.rival else ""
+        rival = f"; next best: {choice.rival}" if choice.rival else ""
         cells = (
             f"{choice.channel.name} ({choice.channel.kind})",
             column,
