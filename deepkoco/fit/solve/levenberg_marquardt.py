@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
-
-if TYPE_CHECKING:
-    from deepkoco.fit.fit import FitProblem
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
@@ -30,7 +27,9 @@ def state_steps(states: int) -> tuple[float, ...]:
 class Batch:
     """State of the trials of one call of :meth:`FitProblem.fit`."""
 
-    def __init__(self, problem: FitProblem, trials: Sequence[Trial], tolerance: float = TOLERANCE) -> None:
+    def __init__(
+        self, problem: ShootingProblem, trials: Sequence[Trial], tolerance: float = TOLERANCE
+    ) -> None:
         self.problem, self.trials, self.tolerance = problem, trials, tolerance
         names, windows = problem.names, problem.windows
         self.columns = [np.array([names.index(n) for n in t.free], dtype=int) for t in trials]

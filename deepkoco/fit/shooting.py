@@ -1,0 +1,147 @@
+"""Multiple shooting: predictions of all windows, with what a solver needs to know about the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.data.per_log_differences import effects_in
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit_types import Fit
+from deepkoco.fit.simulate.push import Push, push_torque
+from deepkoco.fit.simulate.simulator import predict
+from deepkoco.fit.solve.encoder_zeros import EncoderZeros
+from deepkoco.fit.solve.nuisances import Nuisances
+from deepkoco.systems import ExtendedSystem, Parameter
+
+SENSING_RANGE = 0.1  # longest delay of one channel [s]
+
+
+class ShootingProblem:
+    """The simulation of all windows as a function of parameters, initial states and nuisances.
+
+    Args:
+        system: The extended system; trials free some of its parameters.
+        windows: Data.
+        late: Channels that may lag behind their time stamps. Each has its own delay, the parameter
+            ``<channel>.delay`` [s]; 0 is no lag.
+        zero_sd: Standard deviation of encoder zeros from log to log [rad]; None takes the channels' declarations.
+
+    Source: Bock, Recent advances in parameter identification (1983) for multiple shooting.
+    """
+
+    def __init__(
+        self,
+        system: ExtendedSystem,
+        windows: Windows,
+        late: tuple[str, ...] = (),
+        zero_sd: float | None = None,
+    ) -> None:
+        self.system = system
+        self.windows = windows
+        self._late, self._zero_sd = late, zero_sd
+        delays = channel_delays(late)
+        self.late = tuple([c.name for c in system.measurements].index(name) for name in late)
+        self.names = tuple(p.name for p in (*system.parameters, *delays)) + Push.NAMES
+        declared = {p.name: p for p in (*system.parameters, *delays)} | Push.declared(system, windows)
+        self.low = np.array([declared[n].low for n in self.names])
+        self.high = np.array([declared[n].high for n in self.names])
+        self.scale = np.array([declared[n].prior_sd for n in self.names])
+        sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
+        self.weight = windows.valid.to(torch.float64) / sd[None, :, None]
+        self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
+        self.nuisances = Nuisances(self.zeros, windows.varies)
+        self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
+
+    def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
+        """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
+        nulls = self.null_values()
+        rubs = (theta[:, self._dry] != nulls[self._dry]).any(-1)
+        if not rubs.any() or rubs.all():
+            return self._predict(theta, initial, nuisance)
+        # Reversals under dry friction need many more steps, so lanes with and without it are simulated apart.
+        result: Tensor | None = None
+        for part in (rubs, ~rubs):
+            pick = torch.from_numpy(np.flatnonzero(part))
+            own = self._predict(theta[part], initial[pick], nuisance[pick])
+            result = own.new_empty(len(theta), *own.shape[1:]) if result is None else result
+            result[pick] = own
+        assert result is not None
+        return result
+
+    def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
+        own = len(self.system.parameters)
+        nulls = self.null_values()
+        values = theta[:, :own].copy()
+        for j in self._limits:
+            # The null value of a saturation is the command limit. With a gain or a bias, the effort can exceed it.
+            values[:, j] = np.where(values[:, j] >= nulls[j], np.inf, values[:, j])
+        given = (theta[:, :own] != nulls).T
+        lanes: dict[str, slice] = {}
+        for effect, columns in self._columns.items():
+            acting = np.flatnonzero(given[columns].any(0))
+            if len(acting):
+                lanes[effect] = slice(int(acting[0]), int(acting[-1]) + 1)
+        differing = effects_in((*self.windows.known, self.windows.varies))
+        lanes |= {effect: slice(0, len(theta)) for effect in differing}
+        # Effects at their null value in every lane would only cost time.
+        system = self._extended(tuple(lanes))
+        same = (values == values[:1]).all(0)
+        named = {
+            n: torch.tensor(values[0, j]) if same[j] else torch.from_numpy(np.ascontiguousarray(values[:, j]))
+            for j, n in enumerate(self.names[:own])
+            if "." not in n or n.split(".")[0] in lanes
+        }
+        push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system.joints)
+        delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
+        # An effect that acts in all lanes needs no slice.
+        some = {effect: part for effect, part in lanes.items() if part.stop - part.start < len(theta)}
+        differ = self.nuisances.differ(nuisance)
+        result = predict(system, self.windows, named, initial, push, delays, some, differ)
+        self.zeros.add(result, nuisance, self.windows.log)
+        return result
+
+    def nuisance_slopes(self, parameters: Tensor) -> Tensor:
+        """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""
+        return self.nuisances.slopes(self.weight, self.windows.log, parameters)
+
+    def values_in(self, fit: Fit, log: int | None = None) -> dict[str, float]:
+        """Parameters of one log after a fit; without ``log``, their mean over the logs of these windows."""
+        differ = self.nuisances.differ(fit.nuisance[None])
+        seen = np.unique(self.windows.log) if log is None else [log]
+        values = dict(fit.values)
+        for name, own in differ.items():
+            j = self.names.index(name)
+            # Differences of single logs are not limited by the bounds.
+            values[name] = float(np.clip(values[name] + float(own[seen].mean()), self.low[j], self.high[j]))
+        return values
+
+    def null_values(self) -> np.ndarray:
+        """(P,) values at which the effects change nothing; NaN for the parameters of the base system."""
+        if not hasattr(self, "_nulls"):
+            bare = ExtendedSystem(self.system.base, tuple(e.name for e in self.system.effects))
+            self._nulls = np.array([p.value if "." in p.name else np.nan for p in bare.parameters])
+            self._limits = [j for j, p in enumerate(bare.parameters) if p.name.endswith(".limit")]
+            self._columns: dict[str, list[int]] = {}
+            for j, p in enumerate(bare.parameters):
+                if "." in p.name:
+                    self._columns.setdefault(p.name.split(".")[0], []).append(j)
+            finer = bare.base.reversal_steps
+            dry = {e.name for e in bare.effects if e.effect.dry and finer[e.index] > 1}
+            self._dry = [j for name in self._columns if name in dry for j in self._columns[name]]
+        return self._nulls
+
+    def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:
+        """The base system with these effects only. Systems are cached: a fit uses few combinations."""
+        if effects not in self._kept:
+            self._kept[effects] = ExtendedSystem(self.system.base, effects)
+        return self._kept[effects]
+
+
+def channel_delays(channels: Sequence[str]) -> tuple[Parameter, ...]:
+    """Declare the delay parameter of each of these channels."""
+    text = "delay of this channel, state to time stamp of its measurement"
+    return tuple(Parameter(f"{c}.delay", 0.0, "s", 0.0, SENSING_RANGE, 0.02, text) for c in channels)
