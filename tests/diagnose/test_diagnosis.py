@@ -70,8 +70,12 @@ def test_report_json_has_the_keys_of_the_contract(report):
     assert "No fit uses these windows" in content["gain"]["note"]
     assert "optimistic" in content["gain"]["note"]
     assert {"baseline", "refit", "extended", "unit"} <= set(content["gain"]["channels"]["theta"])
-    tried = {name for name, cause in catalogue(make_system("rod_pendulum")).items() if cause.free}
-    assert tried == {c["name"] for c in content["candidates"]}
+    known = catalogue(make_system("rod_pendulum"))
+    tried = {c["name"] for c in content["candidates"]}
+    fitted = {name for name, cause in known.items() if cause.free}
+    assert fitted <= tried
+    # Slips of units are tried as well where the refit is far from its prior.
+    assert {known[name].family for name in tried - fitted} <= {"unit"}
 
 
 def test_gain_is_large_and_inside_its_interval(diagnosis):
