@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: The causes, the limits, a file or the folder cannot be used.
     """
-    from deepkoco.cli.diagnose import read_logs
+    from deepkoco.cli.logs import read_logs
     from deepkoco.diagnose.experiment_design.design import InseparableError, design_experiment
     from deepkoco.diagnose.experiment_design.design_files import describe, write_design
     from deepkoco.diagnose.experiment_design.experiment_setup import DesignError

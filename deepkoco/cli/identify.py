@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from deepkoco.fit.solve.prior import Prior
-    from deepkoco.logs.recording import Recording
 
 DESCRIPTION = """\
 Fit parameters and delays of a system to logs of it, with 95 % intervals. Name the combinations of parameters that the
@@ -105,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A log, a name, a number or the output folder cannot be used.
     """
+    from deepkoco.cli.logs import read_logs
     from deepkoco.fit.delays.hidden_delay import hidden_delays
     from deepkoco.fit.identify import fit
     from deepkoco.fit.report import as_json, terminal_report, write_identification
@@ -129,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     try:
         check_new(out)
-        system, logs = _read(args)
+        system, logs = read_logs(args, args.recording, None)
         names = list(args.parameters or [p.name for p in system.parameters])
         if args.delays is not None or args.hidden_delays is not None:
             names += [n for n in command_delays(system) if n not in names]
@@ -208,35 +208,6 @@ def _prior(items: list[str]) -> Prior | None:
         return None
     centre, sd = np.array(list(given.values())).T
     return Prior(tuple(given), centre, np.diag(sd**2))
-
-
-def _read(args: argparse.Namespace) -> tuple[Any, list[Recording]]:
-    from deepkoco.logs.recording import read_log
-    from deepkoco.systems import SYSTEMS
-
-    known = tuple(SYSTEMS)
-    name = args.system
-    if name is None:
-        name = read_log(args.recording[0], args.map, systems=known, fill=args.fill).system
-    if name is None:
-        raise InputError(
-            f"{args.recording[0]}: the sidecar does not name the system; give --system, one of {', '.join(known)}"
-        )
-    system = _system(name)
-    channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
-    return system, [
-        read_log(path, args.map, system.name, channels=channels, systems=known, fill=args.fill)
-        for path in args.recording
-    ]
-
-
-def _system(name: str) -> Any:
-    from deepkoco.systems import ModelFileError, UnknownSystemError, load_model, make_system
-
-    try:
-        return load_model(name) if name.endswith((".yaml", ".yml")) else make_system(name)
-    except (ModelFileError, UnknownSystemError) as error:
-        raise InputError(f"--system: {error}") from error
 
 
 class _Progress:
