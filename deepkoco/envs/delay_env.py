@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,21 +10,19 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from torch import Tensor
 
 from deepkoco.engines import command_window
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
-from deepkoco.envs.delay_traces import Delays
 from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
 from deepkoco.envs.nodes import TaskAgent
+from deepkoco.envs.randomization import Randomization, Randomize, Values
 from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
+from deepkoco.envs.task_randomization import TaskRandomization
 from deepkoco.graph import Connection, Graph
 from deepkoco.graph.delay import Delay, Deterministic, make_delay
 from deepkoco.graph.model.node import State
-
-EDGES = {"actuation_delay": "agent->world", "sensing_delay": "sensor->agent"}
 
 
 class DelayGraphVectorEnv(GraphVectorEnv):
@@ -149,29 +146,8 @@ class DelayGraphVectorEnv(GraphVectorEnv):
             )
         return law if own == 0.0 else Deterministic(float(law.mean) + own)
 
-    def _timed(self) -> set[str]:
-        return {*DELAYS, *(f"{name}.delay" for name in DELAYS)}
-
-    def _bounds(self, name: str) -> tuple[float, float, str]:
-        if name in DELAYS:
-            return 0.0, math.inf, "s"
-        declared = self.system.parameter(name)
-        return declared.low, declared.high, declared.unit
-
-    def _delays(self, draws: Mapping[str, Tensor]) -> Delays:
-        timing = self.system.timing(self.system.default_parameters() | dict(draws))
-        delays = {}
-        for name, own in zip(DELAYS, (timing.actuation_delay, timing.sensing_delay), strict=True):
-            if name in draws or own.ndim > 0:
-                law = make_delay(getattr(self.settings, name))
-                base = draws[name] if name in draws else torch.tensor(float(law.mean), dtype=torch.float64)
-                delays[EDGES[name]] = (base + own).numpy()
-        return delays
-
-    def _parameters(self, drawn: Mapping[str, Tensor]) -> Mapping[str, Mapping[str, Tensor]]:
-        parameters = self.system.default_parameters()
-        parameters |= {name: value for name, value in drawn.items() if name not in DELAYS}
-        return {node.name: parameters for node in self.graph.nodes}
+    def _make_randomization(self, parameters: Values, randomize: Randomize) -> Randomization:
+        return TaskRandomization(self.system, self.settings, self.graph)
 
     def _start(self, batch: int, generator: torch.Generator) -> dict[str, State]:
         start = self.task.start(self.system, batch, generator)

@@ -6,12 +6,20 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.envs.delay_arguments import DelayWrapperError
+from deepkoco.envs.delay_arguments import (
+    DelayWrapperError,
+    episode_steps,
+    read_delay,
+    read_sensing,
+    step_rate,
+)
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timing
+from deepkoco.graph.delay import exact_fraction
 from deepkoco.graph.model.node import State
 
 
@@ -150,6 +158,36 @@ class DelayLine:
             self.held = max(self.held, int((steps[:-1] - there).max()) + 2)
         age = steps - sample // int(self.samples_per_step)
         self.kept = max(self.kept, int(age.max()) + 1)
+
+
+def line_of(
+    env: Any,
+    batch: int,
+    space: gymnasium.Space,
+    actuation_delay: Any,
+    sensing_delay: Any,
+    control_rate: float | None,
+    sensor_rate: float | None,
+) -> tuple[DelayLine, dict[str, str | slice | None]]:
+    """Read the arguments of a delay wrapper.
+
+    Args:
+        env: The environment that is wrapped, or the batch of them.
+        batch: Environments B.
+        space: Of one observation.
+        actuation_delay, sensing_delay, control_rate, sensor_rate: As for `DelayWrapper`.
+
+    Returns:
+        The line, and by term of the observation its place: a key, a slice, or None for the whole.
+
+    Raises:
+        DelayWrapperError: The rate is not known, or a delay does not fit the observation.
+    """
+    rate = step_rate(env, control_rate)
+    laws, places = read_sensing(sensing_delay, space)
+    actuation = read_delay("actuation_delay", actuation_delay)
+    sampling = rate if sensor_rate is None else exact_fraction(sensor_rate)
+    return DelayLine(batch, rate, actuation, laws, sampling, episode_steps(env)), places
 
 
 class _Clock(Node):

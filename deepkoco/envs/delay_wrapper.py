@@ -12,16 +12,8 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
 from deepkoco.envs.actions import check_finite_action, check_shape
-from deepkoco.envs.delay_arguments import (
-    DelayWrapperError,
-    episode_steps,
-    read_delay,
-    read_sensing,
-    seeded,
-    step_rate,
-)
-from deepkoco.envs.delay_line import DelayLine
-from deepkoco.graph.delay import exact_fraction
+from deepkoco.envs.delay_arguments import DelayWrapperError, seeded
+from deepkoco.envs.delay_line import line_of
 
 
 class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
@@ -77,12 +69,9 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
             initial_action=initial_action,
         )
         gymnasium.Wrapper.__init__(self, env)
-        rate = step_rate(env, control_rate)
-        laws, self._places = read_sensing(sensing_delay, env.observation_space)
-        self._line = DelayLine(
-            1, rate, read_delay("actuation_delay", actuation_delay), laws,
-            rate if sensor_rate is None else exact_fraction(sensor_rate), episode_steps(env),
-        )  # fmt: skip
+        self._line, self._places = line_of(
+            env, 1, env.observation_space, actuation_delay, sensing_delay, control_rate, sensor_rate
+        )
         self._initial = first_action(env.action_space, initial_action)
         self._history_size = action_history
         if action_history:
@@ -156,9 +145,7 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         if not self._history_size:
             return observation
         past = np.concatenate([np.ravel(a) for a in self._past])
-        if isinstance(observation, dict):
-            return {**observation, "action_history": past.astype(np.float32)}
-        return np.concatenate([observation, past]).astype(self.observation_space.dtype)
+        return append_history(observation, past, self.observation_space.dtype)
 
 
 def as_action(mean: np.ndarray, space: spaces.Box) -> np.ndarray:
@@ -227,3 +214,10 @@ def with_history(observation: spaces.Space, action: spaces.Space, history: int) 
         np.concatenate([observation.high, high]).astype(dtype),
         dtype=dtype.type,
     )
+
+
+def append_history(observation: Any, past: np.ndarray, dtype: Any) -> Any:
+    """An observation (..., N), or a Dict, with past actions (..., M); of the type of the observation space."""
+    if isinstance(observation, dict):
+        return {**observation, "action_history": past.astype(np.float32)}
+    return np.concatenate([observation, past], -1).astype(dtype)

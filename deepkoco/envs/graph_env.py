@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from deepkoco.envs.graph_vector_env import READINGS, GraphVectorEnv
+from deepkoco.envs.graph_vector_env import GraphVectorEnv
+from deepkoco.envs.readings import READINGS
 from deepkoco.graph import Graph, HorizonError
 
 FIRST_STEPS = 256  # for which delays are drawn at first, where nothing says how long an episode can be

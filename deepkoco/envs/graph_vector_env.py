@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,21 +10,20 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from torch import Tensor
 
 from deepkoco.envs.actions import check_finite_action, check_shape
-from deepkoco.envs.delay_traces import Delays, DelayTraces, law_ranges
+from deepkoco.envs.delay_traces import DelayTraces
+from deepkoco.envs.episode_draws import EpisodeDraws
+from deepkoco.envs.randomization import GraphRandomization, Randomization, Randomize, Values
+from deepkoco.envs.readings import check_readings, further_readings
+from deepkoco.envs.restarts import reset_mask
 from deepkoco.envs.seeds import Seeds, split_seeds
-from deepkoco.envs.settings import SettingsError, check_range
+from deepkoco.envs.settings import SettingsError
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
 from deepkoco.graph.delay import RecordedDelays
 from deepkoco.graph.model.node import State
-
-READINGS = ("observation", "reward", "terminated")
-Values = Mapping[str, Mapping[str, Tensor | float]]
 
 
 class GraphVectorEnv(VectorEnv):
@@ -71,7 +69,7 @@ class GraphVectorEnv(VectorEnv):
         observation_space: spaces.Box,
         max_episode_steps: int,
         parameters: Values | None = None,
-        randomize: Mapping[str, tuple[float, float] | Mapping[str, Any]] | None = None,
+        randomize: Randomize | None = None,
         delay_traces: int = 256,
         executor: str = "auto",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -96,23 +94,14 @@ class GraphVectorEnv(VectorEnv):
         self.observation_space = batch_space(observation_space, num_envs)
         self._mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
-        self._values = {node: dict(values) for node, values in (parameters or {}).items()}
-        timed = self._timed()
-        self._ranges: dict[str, tuple[float, float]] = {}
-        self._laws: dict[str, Mapping[str, Any]] = {}
-        for name, span in (randomize or {}).items():
-            if isinstance(span, Mapping):
-                self._laws[name] = span
-                own = law_ranges(name, span, known=timed)
-                timed |= set(own)
-                self._ranges |= own
-            else:
-                check_range(name, span, *self._bounds(name))
-                self._ranges[name] = span
+        self._randomization = self._make_randomization(parameters or {}, randomize or {})
+        ranges, timed = self._randomization.ranges, self._randomization.timed
         self._traces = DelayTraces(
             graph, max_episode_steps, num_envs, delay_traces,
-            {name: span for name, span in self._ranges.items() if name in timed}, self._delays, recorded_delays,
+            {name: span for name, span in ranges.items() if name in timed},
+            self._randomization.delays, recorded_delays,
         )  # fmt: skip
+        self._draws = EpisodeDraws(ranges, self._traces)
         self.plan_episodes(max_episode_steps)
         self._single, self._given_shape = False, self.action_space.shape
         self._action_shape = (num_envs, *supervisor.initial_action.shape)
@@ -123,14 +112,13 @@ class GraphVectorEnv(VectorEnv):
             executor = "fused" if all(node.pure for node in graph.nodes) else "eager"
         self._runtime = BatchedRuntime(graph, executor=executor)
         self._state: RuntimeState | None = None
-        self._drawn: dict[str, Tensor] = {}
         self._elapsed = np.zeros(num_envs, np.int64)
         self._ended = np.zeros(num_envs, bool)
 
     @property
     def drawn(self) -> dict[str, np.ndarray]:
         """What the environments have drawn for their episodes from the ranges of ``randomize``, (B,) each."""
-        return {name: value.numpy().copy() for name, value in self._drawn.items()}
+        return {name: value.numpy().copy() for name, value in self._draws.values.items()}
 
     @property
     def dt(self) -> float:
@@ -167,7 +155,7 @@ class GraphVectorEnv(VectorEnv):
         Raises:
             ValueError: A list of seeds has another length than there are environments.
         """
-        mask = _mask((options or {}).get("reset_mask"), self.num_envs)
+        mask = reset_mask((options or {}).get("reset_mask"), self.num_envs)
         joint, own = split_seeds(seed, self.num_envs, mask)
         new_traces = joint is not None
         if joint is None and self._np_random is None:
@@ -191,7 +179,7 @@ class GraphVectorEnv(VectorEnv):
         """
         if seed is not None:
             super().reset(seed=seed)
-        mask = _mask(options.get("reset_mask"), self.num_envs)
+        mask = reset_mask(options.get("reset_mask"), self.num_envs)
         if mask is not None and self._state is None:
             raise gymnasium.error.ResetNeeded("reset_mask: the first reset starts all environments")
         self._restart(mask, options, new_traces and mask is None, own_seeds)
@@ -276,29 +264,13 @@ class GraphVectorEnv(VectorEnv):
     ) -> None:
         """Start the environments in ``mask``, or all, anew, some of them with seeds of their own."""
         generator = self._generator.manual_seed(int(self.np_random.integers(2**62)))
-        fresh = self._fresh(self.num_envs, generator)
-        # The traces have a stream of their own: how many are drawn changes nothing else of an episode.
-        stream = torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
-        own: dict[int, torch.Generator] = {}
-        if own_seeds:
-            seeds = {}
-            for place, seed in own_seeds.items():
-                own[place], seeds[place], drawn = self._single_draws(seed)
-                for name, value in drawn.items():
-                    fresh[name][place] = value[0]
-            timing, rows = self._traces.take_own(seeds, stream, mask)
-        else:
-            timing, rows = self._traces.take(stream, mask, new_traces)
-        if mask is not None:
-            rows = np.where(mask, rows, self.state.row)
-            chosen = torch.from_numpy(mask)
-            fresh = {name: torch.where(chosen, value, self._drawn[name]) for name, value in fresh.items()}
-        timed = {name: value[torch.from_numpy(rows)] for name, value in self._traces.draws.items()}
-        self._drawn = {name: timed[name] if name in timed else fresh[name] for name in self._ranges}
+        running = None if mask is None else self.state.row
+        timing, rows, own = self._draws.draw(generator, mask, running, new_traces, own_seeds or {})
         with warnings.catch_warnings():
             if self._quiet:
                 warnings.filterwarnings("ignore", ".*runs with the eager executor", RuntimeWarning)
-            parameters, start = self._parameters(self._drawn), self._start(self.num_envs, generator)
+            parameters = self._randomization.parameters(self._draws.values)
+            start = self._start(self.num_envs, generator)
             for place, single in own.items():
                 for node, state in self._start(1, single).items():
                     for name, value in state.items():
@@ -317,59 +289,15 @@ class GraphVectorEnv(VectorEnv):
                 mask=mask,
             )
         if mask is None:
-            self._check_readings(self._state)
+            shape = self.single_observation_space.shape or ()
+            check_readings(self._state.readings, self.graph.supervisor, self.num_envs, shape)
             mask = np.ones(self.num_envs, bool)
         self._elapsed = np.where(mask, 0, self._elapsed)
         self._ended = self._ended & ~mask
 
-    def _fresh(self, batch: int, generator: torch.Generator) -> dict[str, Tensor]:
-        """Draws (B,) from the ranges that say nothing about when things happen."""
-        return {
-            name: low + (high - low) * torch.rand(batch, generator=generator, dtype=torch.float64)
-            for name, (low, high) in self._ranges.items()
-            if name not in self._traces.ranges
-        }
-
-    def _single_draws(self, seed: int) -> tuple[torch.Generator, int, dict[str, Tensor]]:
-        """What a single environment with this seed draws, in its order: generator, seed of the trace, draws (1,)."""
-        random, _ = seeding.np_random(seed)
-        generator = torch.Generator().manual_seed(int(random.integers(2**62)))
-        drawn = self._fresh(1, generator)
-        return generator, int(torch.randint(2**62, (), generator=generator)), drawn
-
-    def _timed(self) -> set[str]:
-        """Names in ``randomize`` that say when things happen; these are drawn with the traces."""
-        return set(self.graph.index) | {connection.key for connection in self.graph.connections}
-
-    def _bounds(self, name: str) -> tuple[float, float, str]:
-        """Smallest and largest value that a name in ``randomize`` may have, and its unit."""
-        if name in self._timed():
-            return 0.0, math.inf, "s"
-        node, _, parameter = name.partition(".")
-        if node not in self.graph.index or not parameter:
-            known = f"{', '.join(sorted(self._timed()))} or NODE.PARAMETER"
-            raise SettingsError(f'randomize: "{name}" is none of {known}')
-        return -math.inf, math.inf, ""
-
-    def _delays(self, draws: Mapping[str, Tensor]) -> Delays:
-        """Delays by connection key or node name, (R,) [s] or laws, from what the traces have drawn."""
-        numbers = {name: value.numpy() for name, value in draws.items()}
-        delays: dict[str, Any] = {name: value for name, value in numbers.items() if name in self._timed()}
-        for name, law in self._laws.items():
-            delays[name] = {key: numbers.get(f"{name}.{key}", value) for key, value in law.items()}
-        return delays
-
-    def _parameters(self, drawn: Mapping[str, Tensor]) -> Mapping[str, Mapping[str, Tensor]]:
-        """Parameters of every node, from what the environments have drawn."""
-        values = {
-            node: {k: torch.as_tensor(v, dtype=torch.float64) for k, v in own.items()}
-            for node, own in self._values.items()
-        }
-        for name, value in drawn.items():
-            node, _, parameter = name.partition(".")
-            if name not in self._traces.draws:
-                values.setdefault(node, {})[parameter] = value
-        return values
+    def _make_randomization(self, parameters: Values, randomize: Randomize) -> Randomization:
+        """What the names in ``randomize`` mean."""
+        return GraphRandomization(self.graph, parameters, randomize)
 
     def _start(self, batch: int, generator: torch.Generator) -> dict[str, State]:
         """Start states (B, ...) by node that are drawn in the place of those of `init`."""
@@ -393,38 +321,11 @@ class GraphVectorEnv(VectorEnv):
         return self.state.readings["observation"].cpu().numpy().astype(space.dtype)
 
     def _info(self) -> dict[str, Any]:
-        info: dict[str, Any] = {}
-        for name, value in self.state.readings.items():
-            if name not in READINGS:
-                info |= {name: value.cpu().numpy().copy(), f"_{name}": np.ones(self.num_envs, bool)}
-        return info
-
-    def _check_readings(self, state: RuntimeState) -> None:
-        wanted = {"observation": (self.num_envs, *(self.single_observation_space.shape or ()))}
-        wanted |= {"reward": (self.num_envs,)}
-        if "terminated" in state.readings:
-            wanted["terminated"] = (self.num_envs,)
-        for name, shape in wanted.items():
-            there = state.readings.get(name)
-            if there is None or tuple(there.shape) != shape:
-                found = "is missing" if there is None else f"has shape {tuple(there.shape)}"
-                raise GraphError(
-                    f'supervisor "{self.graph.supervisor}": reading "{name}" {found}, not {shape}'
-                )
+        return further_readings(self.state.readings, self.num_envs)
 
 
 def _branch(generator: torch.Generator) -> torch.Generator:
     return torch.Generator().manual_seed(int(torch.randint(2**62, (), generator=generator)))
-
-
-def _mask(mask: Any, batch: int) -> np.ndarray | None:
-    if mask is None:
-        return None
-    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (batch,):
-        raise ValueError(f"reset_mask: give a bool array of shape ({batch},), not {mask!r}")
-    if not mask.any():
-        raise ValueError("reset_mask: no environment is chosen")
-    return None if mask.all() else mask
 
 
 def _rows(observations: np.ndarray, where: np.ndarray) -> np.ndarray:

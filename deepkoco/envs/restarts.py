@@ -67,3 +67,18 @@ def as_objects(rows: np.ndarray, numbers: np.ndarray, count: int) -> np.ndarray:
     for number, row in zip(numbers.tolist(), rows, strict=True):
         result[number] = row
     return result
+
+
+def reset_mask(mask: Any, batch: int) -> np.ndarray | None:
+    """Check ``options["reset_mask"]``: who starts anew, (B,) bool; None for all.
+
+    Raises:
+        ValueError: It is no such array, or chooses no environment.
+    """
+    if mask is None:
+        return None
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (batch,):
+        raise ValueError(f"reset_mask: give a bool array of shape ({batch},), not {mask!r}")
+    if not mask.any():
+        raise ValueError("reset_mask: no environment is chosen")
+    return None if mask.all() else mask

@@ -13,18 +13,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from deepkoco.envs.actions import check_finite_action, check_shape
-from deepkoco.envs.delay_arguments import (
-    DelayWrapperError,
-    episode_steps,
-    read_delay,
-    read_sensing,
-    seeded,
-    step_rate,
-)
-from deepkoco.envs.delay_line import DelayLine
-from deepkoco.envs.delay_wrapper import as_action, first_action, with_history
+from deepkoco.envs.delay_arguments import DelayWrapperError, seeded
+from deepkoco.envs.delay_line import line_of
+from deepkoco.envs.delay_wrapper import append_history, as_action, first_action, with_history
 from deepkoco.envs.seeds import Seeds, split_seeds
-from deepkoco.graph.delay import exact_fraction
 
 
 class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
@@ -63,14 +55,11 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
             initial_action=initial_action,
         )
         VectorWrapper.__init__(self, env)
-        rate = step_rate(env, control_rate)
         self._space, actions = env.single_observation_space, env.single_action_space
         _check_arrays(self._space)
-        laws, self._places = read_sensing(sensing_delay, self._space)
-        self._line = DelayLine(
-            env.num_envs, rate, read_delay("actuation_delay", actuation_delay), laws,
-            rate if sensor_rate is None else exact_fraction(sensor_rate), episode_steps(env),
-        )  # fmt: skip
+        self._line, self._places = line_of(
+            env, env.num_envs, self._space, actuation_delay, sensing_delay, control_rate, sensor_rate
+        )
         first = np.asarray(first_action(actions, initial_action))
         self._initial = np.repeat(first[None], env.num_envs, 0)
         self._history_size = action_history
@@ -187,9 +176,7 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         if not self._history_size:
             return observation
         past = np.concatenate([a.reshape(self.num_envs, -1) for a in self._past], 1)
-        if isinstance(observation, dict):
-            return {**observation, "action_history": past.astype(np.float32)}
-        return np.concatenate([observation, past], 1).astype(self.single_observation_space.dtype)
+        return append_history(observation, past, self.single_observation_space.dtype)
 
 
 def _check_arrays(space: spaces.Space) -> None:

@@ -9,13 +9,15 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.execution import cells
+from deepkoco.graph.execution.executor import take_steps
+from deepkoco.graph.execution.initial import EpisodeSetup, initial_state
 from deepkoco.graph.execution.policy import Policy, as_function, given_actions
 from deepkoco.graph.execution.schedule import Schedule
-from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
-from deepkoco.graph.model.calls import call_init, call_initial_output, call_observe, call_step
-from deepkoco.graph.model.contract import check_action, check_batch, check_output, check_state, located
+from deepkoco.graph.execution.state import HorizonError, RuntimeState, Trace
+from deepkoco.graph.model.calls import call_observe, call_step
+from deepkoco.graph.model.contract import check_action, check_output, check_state, located
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.model.node import GraphError, Input, Node, State, Supervisor
+from deepkoco.graph.model.node import Input, Supervisor
 from deepkoco.graph.supergraph import join_slots
 from deepkoco.graph.timing.computation_graph import concatenate
 
@@ -40,53 +42,11 @@ class EagerExecutor:
             for node in graph.nodes
         ]
 
-    def start(
-        self,
-        schedule: Schedule,
-        row: np.ndarray,
-        parameters: NodeParameters,
-        generator: Generators,
-        initial: Mapping[str, State],
-    ) -> RuntimeState:
-        """The state before anything has run.
+    def start(self, setup: EpisodeSetup) -> RuntimeState:
+        return initial_state(self.graph, setup)
 
-        Raises:
-            ValueError: names or shapes do not fit.
-        """
-        batch, known = len(row), schedule.rows
-        if batch and not (row.min() >= 0 and row.max() < known):
-            raise ValueError(f"rows {row.min()} to {row.max()}: there are schedules 0 to {known - 1}")
-        for name in (*parameters, *initial):
-            if name not in self.graph.index:
-                raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
-        for name, given in parameters.items():
-            for key, value in given.items():
-                if not hasattr(value, "ndim"):
-                    raise GraphError(
-                        f'parameter "{name}.{key}" = {value!r} is no tensor; give '
-                        f"torch.tensor({value!r}, dtype=torch.float64)"
-                    )
-                if value.ndim and len(value) not in (1, batch):
-                    raise GraphError(
-                        f'parameter "{name}.{key}" {tuple(value.shape)} is neither a number nor one for each '
-                        f"of {batch} environments"
-                    )
-        nodes, outputs, values = {}, {}, {}
-        for position, node in enumerate(self.graph.nodes):
-            values[node.name] = dict(parameters.get(node.name, {}))
-            node_state = _initial_state(node, values[node.name], generator, batch)
-            for key, value in initial.get(node.name, {}).items():
-                if key not in node_state or value.shape != node_state[key].shape:
-                    there = {k: tuple(v.shape) for k, v in node_state.items()}
-                    raise ValueError(f'initial "{node.name}.{key}" {tuple(value.shape)} does not fit {there}')
-                node_state[key] = value
-            nodes[node.name] = node_state
-            output = call_initial_output(node, values[node.name], node_state, batch)
-            check_batch(f'node "{node.name}": initial output', output, batch)
-            for key, value in node_state.items():
-                check_batch(f'node "{node.name}": initial state "{key}"', value, batch)
-            outputs[node.name] = (output,) * int(schedule.depth[position])
-        return RuntimeState(schedule, row, np.zeros(batch, dtype=np.int64), values, nodes, outputs, {})
+    def adopt(self, state: RuntimeState) -> RuntimeState:
+        return state.unpacked()
 
     def begin(self, state: RuntimeState, trace: Trace | None = None) -> RuntimeState:
         """Run up to the supervisor's first step."""
@@ -98,9 +58,7 @@ class EagerExecutor:
     ) -> RuntimeState:
         """Give the supervisor's output and run everything up to its next step."""
         action = torch.as_tensor(action, device=self.device)
-        spent = np.flatnonzero(state.steps_left <= 0)
-        if len(spent):
-            raise HorizonError.of(int(spent[0]), state.schedule)
+        HorizonError.check(state, 1)
         supervisor = self.graph.supervisor
         check_action(supervisor, int(state.step[0]), action, state.outputs[supervisor][0])
         outputs = state.outputs | {supervisor: cells.write(state.outputs[supervisor], action, state.step)}
@@ -117,27 +75,20 @@ class EagerExecutor:
         record: tuple[str, ...],
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
         """Take steps with a policy's actions; see `BatchedRuntime.rollout`."""
-        left = state.steps_left
-        if np.any(left < steps):
-            first = int(np.argmax(left < steps))
-            raise HorizonError.of(first, state.schedule, int(left[first]), steps)
-        taken: dict[str, list[Tensor]] = {name: [] for name in record}
+        HorizonError.check(state, steps)
         if isinstance(policy, Tensor):
             shape = tuple(state.outputs[self.graph.supervisor][0].shape[1:])
-            actions = iter(given_actions(policy, state, steps, shape))
+            given = given_actions(policy, state, steps, shape)
+
+            def decide(state: RuntimeState, k: int) -> Tensor:
+                return given[k].expand(state.batch, *shape)
         else:
             function, values = as_function(policy, parameters)
-            actions = None
-        for _ in range(steps):
-            if actions is None:
-                action = function(values, state.readings or self.inputs(state))  # pyright: ignore[reportPossiblyUnboundVariable]
-            else:
-                given = next(actions)
-                action = given.expand(state.batch, *given.shape[1:])
-            state = self.step(state, action)
-            for name, values_ in taken.items():
-                values_.append(action if name == "action" else state.readings[name])
-        return state, {name: torch.stack(values_) for name, values_ in taken.items()}
+
+            def decide(state: RuntimeState, k: int) -> Tensor:
+                return function(values, state.readings or self.inputs(state))
+
+        return take_steps(self, state, decide, steps, record)
 
     def inputs(self, state: RuntimeState) -> dict[str, Input]:
         """What the supervisor sees at the step that waits for an action."""
@@ -271,19 +222,6 @@ class EagerExecutor:
             outputs=outputs,
             readings=_merged(where, {"": running.readings}, {"": fresh.readings})[""],
         )
-
-
-def _initial_state(
-    node: Node, parameters: Mapping[str, Tensor], generator: Generators, batch: int
-) -> dict[str, Tensor]:
-    """What `init` returns, (B, ...); with a generator for each environment, it draws for one after the other."""
-    if isinstance(generator, torch.Generator):
-        return call_init(node, parameters, generator, batch)
-    each = []
-    for place, own in enumerate(generator):
-        values = {k: v[place : place + 1] if v.ndim and len(v) > 1 else v for k, v in parameters.items()}
-        each.append(call_init(node, values, own, 1))
-    return {key: torch.cat([state[key] for state in each]) for key in each[0]}
 
 
 def _merged(mask: Tensor, running: Any, fresh: Any) -> dict[str, dict[str, Tensor]]:

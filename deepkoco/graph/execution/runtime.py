@@ -1,6 +1,7 @@
 """The batched runtime: one interface to the executors that run a graph over its computation graph."""
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,8 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.execution.eager import EagerExecutor
+from deepkoco.graph.execution.executor import Executor, NotCompiledError
+from deepkoco.graph.execution.initial import EpisodeSetup
 from deepkoco.graph.execution.policy import Policy, recorded_names
 from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
@@ -59,7 +62,7 @@ class BatchedRuntime:
         self.device = torch.device(device or ("cuda" if executor == "cuda" else "cpu"))
         if timing is not None:
             timing.check_graph(graph)
-        self._executor: Any = _make_executor(executor, graph, self.device, threads)
+        self._executor: Executor[Any] = _make_executor(executor, graph, self.device, threads)
         self._schedule = None if timing is None else Schedule(timing, self.device)
 
     @property
@@ -117,15 +120,16 @@ class BatchedRuntime:
         self._check_pure(len(row))
         if not isinstance(generator, torch.Generator) and len(generator) != len(row):
             raise ValueError(f"{len(generator)} generators for {len(row)} environments")
-        fresh = self._executor.start(schedule, row, parameters, generator, initial or {})
-        fresh = self._executor.begin(fresh, trace)
+        start = self._executor.start(EpisodeSetup(schedule, row, parameters, generator, initial or {}))
+        fresh = self._with_fallback(lambda executor: executor.begin(start, trace))
         if state is not None and mask is not None:
             chosen = np.asarray(mask, dtype=np.bool_)
             if not len(row) == len(chosen) == state.batch:
                 raise ValueError(
                     f"mask of {len(chosen)} and rows of {len(row)} for {state.batch} environments that run"
                 )
-            fresh = self._executor.merge(state, fresh, chosen)
+            # Either may be of another kind: a copy, or of before the eager executor took over.
+            fresh = self._executor.merge(self._adopted(state), self._adopted(fresh), chosen)
         return fresh, self._executor.inputs(fresh)
 
     def step(
@@ -144,7 +148,7 @@ class BatchedRuntime:
         Raises:
             HorizonError: the timing of an environment ends here.
         """
-        state = self._executor.step(state, action, trace)
+        state = self._executor.step(self._adopted(state), action, trace)
         return state, self._executor.inputs(state)
 
     def rollout(
@@ -181,7 +185,20 @@ class BatchedRuntime:
         if steps < 1:
             raise ValueError(f"a rollout of {steps} steps: take at least one")
         names = recorded_names(None if record is None else tuple(record), state)
-        return self._executor.rollout(state, policy, steps, parameters, names)
+        return self._executor.rollout(self._adopted(state), policy, steps, parameters, names)
+
+    def _adopted(self, state: RuntimeState) -> RuntimeState:
+        """The state as the executor keeps it."""
+        return self._with_fallback(lambda executor: executor.adopt(state))
+
+    def _with_fallback(self, run: Callable[[Executor[Any]], RuntimeState]) -> RuntimeState:
+        """Run with the executor that was asked for; with the eager one from where a graph is not compiled on."""
+        try:
+            return run(self._executor)
+        except NotCompiledError as error:
+            warnings.warn(f"{error}; this graph runs with the eager executor", RuntimeWarning, stacklevel=4)
+            self._executor = EagerExecutor(self.graph, self.device)
+            return run(self._executor)
 
     def _check_pure(self, batch: int) -> None:
         for node in self.graph.nodes:
@@ -192,7 +209,7 @@ class BatchedRuntime:
                 )
 
 
-def _make_executor(name: str, graph: Graph, device: torch.device, threads: int) -> Any:
+def _make_executor(name: str, graph: Graph, device: torch.device, threads: int) -> Executor[Any]:
     if name == "fused":
         from deepkoco.graph.execution.fused import FusedExecutor
 

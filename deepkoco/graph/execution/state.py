@@ -1,7 +1,8 @@
 """States: what a batch of environments remembers between two actions."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,10 +30,20 @@ class HorizonError(RuntimeError):
             f"environment {environment} {said} supervisor steps of its timing; draw a longer one or reset it"
         )
 
+    @classmethod
+    def check(cls, state: "RuntimeState", steps: int) -> None:
+        """Raise for the first environment that has fewer steps left than are asked for."""
+        left = state.steps_left
+        if np.any(left < steps):
+            first = int(np.argmax(left < steps))
+            raise cls.of(first, state.schedule, int(left[first]), steps)
+
 
 @dataclass(frozen=True)
 class RuntimeState:
     """Everything that a batch of environments remembers between two actions; never changed in place.
+
+    An executor may keep it in a form of its own, a subclass; a copy is always a plain state.
 
     Attributes:
         schedule: when what runs, shared by the environments.
@@ -68,3 +79,16 @@ class RuntimeState:
         timing = self.schedule.timing
         base = timing.layout.step_base[timing.layout.supervisor]
         return timing.t_start[self.row, base + self.step] / timing.resolution
+
+    def unpacked(self) -> "RuntimeState":
+        """The state in the plain form, which the eager executor keeps."""
+        if type(self) is RuntimeState:
+            return self
+        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(RuntimeState)}
+        values["readings"] = dict(self.readings)
+        return RuntimeState(**values)
+
+    def __reduce__(self) -> Any:
+        # Addresses, machine code and captured graphs do not travel: a copy is packed again where it is stepped.
+        plain = self.unpacked()
+        return RuntimeState, tuple(getattr(plain, field.name) for field in fields(RuntimeState))

@@ -4,16 +4,15 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.graph.execution.cuda import packing
 from deepkoco.graph.execution.cuda.capture import Captured
 from deepkoco.graph.execution.cuda.modes import OnDevice
+from deepkoco.graph.execution.cuda.names import carry_of, named_carry, parameters_of
 from deepkoco.graph.execution.cuda.packing import Buffers, Packing
 from deepkoco.graph.execution.cuda.recent import Recent
-from deepkoco.graph.execution.cuda.state import DeviceState, carry_of, named_carry, parameters_of
 from deepkoco.graph.execution.cuda.supervisor_step import SupervisorStep, Uses
 from deepkoco.graph.execution.policy import PolicyFunction
 from deepkoco.graph.execution.schedule import Schedule
@@ -24,7 +23,7 @@ Work = Callable[[], None]
 class Binding:
     """One supervisor step that works in place on tensors of its own.
 
-    A state is loaded, any number of steps are run, and what is then there is the next state.
+    The buffers of a state are loaded, any number of steps are run, and what is then there is the next state.
 
     Args:
         function: the supervisor step of a schedule.
@@ -56,18 +55,17 @@ class Binding:
         """Readings after the last step, overwritten by the next."""
         return self._carry.readings
 
-    def load(self, state: DeviceState) -> None:
-        """Take up a state."""
-        if state.fixed is not self._loaded:
-            packing.load(self._fixed, state.fixed)
-            self._loaded = state.fixed
-        packing.load(self._moving, state.moving)
-        self._start = state.moving
+    def load(self, fixed: Buffers, moving: Buffers) -> None:
+        """Take up the buffers of a state."""
+        if fixed is not self._loaded:
+            packing.load(self._fixed, fixed)
+            self._loaded = fixed
+        packing.load(self._moving, moving)
+        self._start = moving
 
-    def unload(self, state: DeviceState, steps: int) -> DeviceState:
-        """The state that there is now, some steps after the one that was loaded."""
-        step: np.ndarray = state.step + steps
-        return DeviceState(self, state.row, step, state.fixed, packing.clone(self._moving))
+    def unload(self) -> Buffers:
+        """What moves, as it is now, in buffers of its own."""
+        return packing.clone(self._moving)
 
     def stepper(self) -> Work:
         """Work that takes one step with what `action` holds."""

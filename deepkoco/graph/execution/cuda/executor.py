@@ -17,16 +17,19 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.execution.cuda.binding import Binding, constants
+from deepkoco.graph.execution.cuda.names import named_carry, named_parameters
 from deepkoco.graph.execution.cuda.packing import Buffers, Packing, clone, specs_of
 from deepkoco.graph.execution.cuda.recent import Recent
-from deepkoco.graph.execution.cuda.state import DeviceState, LazyInputs, named_carry, named_parameters
+from deepkoco.graph.execution.cuda.state import DeviceState
 from deepkoco.graph.execution.cuda.supervisor_step import Carry, SupervisorStep, Uses
 from deepkoco.graph.execution.eager import EagerExecutor
+from deepkoco.graph.execution.initial import EpisodeSetup
+from deepkoco.graph.execution.inputs import LazyInputs
 from deepkoco.graph.execution.policy import Policy, as_function, given_actions
 from deepkoco.graph.execution.schedule import Schedule
-from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.execution.state import HorizonError, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.model.node import GraphError, Input, State
+from deepkoco.graph.model.node import Input
 
 SCHEDULES, BINDINGS = 2, 4  # kept for use again; each binding holds a batch of environments
 
@@ -57,29 +60,15 @@ class TensorExecutor:
         # What is captured belongs to this process and device: a copy makes its own.
         return self.__dict__ | {"_uses": {}, "_functions": Recent(SCHEDULES), "_bindings": Recent(BINDINGS)}
 
-    def start(
-        self,
-        schedule: Schedule,
-        row: np.ndarray,
-        parameters: NodeParameters,
-        generator: Generators,
-        initial: Mapping[str, State],
-    ) -> RuntimeState:
+    def start(self, setup: EpisodeSetup) -> RuntimeState:
+        generator = setup.generator
         device = (generator if isinstance(generator, torch.Generator) else generator[0]).device
-        return self._eager.start(
-            schedule, row, _placed(parameters, device), generator, _placed(initial, device)
-        )
+        parameters, initial = _placed(setup.parameters, device), _placed(setup.initial, device)
+        return self._eager.start(replace(setup, parameters=parameters, initial=initial))
 
     @torch.no_grad()
     def begin(self, state: RuntimeState, trace: Trace | None = None) -> DeviceState:
         """Bring a state to the device and run up to the supervisor's first step."""
-        for name, values in state.parameters.items():
-            for key, value in values.items():
-                if value.ndim and len(value) not in (1, state.batch):
-                    raise GraphError(
-                        f'parameter "{name}.{key}" {tuple(value.shape)} is neither a number nor one for each of '
-                        f"{state.batch} environments"
-                    )
         state = self._on_device(state)
         if trace is not None:
             with constants(self.device):
@@ -90,10 +79,9 @@ class TensorExecutor:
 
     @torch.no_grad()
     def step(
-        self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
+        self, state: DeviceState, action: Tensor | np.ndarray, trace: Trace | None = None
     ) -> DeviceState:
         """Give the supervisor's output and run everything up to its next step."""
-        state = self._adopted(state)
         binding, action = state.binding, torch.as_tensor(action)
         if action.shape != binding.action.shape:
             raise ValueError(f"action {tuple(action.shape)} where {tuple(binding.action.shape)} is expected")
@@ -101,32 +89,26 @@ class TensorExecutor:
             with constants(self.device):
                 placed = action.to(self.device, binding.action.dtype)
                 return self._packed(self._eager.step(state.unpacked(), placed, trace))
-        spent = np.flatnonzero(state.steps_left <= 0)
-        if len(spent):
-            raise HorizonError.of(int(spent[0]), state.schedule)
-        binding.load(state)
+        HorizonError.check(state, 1)
+        binding.load(state.fixed, state.moving)
         work = binding.stepper()
         binding.action.copy_(action)
         work()
-        return binding.unload(state, 1)
+        return state.after(1, binding.unload())
 
     @torch.no_grad()
     def rollout(
         self,
-        state: RuntimeState,
+        state: DeviceState,
         policy: Policy,
         steps: int,
         parameters: Mapping[str, Tensor] | None,
         record: tuple[str, ...],
     ) -> tuple[DeviceState, dict[str, Tensor]]:
         """Take steps without a word from the host but the start of each; see `BatchedRuntime.rollout`."""
-        state = self._adopted(state)
-        left = state.steps_left
-        if np.any(left < steps):
-            first = int(np.argmax(left < steps))
-            raise HorizonError.of(first, state.schedule, int(left[first]), steps)
+        HorizonError.check(state, steps)
         binding, given = state.binding, None
-        binding.load(state)
+        binding.load(state.fixed, state.moving)
         if isinstance(policy, Tensor):
             given = given_actions(policy, state, steps, tuple(binding.action.shape[1:])).to(self.device)
             work = binding.stepper()
@@ -143,18 +125,16 @@ class TensorExecutor:
             work()
             for name, values in taken.items():
                 values[k].copy_(source[name])
-        return binding.unload(state, steps), taken
+        return state.after(steps, binding.unload()), taken
 
-    def inputs(self, state: RuntimeState) -> Mapping[str, Input]:
+    def inputs(self, state: DeviceState) -> Mapping[str, Input]:
         """What the supervisor sees, gathered when it is looked at."""
-        state = self._adopted(state)
         names = tuple(str(connection.name) for connection in self.graph.inputs_of(self.graph.supervisor))
         return LazyInputs(names, lambda: state.binding.function.inputs(state.carry))
 
     @torch.no_grad()
-    def merge(self, running: RuntimeState, fresh: DeviceState, mask: np.ndarray) -> DeviceState:
+    def merge(self, running: DeviceState, fresh: DeviceState, mask: np.ndarray) -> DeviceState:
         """Take the environments in `mask` from `fresh`, the others from `running`."""
-        running = self._adopted(running)
         if running.binding is not fresh.binding or not _same_for_all(running, fresh):
             return self._packed(self._eager.merge(running.unpacked(), fresh.unpacked(), mask))
         where = torch.from_numpy(mask).to(self.device)
@@ -165,9 +145,10 @@ class TensorExecutor:
         row, step = np.where(mask, fresh.row, running.row), np.where(mask, fresh.step, running.step)
         return DeviceState(fresh.binding, row, step, *buffers)
 
-    def _adopted(self, state: RuntimeState) -> DeviceState:
-        """The state in buffers on the device, also that of a copy or of another runtime."""
-        return state if isinstance(state, DeviceState) else self._packed(self._on_device(state))
+    @torch.no_grad()
+    def adopt(self, state: RuntimeState) -> DeviceState:
+        """The state in buffers on the device."""
+        return state if isinstance(state, DeviceState) else self._packed(self._on_device(state.unpacked()))
 
     def _on_device(self, state: RuntimeState) -> RuntimeState:
         return replace(

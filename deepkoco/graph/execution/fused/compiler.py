@@ -10,6 +10,8 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
+from deepkoco.graph.execution.executor import NotCompiledError
+
 FLAGS = (
     "-std=c++17",
     "-O2",
@@ -23,7 +25,7 @@ FLAGS = (
 )
 
 
-class CompilerError(RuntimeError):
+class CompilerError(NotCompiledError):
     """There is no C++ compiler, or it refuses a kernel."""
 
 

@@ -12,20 +12,21 @@ from torch import Tensor
 
 from deepkoco.graph.execution import cells
 from deepkoco.graph.execution.eager import EagerExecutor
-from deepkoco.graph.execution.fused.compiler import CompilerError
+from deepkoco.graph.execution.executor import NotCompiledError, take_steps
 from deepkoco.graph.execution.fused.kernel import Binding, Kernel
 from deepkoco.graph.execution.fused.memory import address
 from deepkoco.graph.execution.fused.program import trace_graph
 from deepkoco.graph.execution.fused.record import NUMBER, Field, Records
 from deepkoco.graph.execution.fused.rollout import CompiledPolicy, run_rollout
 from deepkoco.graph.execution.fused.source import kernel_source
-from deepkoco.graph.execution.fused.state import FusedState, LazyInputs, Place
-from deepkoco.graph.execution.fused.trace import TraceError
+from deepkoco.graph.execution.fused.state import FusedState, Place
+from deepkoco.graph.execution.initial import EpisodeSetup
+from deepkoco.graph.execution.inputs import LazyInputs
 from deepkoco.graph.execution.policy import Policy, PolicyFunction, as_function, given_actions
 from deepkoco.graph.execution.schedule import Schedule
-from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
+from deepkoco.graph.execution.state import HorizonError, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.model.node import Input, State
+from deepkoco.graph.model.node import Input
 
 FEW = 4  # up to this many environments, one lane each is faster than blocks that are mostly empty
 
@@ -34,7 +35,7 @@ POLICIES = 16
 
 
 class FusedExecutor:
-    """Runs compiled kernels; runs the eager executor where a graph cannot be compiled, and says why.
+    """Runs compiled kernels.
 
     What node functions take from anywhere but their arguments is fixed when a kernel is made, at the first
     reset with parameters and states of the same shapes.
@@ -45,12 +46,13 @@ class FusedExecutor:
         threads: number of threads that share the blocks of a rollout.
     """
 
+    name = "fused"
+
     def __init__(self, graph: Graph, device: torch.device, threads: int = 1) -> None:
         if device.type != "cpu":
             raise ValueError(f'executor "fused" runs on the CPU, not on {device}')
         self.graph, self.threads = graph, threads
         self.eager = EagerExecutor(graph, device)
-        self.name = "fused"
         self._kernels: dict[Any, Kernel] = {}
         self._bindings: dict[Any, Binding] = {}
         self._policies: OrderedDict[Any, CompiledPolicy | None] = OrderedDict()
@@ -59,35 +61,24 @@ class FusedExecutor:
         # Machine code and addresses belong to this process: a copy makes its own.
         return self.__dict__ | {"_kernels": {}, "_bindings": {}, "_policies": OrderedDict()}
 
-    def start(
-        self,
-        schedule: Schedule,
-        row: np.ndarray,
-        parameters: NodeParameters,
-        generator: Generators,
-        initial: Mapping[str, State],
-    ) -> RuntimeState:
-        return self.eager.start(schedule, row, parameters, generator, initial)
+    def start(self, setup: EpisodeSetup) -> RuntimeState:
+        return self.eager.start(setup)
 
-    def begin(self, state: RuntimeState, trace: Trace | None = None) -> RuntimeState:
-        kernel = self._compiled(state)
-        if kernel is None:
-            return self.eager.begin(state, trace)
+    def begin(self, state: RuntimeState, trace: Trace | None = None) -> FusedState:
+        kernel = self._kernel(state)
         if trace is not None:
             return self._pack(kernel, self.eager.begin(state, trace))
         packed = self._pack(kernel, state)
         kernel.start(packed.binding.model, packed.fixed.address, packed.moving.address)
         return packed
 
-    def step(
-        self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
-    ) -> RuntimeState:
-        state = self._adopted(state)
-        if not isinstance(state, FusedState):
-            return self.eager.step(state, torch.as_tensor(action), trace)
+    def adopt(self, state: RuntimeState) -> FusedState:
+        return state if isinstance(state, FusedState) else self._pack(self._kernel(state), state)
+
+    def step(self, state: FusedState, action: Tensor | np.ndarray, trace: Trace | None = None) -> FusedState:
         binding = state.binding
         if trace is not None:
-            after = self.eager.step(self.unpack(state), torch.as_tensor(action), trace)
+            after = self.eager.step(state.unpacked(), torch.as_tensor(action), trace)
             return self._pack(binding.kernel, after, state.place)
         action = binding.action(action)
         moving = binding.allocate()
@@ -100,47 +91,29 @@ class FusedExecutor:
 
     def rollout(
         self,
-        state: RuntimeState,
+        state: FusedState,
         policy: Policy,
         steps: int,
         parameters: Mapping[str, Tensor] | None,
         record: tuple[str, ...],
-    ) -> tuple[RuntimeState, dict[str, Tensor]]:
+    ) -> tuple[FusedState, dict[str, Tensor]]:
         """Take steps inside the kernel; see `BatchedRuntime.rollout`."""
-        state = self._adopted(state)
-        if not isinstance(state, FusedState):
-            return self.eager.rollout(state, policy, steps, parameters, record)
         if isinstance(policy, Tensor):
             shape = state.binding.action_shape[1:]
             given = given_actions(policy, state, steps, shape)
             return run_rollout(state, steps, record, self.threads, actions=given)
         function, values = as_function(policy, parameters)
         compiled = self._policy(state, function, values)
-        if compiled is None:
-            return self._steps(state, function, values, steps, record)
-        return run_rollout(state, steps, record, self.threads, policy=compiled, weights=compiled.pack(values))
+        if compiled is not None:
+            weights = compiled.pack(values)
+            return run_rollout(state, steps, record, self.threads, policy=compiled, weights=weights)
+        HorizonError.check(state, steps)
 
-    def _steps(
-        self,
-        state: RuntimeState,
-        function: PolicyFunction,
-        parameters: Mapping[str, Tensor],
-        steps: int,
-        record: tuple[str, ...],
-    ) -> tuple[RuntimeState, dict[str, Tensor]]:
-        """Take steps one by one with a policy that is not compiled."""
-        left = state.steps_left
-        if np.any(left < steps):
-            first = int(np.argmax(left < steps))
-            raise HorizonError.of(first, state.schedule, int(left[first]), steps)
-        taken: dict[str, list[Tensor]] = {name: [] for name in record}
-        for _ in range(steps):
-            with torch.no_grad():
-                action = function(parameters, state.readings or self.inputs(state))
-            state = self.step(state, action)
-            for name, values in taken.items():
-                values.append(action if name == "action" else state.readings[name])
-        return state, {name: torch.stack(values) for name, values in taken.items()}
+        @torch.no_grad()
+        def decide(state: FusedState, k: int) -> Tensor:
+            return function(values, state.readings or self.inputs(state))
+
+        return take_steps(self, state, decide, steps, record)
 
     def _policy(
         self, state: FusedState, function: PolicyFunction, parameters: Mapping[str, Tensor]
@@ -151,7 +124,7 @@ class FusedExecutor:
         if key not in self._policies:
             try:
                 self._policies[key] = CompiledPolicy(kernel, function, parameters)
-            except (TraceError, CompilerError) as error:
+            except NotCompiledError as error:
                 warnings.warn(f"{error}; this policy runs between steps", RuntimeWarning, stacklevel=4)
                 self._policies[key] = None
             if len(self._policies) > POLICIES:
@@ -162,45 +135,21 @@ class FusedExecutor:
             state.binding.see(policy.source.uses)
         return policy
 
-    def inputs(self, state: RuntimeState) -> Mapping[str, Input]:
-        if not isinstance(state, FusedState):
-            return self.eager.inputs(state)
-        return LazyInputs(state, self._collect)
+    def inputs(self, state: FusedState) -> Mapping[str, Input]:
+        return LazyInputs(state.binding.input_names, lambda: self.eager.inputs(state.unpacked()))
 
-    def _collect(self, state: FusedState) -> Mapping[str, Input]:
-        return self.eager.inputs(self.unpack(state))
-
-    def merge(self, running: RuntimeState, fresh: RuntimeState, mask: np.ndarray) -> RuntimeState:
-        if not (isinstance(running, FusedState) and isinstance(fresh, FusedState)):
-            return self.eager.merge(self.unpack(running), self.unpack(fresh), mask)
+    def merge(self, running: FusedState, fresh: FusedState, mask: np.ndarray) -> FusedState:
         if running.binding is not fresh.binding:
-            kernel = fresh.binding.kernel
-            return self._pack(kernel, self.eager.merge(self.unpack(running), self.unpack(fresh), mask))
+            merged = self.eager.merge(running.unpacked(), fresh.unpacked(), mask)
+            return self._pack(fresh.binding.kernel, merged)
         return self._merge_records(running, fresh, mask)
 
-    def unpack(self, state: RuntimeState) -> RuntimeState:
-        """The state as the eager executor keeps it."""
-        return state.unpacked() if isinstance(state, FusedState) else state
-
-    def _adopted(self, state: RuntimeState) -> RuntimeState:
-        """The state in records, also that of a copy or of another runtime; as it is where nothing is compiled."""
-        if isinstance(state, FusedState):
-            return state
-        kernel = self._compiled(state)
-        return state if kernel is None else self._pack(kernel, state)
-
-    def _compiled(self, state: RuntimeState) -> Kernel | None:
-        """The graph's machine code; None if it cannot be compiled, which is said once."""
-        if self.name == "eager":
-            return None
-        try:
-            return self._kernel(state)
-        except (TraceError, CompilerError) as error:
-            warnings.warn(f"{error}; this graph runs with the eager executor", RuntimeWarning, stacklevel=5)
-            self.name = "eager"
-            return None
-
     def _kernel(self, state: RuntimeState) -> Kernel:
+        """The graph's machine code for states of this shape.
+
+        Raises:
+            NotCompiledError: the graph cannot be compiled.
+        """
         lanes = 1 if state.batch <= FEW else 0
         parts = {**state.parameters, **{f"{n} state": s for n, s in state.nodes.items()}}
         parts["outputs"] = {name: own[0] for name, own in state.outputs.items()}

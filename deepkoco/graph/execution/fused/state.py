@@ -1,8 +1,6 @@
 """States of the fused executor: flat buffers, unpacked when they are looked at."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
-from typing import Any
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import torch
@@ -13,7 +11,7 @@ from deepkoco.graph.execution.fused.kernel import Binding
 from deepkoco.graph.execution.fused.memory import Memory
 from deepkoco.graph.execution.fused.record import NUMBER, NUMPY, Field, Records
 from deepkoco.graph.execution.state import RuntimeState
-from deepkoco.graph.model.node import Input, State
+from deepkoco.graph.model.node import State
 
 
 class Place:
@@ -69,23 +67,6 @@ class FusedState(RuntimeState):
         state = object.__new__(FusedState)
         state.__dict__.update(self.__dict__, moving=moving)
         return state
-
-    def unpacked(self) -> RuntimeState:
-        """The state as the eager executor keeps it."""
-        return RuntimeState(
-            schedule=self.schedule,
-            row=self.row,
-            step=self.step,
-            parameters=self.parameters,
-            nodes=self.nodes,
-            outputs=self.outputs,
-            readings=dict(self.readings),
-        )
-
-    def __reduce__(self) -> Any:
-        # Addresses and machine code do not travel: a copy is packed again where it is stepped.
-        plain = self.unpacked()
-        return RuntimeState, tuple(getattr(plain, field.name) for field in fields(RuntimeState))
 
     @property
     def nbytes(self) -> int:
@@ -160,23 +141,3 @@ class Readings(Mapping[str, Tensor]):
 
     def __len__(self) -> int:
         return len(self._state.binding.readings)
-
-
-class LazyInputs(Mapping[str, Input]):
-    """What the supervisor sees, gathered when it is looked at."""
-
-    __slots__ = ("_collect", "_found", "_state")
-
-    def __init__(self, state: FusedState, collect: Callable[[FusedState], Mapping[str, Input]]) -> None:
-        self._state, self._collect, self._found = state, collect, None
-
-    def __getitem__(self, name: str) -> Input:
-        if self._found is None:
-            self._found = self._collect(self._state)
-        return self._found[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._state.binding.input_names)
-
-    def __len__(self) -> int:
-        return len(self._state.binding.input_names)

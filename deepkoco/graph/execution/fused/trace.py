@@ -14,8 +14,10 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from deepkoco.graph.execution.executor import NotCompiledError
 
-class TraceError(RuntimeError):
+
+class TraceError(NotCompiledError):
     """A function cannot be compiled; the message names the operation that stands in the way."""
 
 
