@@ -157,6 +157,7 @@ def test_report_shows_the_warnings_of_reading(diagnosis, tmp_path):
     assert f"<li>{said}</li>" in write_report(doubted, tmp_path / "out").read_text()
 
 
+@pytest.mark.study
 def test_healthy_log_adds_its_effects_to_the_baseline():
     worn = {"lag": {"time_constant": 0.006}}
     parameters = 72  # the same unit: same seed, same parameters

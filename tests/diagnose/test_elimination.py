@@ -112,6 +112,7 @@ def looked_at_again(system, hidden, excitation, seed, first, wrong, known):
     return fit, selection._reconsidered(Selected(fit, tuple(accepted), tuple(steps), problem))
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("system", "hidden", "first", "wrong", "right"),
     [

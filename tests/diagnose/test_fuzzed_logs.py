@@ -45,12 +45,14 @@ def test_damaged_logs_are_refused_or_read_for_every_fault(fault, form):
     assert (recording is None) == (result.outcome == "refused")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("fault", "seed"), [("NaN burst, filled", 1), ("lost rows", 1)])
 def test_a_damaged_log_names_no_cause_that_the_clean_one_does_not_show(fault, seed, verdicts):
     result = run_case(FuzzCase(0, "csv", (fault,), seed), verdicts)
     assert result.wrong == "", result
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("base", "form", "faults", "seed", "named"),
     [
@@ -64,6 +66,7 @@ def test_a_command_in_another_unit_is_named_as_such(base, form, faults, seed, na
     assert result.names[0] == named
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("case", [FuzzCase(0, "parquet", ("frozen channel",), 25261)])
 def test_frozen_sensor_is_reported_and_names_no_cause(case, verdicts):
     result = run_case(case, verdicts)

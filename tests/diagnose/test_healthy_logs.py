@@ -46,6 +46,7 @@ def claim(start, hidden, name):
     return problem, Hypothesis(cause, (), problem.fit([trial])[0])
 
 
+@pytest.mark.study
 def test_consistent_with_healthy_holds_for_effects_that_healthy_logs_show(bent):
     start, _ = bent
     assert start.effects == ()  # too small to be learned from this log alone
@@ -58,6 +59,7 @@ def test_consistent_with_healthy_holds_for_effects_that_healthy_logs_show(bent):
     assert consistent_with_healthy(start, problem, []) == []
 
 
+@pytest.mark.study
 def test_consistent_with_healthy_is_false_without_healthy_logs(bent):
     start, plain = bent
     problem, same = claim(start, BIAS, "torque_bias")
@@ -66,6 +68,7 @@ def test_consistent_with_healthy_is_false_without_healthy_logs(bent):
         extended(plain, [same.cause])
 
 
+@pytest.mark.study
 def test_extended_baseline_takes_the_estimate_of_its_healthy_logs(bent):
     start, _ = bent
     wider = extended(start, [catalogue(SYSTEM)["torque_bias"]])
@@ -79,6 +82,7 @@ def test_extended_baseline_takes_the_estimate_of_its_healthy_logs(bent):
     assert again.prior.names == wider.prior.names
 
 
+@pytest.mark.study
 def test_diagnose_does_not_name_an_offset_that_healthy_logs_show(bent):
     start, _ = bent
     log = hidden_log("rod_pendulum", BIAS, "steps", SEED, 60.0)
@@ -87,6 +91,7 @@ def test_diagnose_does_not_name_an_offset_that_healthy_logs_show(bent):
     assert diagnose([log], "rod_pendulum", baseline=start, only=only).verdict == "nothing"
 
 
+@pytest.mark.study
 def test_learn_baseline_accepts_an_extended_model():
     """The effects of an earlier model.yaml are in the baseline; a new cause is named."""
     unit = {"coulomb": {"torque": 0.1}, "lag": {"time_constant": 0.02}}
@@ -101,6 +106,7 @@ def test_learn_baseline_accepts_an_extended_model():
     assert values["lag.time_constant"] == pytest.approx(0.02, rel=0.1)
 
 
+@pytest.mark.study
 def test_learn_baseline_adds_all_causes_that_healthy_logs_cannot_distinguish():
     log = hidden_log("rod_pendulum", {"actuation_delay": {"delay": 0.004}}, "chirp", 34, 15.0)
     start = learn_baseline([log], SYSTEM, LENGTH)
@@ -119,6 +125,7 @@ def test_learn_baseline_adds_all_causes_that_healthy_logs_cannot_distinguish():
     assert covariance.sum() < 0.5 * np.diag(covariance).min()
 
 
+@pytest.mark.study
 def test_selection_tests_lasting_causes_against_healthy_logs_with_all_others(bent, monkeypatch):
     start, _ = bent
     known = catalogue(SYSTEM)

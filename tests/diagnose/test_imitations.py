@@ -21,6 +21,7 @@ from tests.oracle.unit import hidden_log
 TETHER = {"tether": {"stiffness": 0.235}}
 
 
+@pytest.mark.study
 def test_lost_commands_are_not_named_for_a_tether():
     """Losses at hundreds of ticks can fit a tether, but the positions of these losses depend on the motion."""
     log = hidden_log("rod_pendulum", TETHER, "closed-loop", 2037)
@@ -30,6 +31,7 @@ def test_lost_commands_are_not_named_for_a_tether():
     assert result.candidates == ()
 
 
+@pytest.mark.study
 def test_detents_and_pushes_are_not_named_for_a_tether():
     """A learned load explains as much as detents; detents together with a push leave more than noise."""
     for stiffness, seed, doubt in (
@@ -44,6 +46,7 @@ def test_detents_and_pushes_are_not_named_for_a_tether():
         assert doubt in result.unexplained["doubts"][0]
 
 
+@pytest.mark.study
 def test_lost_commands_are_not_named_for_two_other_causes():
     hidden = {"actuation_delay": {"delay": 0.003}, "quadratic": {"drag": 0.0015}}
     log = hidden_log("rod_pendulum", hidden, "chirp", 2025)
@@ -51,6 +54,7 @@ def test_lost_commands_are_not_named_for_two_other_causes():
     assert sorted(result.names) == ["actuation_delay", "quadratic"]
 
 
+@pytest.mark.study
 def test_lost_commands_are_named_together_with_friction():
     hidden = {"coulomb": {"torque": 0.03}, "lost_commands": {"share": 0.05}}
     log = hidden_log("rod_pendulum", hidden, "chirp", 207)
@@ -71,6 +75,7 @@ def test_cogging_starts_need_two_cycles_in_the_log(turned, fewest):
     assert tried == ([] if fewest is None else [float(n) for n in range(fewest, 31)])
 
 
+@pytest.mark.study
 def test_carried_removes_a_cause_that_raises_the_held_out_error():
     system = make_system("rod_pendulum")
     log = hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 223, 24.0)
@@ -101,6 +106,7 @@ def test_carried_removes_a_cause_that_raises_the_held_out_error():
     assert [c.name for c in carried(problem, start, kept, less, held, 0)[0]] == ["coulomb"]
 
 
+@pytest.mark.study
 def test_learn_baseline_finds_small_effects_without_a_mixture():
     system = make_system("rod_pendulum")
     floor = small_effects("rod_pendulum")

@@ -7,6 +7,7 @@ from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("effect", "parameter", "value"),
     [("torque_bias", "effort", 0.5), ("payload", "mass", 0.4)],

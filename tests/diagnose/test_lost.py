@@ -43,6 +43,7 @@ def test_lost_commands_recover_the_share_of_losses():
     assert found.found == found.logs[0].lost.sum()
 
 
+@pytest.mark.study
 def test_single_loss_joins_the_class_of_a_push():
     """Steps change the command once a second, so only one of all losses shows."""
     only = ["event", "lost_commands", "gain", "lag"]
@@ -57,6 +58,7 @@ def test_single_loss_joins_the_class_of_a_push():
     assert diagnose([pushed], "rod_pendulum", only=only).causes[0].members == ("event",)
 
 
+@pytest.mark.study
 def test_loss_outside_the_push_does_not_join_its_class():
     """The loss, 6 s before the push, lowers the cost about as much as the push."""
     hidden = {

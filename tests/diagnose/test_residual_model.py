@@ -26,6 +26,7 @@ def diagnosis():
     return diagnose([hidden_log("rod_pendulum", HIDDEN, "steps", 5, 16.0)], "rod_pendulum", only=FEW)
 
 
+@pytest.mark.study
 def test_learned_load_lowers_the_held_out_error_of_an_unknown_effect(diagnosis):
     assert diagnosis.verdict == "unknown"
     learned = diagnosis.unexplained["residual_model"]
@@ -43,6 +44,7 @@ def test_learned_load_lowers_the_held_out_error_of_an_unknown_effect(diagnosis):
     assert weights["learned.v_cos"] / scale == pytest.approx(-0.1, rel=0.15)
 
 
+@pytest.mark.study
 def test_model_file_is_marked_and_round_trips(diagnosis, tmp_path):
     path = tmp_path / "model.yaml"
     save_model(path, diagnosis.model)
@@ -54,12 +56,14 @@ def test_model_file_is_marked_and_round_trips(diagnosis, tmp_path):
     assert torch.equal(*stepped)
 
 
+@pytest.mark.study
 def test_diagnose_from_a_learned_model_finds_nothing_on_another_excitation(diagnosis):
     log = hidden_log("rod_pendulum", HIDDEN, "chirp", 5, 12.0)
     again = diagnose([log], diagnosis.model, only=FEW)
     assert again.verdict == "nothing"
 
 
+@pytest.mark.study
 def test_learned_weights_of_a_model_file_keep_scales_and_prior(monkeypatch):
     monkeypatch.setattr(residual_model, "MOST_TERMS", 2)
     had = {"learned.v_cubed": 0.4, "learned.speed_scale": 5.0, "learned.effort_scale": 3.0}
@@ -84,6 +88,7 @@ def test_learned_weights_of_a_model_file_keep_scales_and_prior(monkeypatch):
     }
 
 
+@pytest.mark.study
 def test_learn_residual_offers_no_spring_where_a_joint_rests():
     log = hidden_log("rod_pendulum", HIDDEN, "steps", 5, 10.0)
     windows = cut_windows([log], make_system("rod_pendulum"), 1.6)
@@ -119,6 +124,7 @@ def test_every_term_acts_where_it_is_declared():
     assert not any(s in terms_at(base, 0) for s in SCALES)
 
 
+@pytest.mark.study
 def test_learn_residual_rejects_a_random_load():
     log = hidden_log("rod_pendulum", {"turbulence": {"size": 0.05}}, "steps", 6, 16.0)
     result = diagnose([log], "rod_pendulum", only=["gain"])

@@ -111,6 +111,7 @@ def claimed(start, effort: float):
     return problem, Hypothesis(cause, (), problem.fit([trial])[0])
 
 
+@pytest.mark.study
 def test_consistent_with_healthy_holds_for_the_effect_of_one_healthy_log_only():
     unit = [{}, {"torque_bias": {"effort": 0.003}}]
     logs = [
@@ -126,6 +127,7 @@ def test_consistent_with_healthy_holds_for_the_effect_of_one_healthy_log_only():
     assert consistent_with_healthy(start, problem, [more]) == [False]
 
 
+@pytest.mark.study
 def test_diagnose_names_only_changes_beyond_the_run_to_run_variance():
     change = [0.0, 0.06, 0.03]
     logs = [
@@ -222,6 +224,7 @@ def test_doubted_inflates_the_variance_of_few_logs():
         assert runs.doubted[0, 0] == pytest.approx(expected)
 
 
+@pytest.mark.study
 def test_consistent_with_healthy_is_false_for_a_bias_beside_large_variation():
     change = [0.0, 0.06, 0.12]
     logs = [
@@ -236,6 +239,7 @@ def test_consistent_with_healthy_is_false_for_a_bias_beside_large_variation():
     assert consistent_with_healthy(start, problem, [bias]) == [False]
 
 
+@pytest.mark.study
 def test_learn_baseline_finds_common_effects_beside_run_to_run_variance():
     hidden = {"torque_bias": {"effort": 0.006}, "load_friction": {"coefficient": 0.025}}
     logs = [
@@ -250,6 +254,7 @@ def test_learn_baseline_finds_common_effects_beside_run_to_run_variance():
     assert start.floor < 1.1
 
 
+@pytest.mark.study
 def test_learn_baseline_does_not_count_common_effects_as_variance():
     """Without Coulomb friction in the baseline, refits of viscous friction differ between commands."""
     hidden = {"coulomb": {"torque": 0.02}}
@@ -265,6 +270,7 @@ def test_learn_baseline_does_not_count_common_effects_as_variance():
     assert start.runs.covariance[at, at] < 0.5 * before.covariance[at, at]
 
 
+@pytest.mark.study
 def test_diagnose_fits_own_parameters_for_each_log_of_a_varying_unit():
     def logs(changes, hidden, first):
         return [
@@ -306,6 +312,7 @@ def shortened(log, seconds: float):
     return replace(log, channels=channels)
 
 
+@pytest.mark.study
 def test_of_another_accepts_parameters_of_very_different_units():
     prior = Prior(("angle", "speed"), np.zeros(2), np.diag([0.02**2, 3.0**2]))
     fit = SimpleNamespace(

@@ -50,6 +50,7 @@ def test_diagnose_refuses_a_baseline_with_other_parameter_values(log, start):
         diagnose([log], extended, baseline=start, only=["coulomb"])
 
 
+@pytest.mark.study
 def test_shared_baseline_gives_the_same_result_as_its_logs(log, healthy):
     with one_thread():
         learned = learn_baseline([healthy], SYSTEM, LENGTH)
@@ -59,6 +60,7 @@ def test_shared_baseline_gives_the_same_result_as_its_logs(log, healthy):
     assert (shared.chi2_before, shared.chi2_after) == (own.chi2_before, own.chi2_after)
 
 
+@pytest.mark.study
 def test_diagnose_counts_the_floor_as_noise(healthy, log):
     """Without the floor, the likelihood would move the refit away from the learned prior."""
     learned = learn_baseline([healthy], SYSTEM, LENGTH)

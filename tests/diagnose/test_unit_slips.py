@@ -18,6 +18,7 @@ def rescaled(log: Recording, channel: str, factor: float) -> Recording:
     return replace(log, channels={**log.channels, channel: replace(series, value=factor * series.value)})
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("excitation", "seed"), [("steps", 120), ("chirp", 5)])
 def test_unit_slip_that_the_refit_absorbs_is_named(excitation, seed):
     # A lighter rod answers as a larger torque does, so the refit leaves nothing but noise: chi2 is 1.04.

@@ -34,6 +34,7 @@ def test_carries_over_is_true_for_a_cause_in_few_windows():
     assert carries_over(before, after, fit_with([200.0] * 4), fit_with([200.0] * 4))
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("hidden", "imitators", "seed"),
     [
@@ -52,6 +53,7 @@ def test_diagnose_returns_unknown_for_imitations_of_a_cause(hidden, imitators, s
     assert result.unexplained["chi2_per_sample"] == pytest.approx(result.chi2_before)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("start", [6.1, 7.4, 8.7])
 def test_diagnose_finds_a_push_in_every_window(start):
     push = {"event": {"torque": 0.2, "start": start, "duration": 0.2}}

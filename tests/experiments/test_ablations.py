@@ -77,6 +77,7 @@ def test_the_reference_is_added_and_unknown_names_are_refused():
         with_references(["colour"])
 
 
+@pytest.mark.study
 def test_a_repeated_call_does_nothing_again_and_adds_what_is_new(make_run, small, tmp_path, capsys):
     out = tmp_path / "out"
     model = make_run(out / "runs" / "default" / "seed_0") / "model" / "model.safetensors"

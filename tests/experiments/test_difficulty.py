@@ -32,6 +32,7 @@ def call(out: Path, runs: Path, *intensities: str, **options: str) -> int:
     )
 
 
+@pytest.mark.study
 def test_a_stopped_command_goes_on_where_it_was(runs, tmp_path, monkeypatch):
     out = tmp_path / "out"
     assert call(out, runs, "0", "1") == 0

@@ -23,6 +23,7 @@ def exhibit():
     return Exhibit("hidden_delay", "A rod.", "0.3 N m of bias.", run)
 
 
+@pytest.mark.study
 def test_an_exhibit_keeps_what_the_page_does_not_hold(exhibit, tmp_path):
     make(exhibit, tmp_path, tmp_path)
     folder = tmp_path / exhibit.name

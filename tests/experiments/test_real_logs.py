@@ -34,6 +34,7 @@ def write_logs(folder, names=NAMES):
         pd.DataFrame(columns).to_csv(folder / f"{name}.csv", index=False)
 
 
+@pytest.mark.study
 def test_friction_is_named_and_pays(tmp_path):
     write_logs(tmp_path / "mine", ("one", "three", "two", "zero"))  # another folder with the same columns
     printed = []

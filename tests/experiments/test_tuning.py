@@ -136,6 +136,7 @@ def tiny(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.study
 def test_a_repeated_call_goes_on_and_a_larger_budget_adds_trials(tiny, small, capsys):
     settings = [s for s in small if s.split("=")[0] not in ("task", "agent.total_episodes")]
     settings = [s for s in settings if "evaluation" not in s]

@@ -145,12 +145,14 @@ def test_hidden_delays_of_a_mixture_are_independent_of_rounding_of_the_log():
     assert_the_same(mixture(), other, 0.02)
 
 
+@pytest.mark.study
 def test_hidden_delays_of_a_mixture_are_independent_of_draws_order_and_start():
     # Other draws fall to each message: what differs is the error of the Monte Carlo average.
     other = other_order(other_start(found("mixture"), 0.004))
     assert_the_same(mixture(), hidden_delays(other, components=2, seed=1), 0.2)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("kind", ["constant", "gaussian"])
 def test_hidden_delays_of_a_normal_law_are_independent_of_rounding_and_order(kind):
     first = hidden_delays(found(kind))

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pandas as pd
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
+from deepkoco.envs.settings import SettingsError
 from deepkoco.excitation.record import record
-from deepkoco.graph.model.contract import StepError
 from deepkoco.logs.recording import read_log, write_log
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.runs.settings import ExperimentError
@@ -76,16 +75,12 @@ def refusal(arm: str, folder: Path) -> str | None:
         return None
     if not model.exists():
         return "the log did not suffice for a model"
-    env = gymnasium.make(SIMULATOR, model=str(model))
     try:
-        env.reset(seed=0)
-        env.step(np.zeros(1, np.float32))
-    except StepError as error:
+        gymnasium.make(SIMULATOR, model=str(model)).close()
+    except SettingsError as error:
         if not isinstance(error.__cause__, MemoryEffectError):
             raise
         return str(error.__cause__)
-    finally:
-        env.close()
     return None
 
 

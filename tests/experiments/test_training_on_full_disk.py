@@ -26,6 +26,7 @@ def _train(largest: int | None, *arguments: str) -> subprocess.CompletedProcess[
     return subprocess.run(line, capture_output=True, text=True, cwd=ROOT, check=False)
 
 
+@pytest.mark.study
 @pytest.mark.timeout(300)
 def test_training_without_room_for_a_checkpoint_is_told_and_leaves_nothing(tmp_path):
     done = _train(20_000, *SMALL, f"run={tmp_path / 'run'}", "seed=3")
@@ -37,6 +38,7 @@ def test_training_without_room_for_a_checkpoint_is_told_and_leaves_nothing(tmp_p
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.study
 @pytest.mark.timeout(300)
 def test_training_that_ran_out_of_room_goes_on_from_its_last_checkpoint(tmp_path):
     run = tmp_path / "run"
