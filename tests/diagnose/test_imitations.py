@@ -130,6 +130,7 @@ def test_learn_baseline_finds_small_effects_without_a_mixture():
     assert rate == pytest.approx(floor["gain_drift"]["rate"], rel=0.2)
 
 
+@pytest.mark.study
 def test_saturation_and_gain_share_a_class_under_two_level_commands():
     """With two levels the limit cuts every command, so the fit must reach a low limit from a start just below them."""
     log = hidden_log("rod_pendulum", {"saturation": {"limit": 1.6}}, "bang-bang", 227, 16.0)

@@ -172,6 +172,7 @@ def test_lost_commands_are_none_where_every_command_arrived():
     assert search(unit(0.0)) is None
 
 
+@pytest.mark.study
 def test_lost_commands_are_not_searched_where_healthy_logs_lose_some():
     lossy = {"lost_commands": {"share": 0.08}}
     healthy = hidden_log("rod_pendulum", lossy, "chirp", SEED, SECONDS, take=1)
@@ -182,6 +183,7 @@ def test_lost_commands_are_not_searched_where_healthy_logs_lose_some():
     )
 
 
+@pytest.mark.study
 def test_lost_commands_accept_a_log_without_motion():
     hanging = Drive([np.pi], [0.0], lambda t, reading: [0.0])
     still = hidden_log("rod_pendulum", {}, hanging, SEED, SECONDS)

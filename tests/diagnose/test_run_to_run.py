@@ -48,6 +48,7 @@ def healthy(*hidden) -> Healthy:
     return Healthy(tuple(logs), windows, start, (), fit)
 
 
+@pytest.mark.study
 def test_run_to_run_separates_variation_from_the_floor():
     change = [0.0, 0.03, 0.06, 0.09]
     unit = healthy(*({"viscous": {"change": c}} if c else {} for c in change))

@@ -23,6 +23,7 @@ def report(rubbing, tmp_path_factory):
     return folder
 
 
+@pytest.mark.study
 def test_dry_friction_of_a_cart_is_named_coulomb_and_not_stribeck(rubbing):
     assert rubbing.verdict == "cause"
     (cause,) = rubbing.causes
@@ -33,6 +34,7 @@ def test_dry_friction_of_a_cart_is_named_coulomb_and_not_stribeck(rubbing):
     assert rubbing.chi2_after < 1.15
 
 
+@pytest.mark.study
 def test_report_speaks_of_the_cart_in_metres_and_newtons(report):
     said = json.loads((report / "report.json").read_text())
     assert (
@@ -47,5 +49,6 @@ def test_report_speaks_of_the_cart_in_metres_and_newtons(report):
     assert {"position_m", "speed_m_s", "missing_force_n", "named_cause_n"} <= set(table.columns)
 
 
+@pytest.mark.study
 def test_model_of_a_named_joint_keeps_its_effect(rubbing):
     assert [e.name for e in rubbing.model.effects] == ["coulomb(cart)"]

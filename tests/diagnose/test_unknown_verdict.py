@@ -67,6 +67,7 @@ def test_diagnose_finds_a_push_in_every_window(start):
     assert impulse == pytest.approx(0.04, rel=0.1)
 
 
+@pytest.mark.study
 def test_push_does_not_improve_other_windows_and_remaining_structure_is_reported():
     hidden = {
         "event": {"torque": 1.5, "start": 6.1, "duration": 0.2},

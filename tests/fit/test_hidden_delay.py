@@ -140,6 +140,7 @@ def test_hidden_delays_recover_a_mixture():
     assert isinstance(result.law, Mixture)
 
 
+@pytest.mark.study
 def test_hidden_delays_of_a_mixture_are_independent_of_rounding_of_the_log():
     other = hidden_delays(fitted(rounded_otherwise(rod_log(drawn("mixture")))), components=2)
     assert_the_same(mixture(), other, 0.02)

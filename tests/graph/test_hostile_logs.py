@@ -74,7 +74,7 @@ NESTED = {
 @pytest.mark.parametrize("what", NESTED)
 def test_json_without_bound_is_refused(tmp_path, what):
     path = _mcap(tmp_path / "log.mcap", "json", ("any", "jsonschema", b"{}"), NESTED[what])
-    with pytest.raises(LogError, match=r'log\.mcap: topic "/joint": message 1 is no json'):
+    with pytest.raises(LogError, match=r'log\.mcap: topic "/joint": message 1 is not json'):
         open_log(path)
 
 
