@@ -75,7 +75,7 @@ class CrewPlan:
         for position, node in enumerate(graph.nodes):
             if node.name == graph.supervisor:
                 continue
-            into = [e for e, c in enumerate(graph.connections) if c.receiver == node.name]
+            places = input_places(graph, node.name)
             host = self.hosts[node.name]
             outlets = tuple(
                 (e, self.hosts[c.receiver], graph.index[c.receiver])
@@ -86,8 +86,8 @@ class CrewPlan:
                 position,
                 node.name,
                 b"" if host == HERE else self._pack(node),
-                tuple(graph.connections[e] for e in into),
-                {e: place for place, e in enumerate(into)},
+                tuple(graph.connections[e] for e in places),
+                places,
                 outlets,
                 self.options.time_limit,
             )
@@ -121,3 +121,9 @@ class CrewPlan:
                 f'node "{node.name}" does not travel to its process ({error}); acquire what cannot be pickled in '
                 "its open(), or give a function of a module that makes the node in factories="
             ) from error
+
+
+def input_places(graph: Graph, name: str) -> dict[int, int]:
+    """By number of the graph's connection, number of the input of a node, in the order of its inputs."""
+    into = [edge for edge, connection in enumerate(graph.connections) if connection.receiver == name]
+    return {edge: place for place, edge in enumerate(into)}

@@ -16,7 +16,7 @@ from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.storage.container import EpisodeFileError
 from deepkoco.graph.execution.runtime import NodeParameters
 from deepkoco.graph.live.crew import Crew
-from deepkoco.graph.live.crew_plan import CrewOptions
+from deepkoco.graph.live.crew_plan import CrewOptions, input_places
 from deepkoco.graph.live.driver import Driver, Outlet
 from deepkoco.graph.live.episode_start import received_outputs, reset_nodes, start_instant
 from deepkoco.graph.live.failure import Ending, NodeFailure, failure_of
@@ -302,8 +302,7 @@ class LiveRuntime(ABC):
             self._recorder.begin(self._episode, self._plan, parts, origin_ns)
         for name in self._others:
             crew.tell(name, "go", payloads[name])
-        edges = [e for e, c in enumerate(self.graph.connections) if c.receiver == supervisor]
-        places = {e: place for place, e in enumerate(edges)}
+        places = input_places(self.graph, supervisor)
         outlets = [Outlet(edge, send) for edge, send in crew.outlets_of(supervisor)]
         self._driver = make_driver(runner, crew.supervisor_inbox, places, outlets, payloads[supervisor])
         return self._observe(crew, torch.from_numpy(outputs[supervisor]))
