@@ -45,9 +45,7 @@ def initial_state(graph: Graph, setup: EpisodeSetup) -> RuntimeState:
     batch, known = len(row), schedule.rows
     if batch and not (row.min() >= 0 and row.max() < known):
         raise ValueError(f"rows {row.min()} to {row.max()}: there are schedules 0 to {known - 1}")
-    for name in (*parameters, *setup.initial):
-        if name not in graph.index:
-            raise ValueError(f'"{name}" is no node; known: {", ".join(graph.index)}')
+    graph.check_nodes((*parameters, *setup.initial))
     for name, given in parameters.items():
         for key, value in given.items():
             if not hasattr(value, "ndim"):

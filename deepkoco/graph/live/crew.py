@@ -1,13 +1,11 @@
 """The crew: all nodes of a graph in their threads and processes, watched over and stopped together."""
 
 import atexit
-import pickle
 import queue
 import time
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
 from multiprocessing import Pipe as pipe_pair
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection as Pipe
@@ -17,48 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from deepkoco.graph.live.crew_plan import HERE, CrewOptions, CrewPlan
 from deepkoco.graph.live.failure import NodeFailure, failure_of
-from deepkoco.graph.live.host import (
-    BEAT_PERIOD,
-    HostPlan,
-    Line,
-    SeatPlan,
-    close_seats,
-    make_seats,
-    serve,
-)
+from deepkoco.graph.live.host import BEAT_PERIOD, HostPlan, Line, close_seats, make_seats, serve
 from deepkoco.graph.live.inbox import Inbox, Order
 from deepkoco.graph.live.message import decode
 from deepkoco.graph.live.seat import BEAT, BUSY_SINCE, CLOSED_AT, TICK, Seat, step_limit
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.model.node import GraphError, Node
 
-Factory = Callable[[], Node]
-HERE = 0  # host number of the caller's own process
 FAREWELL = 5.0  # what a process gets to end after it was told to [s]
-
-
-@dataclass(frozen=True)
-class CrewOptions:
-    """Where nodes live and when they have failed.
-
-    Attributes:
-        hosts: by node name, number of the process that hosts it; not named or 0: the caller's.
-        factories: by node name, functions of a module that make the node in its process.
-        time_limit: longest step [s]; a node that takes longer has failed.
-        beat_limit: longest time without a heartbeat of a process [s].
-        cores: by number of the process, the core it is pinned to.
-        priority: real-time priority that the processes ask for; None: none.
-        report: the processes send what their nodes record while they run.
-    """
-
-    hosts: Mapping[str, int]
-    factories: Mapping[str, Factory]
-    time_limit: float
-    beat_limit: float
-    cores: Mapping[int, int] = field(default_factory=dict)
-    priority: int | None = None
-    report: bool = False
 
 
 class Crew:
@@ -74,7 +39,8 @@ class Crew:
 
     def __init__(self, graph: Graph, options: CrewOptions) -> None:
         self.graph, self.options = graph, options
-        self.hosts = {node.name: options.hosts.get(node.name, HERE) for node in graph.nodes}
+        self._plan = CrewPlan(graph, options)
+        self.hosts = self._plan.hosts
         self.supervisor_inbox = Inbox()
         self.failure: NodeFailure | None = None
         self.unclosed: NodeFailure | None = None  # the first node that did not close, after `stop`
@@ -85,8 +51,7 @@ class Crew:
         self._replies: queue.SimpleQueue[tuple[int, str, Any]] = queue.SimpleQueue()
         self._failures: queue.SimpleQueue[NodeFailure] = queue.SimpleQueue()
         self._heard, self._bell = pipe_pair(False)
-        self._receivers = tuple(graph.index[c.receiver] for c in graph.connections)
-        self._start(self._plans())
+        self._start(self._plan.host_plans())
         atexit.register(self.stop)  # a caller who forgets to close must not leave a motor running
 
     def tell(self, name: str, command: str, payload: Any = None) -> None:
@@ -129,7 +94,7 @@ class Crew:
             if connection.receiver == self.graph.supervisor:
                 ways.append((edge, self.supervisor_inbox.deliver))
             elif host == HERE:
-                ways.append((edge, self.seats[self._receivers[edge]].inbox.deliver))
+                ways.append((edge, self.seats[self._plan.receivers[edge]].inbox.deliver))
             else:
                 ways.append((edge, self._lines[host].send))
         return ways
@@ -226,45 +191,6 @@ class Crew:
 
     # ---------------------------------------------------------------- start
 
-    def _plans(self) -> dict[int, HostPlan]:
-        graph = self.graph
-        plans: dict[int, list[SeatPlan]] = {}
-        for position, node in enumerate(graph.nodes):
-            if node.name == graph.supervisor:
-                continue
-            into = [e for e, c in enumerate(graph.connections) if c.receiver == node.name]
-            host = self.hosts[node.name]
-            outlets = tuple(
-                (e, self.hosts[c.receiver], graph.index[c.receiver])
-                for e, c in enumerate(graph.connections)
-                if c.sender == node.name
-            )
-            plan = SeatPlan(
-                position,
-                node.name,
-                b"" if host == HERE else self._pack(node),
-                tuple(graph.connections[e] for e in into),
-                {e: place for place, e in enumerate(into)},
-                outlets,
-                self.options.time_limit,
-            )
-            plans.setdefault(host, []).append(plan)
-        options = self.options
-        return {
-            host: HostPlan(host, tuple(seats), options.cores.get(host), options.priority, self._receivers)
-            for host, seats in plans.items()
-        }
-
-    def _pack(self, node: Node) -> bytes:
-        packed = self.options.factories.get(node.name, node)
-        try:
-            return pickle.dumps(packed)
-        except Exception as error:
-            raise GraphError(
-                f'node "{node.name}" does not travel to its process ({error}); acquire what cannot be pickled in '
-                "its open(), or give a function of a module that makes the node in factories="
-            ) from error
-
     def _start(self, plans: Mapping[int, HostPlan]) -> None:
         remote = sorted(set(plans) - {HERE})
         # A server that has the package loaded forks the processes: quick, and without the caller's threads.
@@ -274,7 +200,7 @@ class Crew:
         board = context.RawArray("q", shape[0] * shape[1])
         self._board = np.frombuffer(board, dtype=np.int64).reshape(shape)
         ends: dict[int, dict[int, Pipe]] = {host: {} for host in (HERE, *remote)}
-        for one, other in self._pairs(remote):
+        for one, other in self._plan.pairs():
             ends[one][other], ends[other][one] = _pipe(context)
         self._lines = {host: Line(pipe) for host, pipe in ends[HERE].items()}
         self._controls, self._processes = {}, {}
@@ -301,7 +227,7 @@ class Crew:
         if HERE in plans:
             others = {supervisor: self.supervisor_inbox.deliver}
             self.seats = make_seats(
-                plans[HERE].seats, self._own, HERE, self._lines, self._board, self._reply, others
+                plans[HERE].seats, self._plan.own_node, HERE, self._lines, self._board, self._reply, others
             )
         for seat in self.seats.values():
             seat.start()
@@ -322,19 +248,6 @@ class Crew:
         reader, writer = context.Pipe(duplex=False)
         self.reports.append(reader)
         return writer
-
-    def _pairs(self, remote: list[int]) -> set[tuple[int, int]]:
-        """Hosts between which messages go."""
-        pairs = set()
-        for connection in self.graph.connections:
-            ends = self.hosts[connection.sender], self.hosts[connection.receiver]
-            if ends[0] != ends[1]:
-                pairs.add((min(ends), max(ends)))
-        return pairs
-
-    def _own(self, plan: SeatPlan) -> Node:
-        factory = self.options.factories.get(plan.name)
-        return self.graph.nodes[plan.position] if factory is None else factory()
 
     # ---------------------------------------------------------------- watch
 
@@ -402,7 +315,7 @@ class Crew:
 
     def _deliver(self, frame: bytes) -> None:
         message = decode(frame)
-        seat = self.seats.get(self._receivers[message.edge])
+        seat = self.seats.get(self._plan.receivers[message.edge])
         (self.supervisor_inbox if seat is None else seat.inbox).deliver(message)
 
     def _mourn(self, host: int) -> None:

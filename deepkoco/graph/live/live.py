@@ -1,7 +1,6 @@
 """What the runtimes have in common whose nodes live in threads and processes of their own."""
 
 import atexit
-import math
 import time
 import traceback
 from abc import ABC, abstractmethod
@@ -10,27 +9,26 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.storage.container import EpisodeFileError
 from deepkoco.graph.execution.runtime import NodeParameters
-from deepkoco.graph.live.crew import Crew, CrewOptions
+from deepkoco.graph.live.crew import Crew
+from deepkoco.graph.live.crew_plan import CrewOptions, input_places
 from deepkoco.graph.live.driver import Driver, Outlet
+from deepkoco.graph.live.episode_start import received_outputs, reset_nodes, start_instant
 from deepkoco.graph.live.failure import Ending, NodeFailure, failure_of
 from deepkoco.graph.live.plan import Plan
 from deepkoco.graph.live.recorder import Record, Recorder
 from deepkoco.graph.live.runner import InitialStateError, Runner
-from deepkoco.graph.live.seat import make_driver, reset_runner
+from deepkoco.graph.live.seat import make_driver
 from deepkoco.graph.live.state import Policy, RunningState, check_step, running_state
 from deepkoco.graph.model.contract import NotFiniteError
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.model.node import GraphError, Input, State
+from deepkoco.graph.model.node import Input, State
 from deepkoco.graph.timing.computation_graph import ComputationGraph
-
-HEAD_START = 10_000_000  # from the order to go to time 0 [ns]
 
 
 class LiveRuntime(ABC):
@@ -48,11 +46,7 @@ class LiveRuntime(ABC):
     """
 
     def __init__(self, graph: Graph, options: CrewOptions, factor: float, record: Record) -> None:
-        for name in (*options.hosts, *options.factories):
-            if name not in graph.index:
-                raise GraphError(f'"{name}" is no node; known: {", ".join(graph.index)}')
-            if name == graph.supervisor:
-                raise GraphError(f'supervisor "{name}" stays in the caller\'s thread')
+        options.check(graph)
         if not factor > 0:
             raise ValueError(f"real-time factor {factor} is not positive")
         self.graph = graph
@@ -119,9 +113,7 @@ class LiveRuntime(ABC):
             EpisodeFileError: there is a recording of that name already.
         """
         initial = initial or {}
-        for name in (*parameters, *initial):
-            if name not in self.graph.index:
-                raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
+        self.graph.check_nodes((*parameters, *initial))
         if self._recorder is not None:
             if self._running is not None:
                 self.finish()  # the recording wants the whole of the episode that is given up
@@ -297,41 +289,20 @@ class LiveRuntime(ABC):
     ) -> tuple[RunningState, dict[str, Input]]:
         supervisor = self.graph.supervisor
         runner = Runner(self.graph.node(supervisor), self.graph.inputs_of(supervisor))
-        outputs: dict[str, np.ndarray] = {}
-        # One after the other, so that the draws of `init` are those of a single process.
-        for node in self.graph.nodes:
-            payload = {
-                "episode": self._episode,
-                "generator": generator.get_state().numpy(),
-                "parameters": _arrays(parameters.get(node.name, {})),
-                "initial": _arrays(initial.get(node.name, {})),
-            }
-            if node.name == supervisor:
-                crew.supervisor_inbox.begin(self._episode)
-                answer = reset_runner(runner, payload)
-            else:
-                answer = crew.ask({node.name: ("reset", payload)})[node.name]
-            if "error" in answer:
-                raise InitialStateError(answer["error"])
-            outputs[node.name] = answer["output"]
-            generator.set_state(torch.from_numpy(answer["generator"].copy()))
-        origin = time.monotonic_ns() + (0 if self._factor == math.inf else HEAD_START)
-        payloads = {}
-        for node in self.graph.nodes:
-            payloads[node.name] = {
-                "initial_outputs": [outputs[c.sender] for c in self.graph.inputs_of(node.name)],
-                "origin": origin,
-                "factor": self._factor,
-                "record": self._record,
-            } | self._part(node.name)
+        outputs = reset_nodes(crew, runner, self._episode, parameters, generator, initial)
+        origin = start_instant(self._factor)
+        common = {"origin": origin, "factor": self._factor, "record": self._record}
+        payloads: dict[str, dict[str, Any]] = {
+            name: common | {"initial_outputs": seen} | self._part(name)
+            for name, seen in received_outputs(self.graph, outputs).items()
+        }
         if self._recorder is not None:
             parts = {name: payload["part"] for name, payload in payloads.items()}
             origin_ns = time.time_ns() + origin - time.monotonic_ns() if self._factor == 1.0 else None
             self._recorder.begin(self._episode, self._plan, parts, origin_ns)
         for name in self._others:
             crew.tell(name, "go", payloads[name])
-        edges = [e for e, c in enumerate(self.graph.connections) if c.receiver == supervisor]
-        places = {e: place for place, e in enumerate(edges)}
+        places = input_places(self.graph, supervisor)
         outlets = [Outlet(edge, send) for edge, send in crew.outlets_of(supervisor)]
         self._driver = make_driver(runner, crew.supervisor_inbox, places, outlets, payloads[supervisor])
         return self._observe(crew, torch.from_numpy(outputs[supervisor]))
@@ -378,7 +349,3 @@ class _Stopping:
         # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
         if error is not None and not isinstance(error, InitialStateError):
             self._runtime._stop_after(error)
-
-
-def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
-    return {key: np.array(value.detach().cpu().numpy()) for key, value in tensors.items()}

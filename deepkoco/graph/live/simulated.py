@@ -102,9 +102,7 @@ class SimulatedRuntime:
             ValueError: names or shapes do not fit.
             NodeFailure: a node raised; all nodes are closed.
         """
-        for name in (*parameters, *(initial or {})):
-            if name not in self.graph.index:
-                raise ValueError(f'"{name}" is no node; known: {", ".join(self.graph.index)}')
+        self.graph.check_nodes((*parameters, *(initial or {})))
         timing = self._timing if timing is None else timing
         self._plan: Plan = self._protocol if timing is None else TimingPlan(self.graph, timing, row)  # type: ignore[assignment]
         self._parts: dict[str, NodePlan] = {name: self._plan.of(name) for name in self._runners}

@@ -6,7 +6,7 @@ from typing import Any
 
 from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.live.clocked import clocked_schedule
-from deepkoco.graph.live.crew import HERE, CrewOptions, Factory
+from deepkoco.graph.live.crew_plan import HERE, CrewOptions, Factory
 from deepkoco.graph.live.live import LiveRuntime
 from deepkoco.graph.live.measured import measured_episode
 from deepkoco.graph.live.recorder import Record

@@ -80,6 +80,16 @@ class Graph:
         """Return the connections into a node."""
         return tuple(connection for connection in self.connections if connection.receiver == name)
 
+    def check_nodes(self, names: Iterable[str]) -> None:
+        """Check that names are those of nodes.
+
+        Raises:
+            ValueError: one is not.
+        """
+        for name in names:
+            if name not in self.index:
+                raise ValueError(f'"{name}" is no node; known: {", ".join(self.index)}')
+
     def _check(self) -> None:
         names = [node.name for node in self.nodes]
         for name in names:

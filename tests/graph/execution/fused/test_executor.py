@@ -6,7 +6,17 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepkoco.graph import BatchedRuntime, GraphError, HorizonError, RuntimeState, draw_timing
+from deepkoco.graph import (
+    BatchedRuntime,
+    Connection,
+    Graph,
+    GraphError,
+    HorizonError,
+    Node,
+    RuntimeState,
+    Supervisor,
+    draw_timing,
+)
 from experiments.benchmarks.rollout_work import Relay, make_graph, make_parameters, make_policy
 from tests.graph.timing_reference import graphs, policy
 
@@ -290,3 +300,37 @@ def test_an_environment_needs_less_than_two_kilobytes():
     both = Pendulums(batch=256)
     state = both.reset()[0]
     assert state.nbytes / 256 < 300
+
+
+class SinglePrecisionLooker(Node):
+    """Integrates its gain; it looks at values, which no kernel can do, where the gain is of single precision."""
+
+    def init(self, parameters, generator, batch):
+        return {"sum": torch.zeros(batch, dtype=torch.float64)}
+
+    def initial_output(self, parameters, state, batch):
+        return torch.zeros(batch, 1, dtype=torch.float64)
+
+    def step(self, parameters, state, inputs):
+        gain = parameters["gain"]
+        if gain.dtype == torch.float32 and bool((gain < 0).any()):
+            raise ValueError("negative gain")
+        total = state["sum"] + gain.double()
+        return {"sum": total}, total[:, None]
+
+
+def test_states_of_before_the_eager_executor_took_over_go_on():
+    agent = Supervisor("agent", 10, initial_action=torch.zeros(1, dtype=torch.float64))
+    graph = Graph([SinglePrecisionLooker("plant", 10), agent], [Connection("plant", "agent")])
+    timing = draw_timing(graph, np.random.default_rng(0), 4, 2)
+    runtime = BatchedRuntime(graph, timing, executor="fused")
+    compiled, _ = runtime.reset(
+        {"plant": {"gain": torch.tensor(2.0, dtype=torch.float64)}}, torch.Generator()
+    )
+    assert runtime.executor == "fused"
+    with pytest.warns(RuntimeWarning, match="runs with the eager executor"):
+        runtime.reset({"plant": {"gain": torch.tensor(3.0)}}, torch.Generator())
+    assert runtime.executor == "eager"
+    before = compiled.nodes["plant"]["sum"]
+    after, _ = runtime.step(compiled, torch.zeros(2, 1, dtype=torch.float64))
+    assert torch.equal(after.nodes["plant"]["sum"], before + 2.0)
