@@ -220,11 +220,13 @@ def names_on_demand(
         file: Its `__file__`.
     """
     found, listed, names = lazy_loader.attach_stub(package, file)
+    modules = moved_modules(MOVED)
 
     def find(name: str) -> Any:
         home = MOVED_NAMES.get((package, name))
         if home is None:
-            return found(name)
+            moved = f"{package}.{name}"
+            return import_module(moved) if moved in modules else found(name)
         text = f"{package}.{name} has moved to {home}.{name}; import it from there"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
         return getattr(import_module(home), name)

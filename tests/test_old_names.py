@@ -51,6 +51,9 @@ def test_a_moved_name_is_the_object_at_the_new_place(package: str, name: str) ->
         ("deepkoco.koopman.lifting", "Identity"),
         ("deepkoco.koopman.model", "KoopmanModel"),
         ("deepkoco.cli", "main"),
+        ("deepkoco.cli", "build_parser"),
+        ("deepkoco.analysis.page", "write_page"),
+        ("deepkoco.diagnose.residuals", "missing_torque"),
     ],
 )
 def test_names_of_modules_that_became_packages_are_still_there(module: str, name: str) -> None:
@@ -69,3 +72,9 @@ def test_a_name_that_never_was_is_not_found() -> None:
 def test_a_module_runs_under_its_old_name() -> None:
     program = [sys.executable, "-W", "ignore", "-m", "deepkoco.unit.systems_command"]
     assert subprocess.run(program, check=False, capture_output=True, text=True).returncode == 0
+
+
+@pytest.mark.parametrize("name", ["units", "realtime", "recording", "cuda", "log_files"])
+def test_modules_of_the_graph_are_attributes_by_their_old_names(name: str) -> None:
+    found = getattr(importlib.import_module("deepkoco.graph"), name)
+    assert found is importlib.import_module(f"deepkoco.graph.{name}")

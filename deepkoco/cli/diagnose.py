@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.diagnose.diagnose import diagnose
     from deepkoco.diagnose.report.folder import write_report
     from deepkoco.diagnose.report.text import terminal_table
-    from deepkoco.fit.solve.scaled_inverse import NotFiniteError
+    from deepkoco.fit.solve.scaled_inverse import DivergedError
     from deepkoco.logs.recording import LogError
     from deepkoco.output.new_folder import FolderExistsError, check_new
     from deepkoco.output.whole_file import system_error
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
             page = write_report(result, out)
     except (LogError, FolderExistsError) as error:
         raise InputError(str(error)) from error
-    except NotFiniteError as error:
+    except DivergedError as error:
         raise InputError(
             f"{first}: cannot be fitted: {error}; check that the log is of this system, or give a shorter --window"
         ) from error

@@ -44,6 +44,8 @@ def run(args: argparse.Namespace) -> int:
         UnitError: A unit failed.
     """
     from deepkoco.agent.policy import ObservationError
+    from deepkoco.output.new_folder import check_new
+    from deepkoco.output.whole_file import system_error
     from deepkoco.runs.hydra_command import BAD_INPUT
     from deepkoco.runs.unit_trials import FEWEST_EPISODES, as_json, run_trials, summarise, write_trials
     from deepkoco.unit import UnitSpecError, load_unit
@@ -55,12 +57,16 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise InputError(f"--seed {args.seed}: give 0 or more")
     try:
+        if args.out is not None:
+            check_new(args.out)
         unit = load_unit(args.unit)
         trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel)
         if args.out is not None:
             write_trials(args.out, trials, args.runs, unit, args.clock, args.seed)
-    except (*BAD_INPUT, ObservationError, UnitSpecError, OSError) as error:
+    except (*BAD_INPUT, ObservationError, UnitSpecError) as error:
         raise InputError(str(error)) from error
+    except OSError as error:
+        raise InputError(system_error(error)) from error
     summary = summarise(trials)
     if args.json:
         sys.stdout.write(as_json(summary) + "\n")

@@ -19,7 +19,7 @@ from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.study import Study, insufficient
 from deepkoco.fit.data.windows import window_length
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System, any_system
@@ -64,7 +64,7 @@ def diagnose(
         UnknownSystemError: There is no such system.
         BaselineError: ``healthy`` and ``baseline`` are both given, or the baseline was learned on another system.
         UnknownCauseError: ``only`` names a cause that the system does not have.
-        NotFiniteError: The simulation of the system as given diverges on these logs.
+        DivergedError: The simulation of the system as given diverges on these logs.
     """
     began = time.perf_counter()
     base = any_system(system)
@@ -86,13 +86,13 @@ def diagnose(
         if start is None and healthy:
             try:
                 start = learn_baseline(healthy, base, length, progress)
-            except NotFiniteError as error:
+            except DivergedError as error:
                 unfitted = (f"the healthy logs, which are left out ({error})",)
         if start is not None:
             try:
                 study = Study(base, start, data, detection, causes, progress)
                 return study.run(recordings, length, seed, began)
-            except NotFiniteError as error:
+            except DivergedError as error:
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
         study = Study(base, baseline_from(base, data.train), data, detection, causes, progress, unfitted)

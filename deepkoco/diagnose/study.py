@@ -52,7 +52,7 @@ from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.identifiability import Direction, unidentified
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
+from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.logs.recording import Recording
 from deepkoco.output.versions import versions
 from deepkoco.systems import ExtendedSystem, System
@@ -260,7 +260,7 @@ class Study:
         """Return the simulation before the refit; None where it diverges."""
         try:
             return self.problem.evaluate(self.start.values, "baseline", reference.state)
-        except NotFiniteError:
+        except DivergedError:
             return None
 
     def _advice(
@@ -282,7 +282,7 @@ class Study:
         data = self.data
         try:
             return learn_residual(self.start, data.train, data.held, self.reference, missing, seed)
-        except NotFiniteError as error:
+        except DivergedError as error:
             self.unfitted = (*self.unfitted, f"a learned load ({error})")
             return None
 

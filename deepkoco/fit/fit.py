@@ -14,7 +14,7 @@ from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem, channel_delays
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch, state_steps
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
+from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
 
@@ -94,11 +94,11 @@ class FitProblem(ShootingProblem):
         """As :meth:`fit` for one trial, but raises if it diverges.
 
         Raises:
-            NotFiniteError: The simulation diverges at the start values.
+            DivergedError: The simulation diverges at the start values.
         """
         fit = self.fit([trial], iterations, tolerance)[0]
         if fit.diverged:
-            raise NotFiniteError(
+            raise DivergedError(
                 f"{trial.name}: the simulation of {self.system.base.name} diverges at {self._far_from_nominal(fit)}"
             )
         return fit

@@ -11,6 +11,8 @@ from urllib.parse import quote
 
 from markupsafe import Markup, escape
 
+from deepkoco.output.whole_file import write_whole_text
+
 _NAVIGATION = re.compile(r"<nav[^>]*>.*?</nav>", re.DOTALL)
 
 
@@ -80,6 +82,4 @@ def link_pages(pages: Mapping[str, Path]) -> None:
         own = str(navigation(links_between(path, pages)))
         changed = _NAVIGATION.sub(lambda _, own=own: own, text, count=1)
         if changed != text:
-            partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-            partial.write_text(changed, encoding="utf-8")
-            os.replace(partial, path)
+            write_whole_text(path, changed)

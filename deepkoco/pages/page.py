@@ -52,7 +52,7 @@ def render_page(
     """Render a page.
 
     Args:
-        package: Where its template lies, such as ``deepkoco.diagnose``.
+        package: Where its template lies, such as ``deepkoco.diagnose.report``.
         template: File there; it extends ``base.html``.
         title: Of the window.
         versions: Name to version of what made the page.

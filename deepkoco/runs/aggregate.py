@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from deepkoco.analysis.page.sweep_page import PAGE, write_sweep_page
+from deepkoco.analysis.page.sweep_page import FEW, PAGE, write_sweep_page
 from deepkoco.output.new_folder import new_folder
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from deepkoco.runs.train import is_finished, load_run_config
@@ -21,9 +21,6 @@ from deepkoco.runs.train import is_finished, load_run_config
 logger = logging.getLogger(__name__)
 
 RESAMPLES = 4000
-FEWEST_SEEDS = 5
-"""Fewest seeds of an interval. Of fewer, more than 2.5 % of the resamples consist of the lowest (or the highest) value
-alone in the part that the interquartile mean takes, so that a 95 % interval is the range of the values."""
 ABSENT = "not given"
 CURVES = {"train/cost": "training episodes", "evaluation/cost": "noise-free episodes"}
 
@@ -142,7 +139,7 @@ def interquartile_mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """95 % percentile bootstrap interval of the interquartile mean over seeds; the range of fewer than `FEWEST_SEEDS`.
+    """95 % percentile bootstrap interval of the interquartile mean over seeds; the range of fewer than `FEW`.
 
     The conditions are bootstrapped one by one, for their costs have no common scale.
 
@@ -157,7 +154,7 @@ def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]
     """
     if values.size < 2:
         return float("nan"), float("nan")
-    if values.size < FEWEST_SEEDS:
+    if values.size < FEW:
         return float(values.min()), float(values.max())
     found = stats.bootstrap(
         (values,),
@@ -173,7 +170,7 @@ def kind_of_interval(seeds: int) -> str:
     """What the two limits of `bootstrap_interval` are for a number of seeds: "none", "range" or "95 %"."""
     if seeds < 2:
         return "none"
-    return "range" if seeds < FEWEST_SEEDS else "95 %"
+    return "range" if seeds < FEW else "95 %"
 
 
 def learning_curves(rows: pd.DataFrame) -> pd.DataFrame:
@@ -318,6 +315,6 @@ def summarise(runs: Path, out: Path | None) -> str:
     if "range" in kinds:
         lines.append(
             "interval range: low and high are the lowest and the highest cost; "
-            f"an interval takes {FEWEST_SEEDS} seeds or more."
+            f"an interval takes {FEW} seeds or more."
         )
     return "\n".join([*lines, f"Written to {out}; {out / PAGE} shows it"])

@@ -23,6 +23,7 @@ from deepkoco.agent.policy import load_model
 from deepkoco.envs.distractors import StateDistractors
 from deepkoco.envs.film import write_clip
 from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.output.new_folder import new_folder
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from deepkoco.runs.train import check_finished, load_run_config
 from deepkoco.unit import UnitSpec
@@ -282,11 +283,11 @@ def write_trials(
         clock: "wall" or "simulated".
         seed: Seed of the set of episodes.
     """
-    out.mkdir(parents=True)
     rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
-    pd.DataFrame(rows).to_csv(out / "trials.csv", index=False)
-    for run, name in zip(runs, policy_names(runs), strict=True):
-        film = run_trial(run, unit, 0, clock, seed, film=True)
-        path = out / f"{name}.webm"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_clip(path, film.frames, 20.0)
+    with new_folder(out) as partial:
+        pd.DataFrame(rows).to_csv(partial / "trials.csv", index=False)
+        for run, name in zip(runs, policy_names(runs), strict=True):
+            film = run_trial(run, unit, 0, clock, seed, film=True)
+            path = partial / f"{name}.webm"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_clip(path, film.frames, 20.0)

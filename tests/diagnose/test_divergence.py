@@ -15,7 +15,7 @@ from deepkoco.diagnose.report.folder import write_report
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import Windows, cut_windows, window_length
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
 from deepkoco.systems import make_system
 from tests.fit.identify_logs import arm_log
@@ -98,5 +98,5 @@ def test_missing_loads_stay_finite_where_a_load_makes_the_simulation_diverge():
 def test_what_the_system_itself_cannot_simulate_is_refused_in_words():
     arm = make_system("two_link_arm")
     arm.parameters = tuple(replace(p, value=OTHER.get(p.name, p.value)) for p in arm.parameters)
-    with pytest.raises(NotFiniteError, match="two_link_arm diverges at"):
+    with pytest.raises(DivergedError, match="two_link_arm diverges at"):
         diagnose([arm_log(0)], arm, only=["coulomb(joint 2)"])

@@ -10,7 +10,7 @@ from deepkoco.cli.command_line import main as command_line
 from deepkoco.envs.task_factory import TaskConfig
 from deepkoco.planning import PlannerConfig
 from deepkoco.runs.aggregate import (
-    FEWEST_SEEDS,
+    FEW,
     aggregate,
     bootstrap_interval,
     conditions,
@@ -157,25 +157,25 @@ def test_the_table_has_one_row_per_condition_and_its_number_of_seeds(make_run, t
     assert "exists already" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("seeds", range(2, FEWEST_SEEDS + 3))
+@pytest.mark.parametrize("seeds", range(2, FEW + 3))
 def test_fewer_seeds_than_an_interval_takes_give_the_range_and_say_so(seeds):
     costs = np.random.default_rng(seeds).uniform(100.0, 200.0, seeds)
     limits = bootstrap_interval(costs)
     whole = (costs.min(), costs.max())
-    if seeds < FEWEST_SEEDS:
+    if seeds < FEW:
         assert (limits, kind_of_interval(seeds)) == (whole, "range")
     else:
         assert kind_of_interval(seeds) == "95 %"
         assert whole[0] < limits[0] < limits[1] < whole[1]
 
 
-@pytest.mark.parametrize("seeds", range(2, FEWEST_SEEDS))
+@pytest.mark.parametrize("seeds", range(2, FEW))
 def test_a_bootstrap_of_few_seeds_has_nothing_but_the_range_to_give(seeds):
     """The chance that the interquartile mean of a resample is the lowest cost, counted over all resamples."""
     costs = np.arange(seeds, dtype=float)
     resamples = np.array(list(itertools.product(costs, repeat=seeds)))
     assert (interquartile_mean(resamples, axis=1) == costs[0]).mean() > 0.025
-    more = np.array(list(itertools.product(np.arange(FEWEST_SEEDS, dtype=float), repeat=FEWEST_SEEDS)))
+    more = np.array(list(itertools.product(np.arange(FEW, dtype=float), repeat=FEW)))
     assert (interquartile_mean(more, axis=1) == 0.0).mean() < 0.025
 
 

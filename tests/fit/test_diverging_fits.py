@@ -9,7 +9,7 @@ import torch
 from deepkoco.fit import FitError, fit
 from deepkoco.fit.fit_types import Trial
 from deepkoco.fit.request import make_request
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import LogError
 from tests.fit.identify_logs import TRUE, arm_log
 
@@ -71,7 +71,7 @@ def test_fit_of_a_diverging_trial_does_not_change_other_trials(fit_request, prob
 
 def test_fit_one_names_the_values_that_diverge(fit_request, problem, edge):
     values = fit_request.start | LIGHT | {"viscous_2": 1.1 * edge}
-    with pytest.raises(NotFiniteError, match=r"two_link_arm diverges at .*mass_2 = 0.05 kg"):
+    with pytest.raises(DivergedError, match=r"two_link_arm diverges at .*mass_2 = 0.05 kg"):
         problem.fit_one(Trial("refit", fit_request.free, fit_request.prior, values))
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
+from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 
 
 def positive(size: int, seed: int, units: float = 0.0) -> np.ndarray:
@@ -69,10 +69,10 @@ def test_scaled_inverse_of_an_empty_matrix_is_empty():
 def test_scaled_inverse_names_the_row_that_is_not_finite(wrong, place):
     matrix = positive(3, 0)
     matrix[place] = matrix[place[::-1]] = wrong
-    with pytest.raises(NotFiniteError, match=f"rows .*{place[0]}.* not finite"):
+    with pytest.raises(DivergedError, match=f"rows .*{place[0]}.* not finite"):
         scaled_inverse(matrix)
 
 
 def test_scaled_inverse_refuses_overflow_of_the_scaling():
-    with pytest.raises(NotFiniteError):
+    with pytest.raises(DivergedError):
         scaled_inverse(np.array([[1e-300, 1e300], [1e300, 1.0]]))

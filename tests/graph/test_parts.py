@@ -1,5 +1,6 @@
 """Outputs of several tensors: dicts for who sends and who receives, in every executor, runtime and record."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,6 +14,7 @@ from deepkoco.graph import (
     BatchedRuntime,
     ConcurrentRuntime,
     Connection,
+    EpisodeFileError,
     Graph,
     GraphError,
     Node,
@@ -199,6 +201,14 @@ def test_a_recording_knows_the_parts(tmp_path):
     table = episode_table(run.graph, run.episodes[0])
     assert table["camera/output/stamp/0"].dropna().to_numpy().tolist() == camera["stamp"].tolist()
     assert "arm/output/wrench/5" in table
+
+
+def test_a_recording_whose_outputs_do_not_hold_the_parts_is_refused(tmp_path):
+    episode, _ = batched()
+    cut = replace(episode, outputs=episode.outputs | {"camera": episode.outputs["camera"][:, :-1]})
+    write_episodes(tmp_path / "run.mcap", dict_graph(), [cut])
+    with pytest.raises(EpisodeFileError, match='node "camera": its outputs have the shape .* stamp need'):
+        read_episodes(tmp_path / "run.mcap")
 
 
 def test_gradients_go_through_parts():

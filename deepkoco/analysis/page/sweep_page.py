@@ -32,7 +32,7 @@ COLOURS = (
     "#44aa99",
 )
 FEW = 5
-"""Seeds below which a bootstrap interval is hardly more than the range of the seeds."""
+"""Seeds below which an interval is the range of the seeds: their lowest and highest cost."""
 MOST_LETTERS = 48  # of a name in one line of a figure
 CURVES = {"train/cost": "training, with exploration noise", "evaluation/cost": "noise-free"}
 PAGE = "index.html"
@@ -92,7 +92,7 @@ def draw_sweep(curves: pd.DataFrame, final: pd.DataFrame, table: pd.DataFrame, f
     colours = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(table["condition"])}
     band = "Bands and bars are 95 % bootstrap intervals over seeds."
     if few:
-        band += f" Of fewer than {FEW} seeds they are hardly more than the range of the seeds."
+        band += f" For fewer than {FEW} seeds they show the lowest and the highest cost."
     with house_style():
         pictures = [_learning(curves, colours, band), _final(final, table, colours, band)]
         numbers = ("curves.csv", "final.csv")

@@ -13,8 +13,7 @@ from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
-from deepkoco.diagnose.evidence.screening import StartPoint as Promise
-from deepkoco.diagnose.evidence.screening import screen
+from deepkoco.diagnose.evidence.screening import StartPoint, screen
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -65,7 +64,9 @@ def rank(
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
     promising += [
-        Promise(c, {}, WORTH) for c in tried if c.free and known.intersection(c.free) and c.name not in found
+        StartPoint(c, {}, WORTH)
+        for c in tried
+        if c.free and known.intersection(c.free) and c.name not in found
     ]
     trials = [
         _trial(
@@ -143,7 +144,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
 
-def _best(promises: Sequence[Promise]) -> dict[str, float]:
+def _best(promises: Sequence[StartPoint]) -> dict[str, float]:
     """Largest promise of each cause."""
     result: dict[str, float] = {}
     for p in promises:
@@ -151,11 +152,11 @@ def _best(promises: Sequence[Promise]) -> dict[str, float]:
     return result
 
 
-def _promising(promises: Sequence[Promise]) -> list[Promise]:
+def _promising(promises: Sequence[StartPoint]) -> list[StartPoint]:
     """Return the starts that are fitted: the best starts of each cause whose promise is large enough."""
     best = _best(promises)
     bar = max(WORTH, MIN_OF_BEST_CAUSE * max(best.values(), default=0.0))
-    kept: dict[str, list[Promise]] = {}
+    kept: dict[str, list[StartPoint]] = {}
     for p in sorted(promises, key=lambda p: -p.promise):
         own = kept.setdefault(p.cause.name, [])
         enough = best[p.cause.name] >= bar and p.promise >= MIN_OF_BEST_START * best[p.cause.name]

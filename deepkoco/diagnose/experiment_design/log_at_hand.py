@@ -15,6 +15,7 @@ from deepkoco.diagnose.experiment_design.separation import Separation, separate
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
@@ -51,7 +52,7 @@ def fit_log(recordings: Sequence[Recording], system: System, causes: Sequence[Ca
     """Refit the baseline on a log, and each cause on top of it.
 
     Raises:
-        DesignError: The joint moves too little in the log.
+        DesignError: The joint moves too little in the log, or the simulation diverges on it.
     """
     windows = cut_windows(recordings, system, window_length(system))
     if len(windows):
@@ -62,7 +63,10 @@ def fit_log(recordings: Sequence[Recording], system: System, causes: Sequence[Ca
             f"{MIN_LOG_WINDOWS} are needed; design from the system alone, without a log"
         )
     start = baseline_from(system, windows)
-    windows, refit = refit_sharply(start, windows)
+    try:
+        windows, refit = refit_sharply(start, windows)
+    except DivergedError as error:
+        raise DesignError(f"the log cannot be fitted: {error}; check that it is of this system") from error
     problem = FitProblem(start.system, windows)
     chi2 = refit.chi2 / windows.samples
     hints = Hints(start.system, windows, missing_torque(problem, refit), chi2)

@@ -1,1 +1,5 @@
-"""Residuals of a fit: missing load, whiteness, spectrum, signatures and noise tests."""
+"""What a fitted model leaves unexplained, and how it is described."""
+
+from deepkoco.diagnose.residuals.residuals import MissingTorque, coloured_from, missing_torque, white_limit
+
+__all__ = ["MissingTorque", "coloured_from", "missing_torque", "white_limit"]

@@ -18,7 +18,7 @@ from deepkoco.fit.identification import NORMAL_95, Identification
 from deepkoco.fit.request import FitError, command_delays
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.fit.solve.methods import TOLERANCE
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
 from deepkoco.graph.delay import Delay, Deterministic, Gaussian, Mixture
 
@@ -262,7 +262,7 @@ class _Messages:
         trial = Trial("delays", free, self.request.prior, values, fit.state, fit.nuisance)
         try:
             return self.problem(shift).fit_one(trial, 12, TOLERANCE)
-        except NotFiniteError as error:
+        except DivergedError as error:
             raise FitError(f"with the delays found so far, {error}; give a shorter window") from error
 
     def _predict(

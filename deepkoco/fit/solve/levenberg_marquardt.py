@@ -11,7 +11,7 @@ from torch import Tensor
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.normal_equations import NormalEquations
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
+from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
@@ -80,7 +80,7 @@ class Batch:
                 if not self.done[k] and iteration < iterations - 1:
                     try:
                         step = self._step(int(k))
-                    except NotFiniteError:
+                    except DivergedError:
                         self.done[k] = True
                         continue
                     trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.solve.scaled_inverse import NotFiniteError, scaled_inverse
+from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 
 
 @dataclass
@@ -114,7 +114,7 @@ class NormalEquations:
             Moves of parameters and nuisances (q,), of states (W, S), predicted decrease of the cost.
 
         Raises:
-            NotFiniteError: The reduced equations overflow.
+            DivergedError: The reduced equations overflow.
         """
         matrix, right, inverse = self.reduced(damping)
         free = torch.ones(len(right), dtype=torch.bool)
@@ -126,7 +126,7 @@ class NormalEquations:
             scaled = matrix[free][:, free] / scale[:, None] / scale
             wanted = (right - matrix @ move)[free] / scale
             if not (torch.isfinite(scaled).all() and torch.isfinite(wanted).all()):
-                raise NotFiniteError(
+                raise DivergedError(
                     "the reduced normal equations are not finite: the residuals of a simulation are too large"
                 )
             # On a singular matrix, only NumPy's solver gives the same bits every time; torch's (gelsy) does not.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-class NotFiniteError(FloatingPointError):
+class DivergedError(FloatingPointError):
     """A simulation or its derivatives diverged, so they cannot be fitted."""
 
 
@@ -22,7 +22,7 @@ def scaled_inverse(matrix: np.ndarray, ridge: float = 0.0, smallest: float = 0.0
         (..., n, n) inverse; 0 in directions in which the matrix is 0.
 
     Raises:
-        NotFiniteError: An entry is infinite or NaN, or becomes so when it is scaled.
+        DivergedError: An entry is infinite or NaN, or becomes so when it is scaled.
     """
     root = np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
     root = np.where(root > smallest, root, 1.0)
@@ -32,7 +32,7 @@ def scaled_inverse(matrix: np.ndarray, ridge: float = 0.0, smallest: float = 0.0
     if not np.isfinite(scaled).all():
         entries = np.argwhere(~np.isfinite(scaled))
         rows = ", ".join(str(row) for row in sorted({int(e[-2]) for e in entries}))
-        raise NotFiniteError(f"rows {rows} of a matrix to invert are not finite: a simulation diverged")
+        raise DivergedError(f"rows {rows} of a matrix to invert are not finite: a simulation diverged")
     if ridge:
         scaled = scaled + ridge * np.eye(matrix.shape[-1])
     return np.linalg.pinv(scaled, hermitian=True) / size

@@ -35,7 +35,7 @@ def evaluate_run(run: Path, episodes: int) -> dict[str, Any]:
         episodes: Noise-free episodes.
 
     Returns:
-        What `experiments.evaluate.measure` gives.
+        What `deepkoco.runs.evaluate.measure` gives.
 
     Raises:
         ExperimentError: The run cannot be evaluated.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -287,6 +288,12 @@ def _episode(path: Path, graph: Graph, contents: _Contents, number: int) -> Epis
                 outputs[node.name] = stack_outputs(sent)
             except ValueError as error:
                 raise EpisodeFileError(f"{where}: {error}") from error
+            parts, shape = graph.parts.get(node.name), outputs[node.name].shape[1:]
+            if parts is not None and shape != (width := (sum(prod(own) for _, own, _ in parts.entries),)):
+                raise EpisodeFileError(
+                    f"{where}: its outputs have the shape {shape}, and its parts "
+                    f"{', '.join(name for name, _, _ in parts.entries)} need {width}; the file is damaged"
+                )
         for c in graph.inputs_of(node.name):
             seen = [step["inputs"][c.name] for step in steps if c.name in step["inputs"]]
             if len(seen) == len(steps):
