@@ -207,7 +207,7 @@ def test_a_recording_whose_outputs_do_not_hold_the_parts_is_refused(tmp_path):
     episode, _ = batched()
     cut = replace(episode, outputs=episode.outputs | {"camera": episode.outputs["camera"][:, :-1]})
     write_episodes(tmp_path / "run.mcap", dict_graph(), [cut])
-    with pytest.raises(EpisodeFileError, match='node "camera": its outputs have the shape .* stamp need'):
+    with pytest.raises(EpisodeFileError, match=r'node "camera": its outputs have the shape .* stamp need'):
         read_episodes(tmp_path / "run.mcap")
 
 
