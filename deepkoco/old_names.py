@@ -134,6 +134,31 @@ def moved_modules(rows: Sequence[tuple[str, str, str]]) -> dict[str, str]:
     return table
 
 
+class OldPackage(ModuleType):
+    """A package under its old name: everything but the name is that of the new one.
+
+    It is a module of its own because an import binds a submodule to its package. Bound to the new package,
+    ``deepkoco.identify.fit`` would replace the function ``deepkoco.fit.fit``.
+
+    Args:
+        name: Old name.
+        new: The package at its new place.
+    """
+
+    def __init__(self, name: str, new: ModuleType) -> None:
+        super().__init__(name, new.__doc__)
+        self.__dict__["_new"] = new
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._new, name)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name.startswith("__"):
+            super().__setattr__(name, value)
+        elif not (isinstance(value, ModuleType) and hasattr(self._new, name)):
+            setattr(self._new, name, value)
+
+
 class MovedModules(MetaPathFinder, InspectLoader):
     """Finds modules by their old names; the module that it gives is the one at the new place.
 
@@ -164,16 +189,24 @@ class MovedModules(MetaPathFinder, InspectLoader):
             return None
         text = f"{fullname} has moved to {new}; import it from there"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
-        return ModuleSpec(fullname, self, origin=new)
+        found = ModuleSpec(fullname, self, origin=new)
+        place = find_spec(new)
+        # `python -m` runs the `__main__` of what has a search path.
+        found.submodule_search_locations = None if place is None else place.submodule_search_locations
+        return found
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         """Import the module at its new place."""
         module = import_module(self._place(spec.name))
+        if hasattr(module, "__path__"):
+            return OldPackage(spec.name, module)
         self._specs[spec.name] = module.__spec__
         return module
 
     def exec_module(self, module: ModuleType) -> None:
         """Give the module its own spec back: it was executed when it was imported at its new place."""
+        if isinstance(module, OldPackage):
+            return
         names = [old for old in self._specs if self._place(old) == module.__name__]
         module.__spec__ = self._specs[names[-1]]
 

@@ -4,11 +4,13 @@ import importlib
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 
 from deepkoco.old_names import MOVED, MOVED_NAMES, moved_modules
 
+ROOT = Path(__file__).parents[1]
 TABLE = moved_modules(MOVED)
 
 
@@ -22,7 +24,7 @@ def test_every_moved_module_has_a_new_place() -> None:
 
 @pytest.mark.parametrize(
     "old",
-    ["deepkoco.identify.trial", "deepkoco.graph.units", "deepkoco.graph.storage.read", "deepkoco.identify"],
+    ["deepkoco.identify.trial", "deepkoco.graph.units", "deepkoco.graph.storage.read"],
 )
 def test_a_moved_module_is_the_module_at_the_new_place(old: str) -> None:
     sys.modules.pop(old, None)
@@ -78,3 +80,29 @@ def test_a_module_runs_under_its_old_name() -> None:
 def test_modules_of_the_graph_are_attributes_by_their_old_names(name: str) -> None:
     found = getattr(importlib.import_module("deepkoco.graph"), name)
     assert found is importlib.import_module(f"deepkoco.graph.{name}")
+
+
+def test_a_moved_package_gives_the_names_of_the_new_one_after_its_modules_are_imported() -> None:
+    # In a process of its own: an import binds a module to its package once.
+    program = """
+import deepkoco.identify.fit
+import deepkoco.identify as old
+import deepkoco.fit as new
+assert old.fit is new.fit and callable(new.fit), (old.fit, new.fit)
+assert old.__all__ == new.__all__
+from deepkoco.identify.fit import FitProblem
+assert FitProblem is new.FitProblem
+old.marked = 3
+assert new.marked == 3
+"""
+    run = [sys.executable, "-W", "ignore", "-c", program]
+    done = subprocess.run(run, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("old", ["closing_the_loop", "hidden_effects"])
+def test_a_recorded_command_runs_under_its_old_name(old: str) -> None:
+    program = [sys.executable, "-W", "ignore", "-m", f"experiments.{old}", "--help"]
+    done = subprocess.run(program, check=False, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("usage:")

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from deepkoco.analysis.page.words import rounded
 from deepkoco.output.picture import Picture, house_style
+from deepkoco.output.whole_file import write_whole_text
 from deepkoco.pages import Shown, render_page, show_both, software
 from deepkoco.pages.links import relative
 
@@ -83,7 +84,7 @@ def write_sweep_page(
             },
         ],
     )
-    (folder / PAGE).write_text(text, encoding="utf-8")
+    write_whole_text(folder / PAGE, text)
     return folder / PAGE
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 
 from deepkoco.diagnose.causes.cause import Cause, kind_of
+from deepkoco.suggestion import did_you_mean
 
 
 class UnknownCauseError(ValueError):
@@ -31,8 +31,7 @@ def causes_named(known: dict[str, Cause], names: Sequence[str], system: str) -> 
     for name in [names] if isinstance(names, str) else names:
         chosen = [known[name]] if name in known else kinds.get(name, [])
         if not chosen:
-            close = difflib.get_close_matches(name, [*known, *kinds], n=3, cutoff=0.6)
-            said = f"; did you mean {' or '.join(close)}?" if close else ";"
+            said = did_you_mean(name, [*known, *kinds], 3) or ";"
             raise UnknownCauseError(f'{system} has no cause "{name}"{said} it has: {", ".join(known)}')
         found |= {cause.name: cause for cause in chosen}
     return list(found.values())
