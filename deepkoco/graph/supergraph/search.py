@@ -35,8 +35,9 @@ from deepkoco.graph.supergraph.windows import (
 COMPILED_WITH = "6a572c927e7c73f7"
 
 EFFORT = 75
-"""Visits of every vertex that a search may spend; more for chains of many slots of a kind."""
+"""Visits of every vertex that a search may spend; more for chains of many slots of a kind, and in tiny problems."""
 
+_LEAST = 30_000  # visits that every search may spend: few enough for no wait, enough for the optimum of tiny problems
 _TRY = 10  # a try to reach one length may spend this part of the budget
 _PATIENCE = 5  # tries without any gain after which it ends
 _UPHILL = (8, 80)  # of 2048 moves, those that may leave 2 and 1 more vertices late
@@ -63,7 +64,7 @@ def find_slots(parts: Partitions, effort: int = EFFORT, seed: int = 0) -> np.nda
     longest = int(np.diff(parts.first).max())
     windows = make_windows(parts.kinds, longest)
     add_hardest(parts, pass_base, pass_first, windows)
-    budget = effort * parts.work * max(1, len(slots) // (5 * parts.kinds))
+    budget = max(_LEAST, effort * parts.work * max(1, len(slots) // (5 * parts.kinds)))
     generator = np.array([np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] | np.uint64(1)])
     return _search(parts, slots, bound, pass_base, pass_first, windows, budget, generator).astype(np.int64)
 

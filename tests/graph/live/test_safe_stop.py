@@ -194,7 +194,7 @@ def test_a_record_that_died_with_its_process_is_missed_by_name(tmp_path):
 
 def test_a_process_that_stands_still_is_noticed_by_its_heartbeat(tmp_path):
     graph = devices(tmp_path)
-    with WallClockRuntime(graph, beat_limit=1.0) as runtime:
+    with WallClockRuntime(graph, time_limit=30.0, beat_limit=1.0) as runtime:
         runtime.reset({}, torch.Generator())
         runtime.run(act, 2)
         os.kill(int(graph.node("motor").marks("open")[0].split()[0]), signal.SIGSTOP)
