@@ -17,7 +17,8 @@ from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
 from deepkoco.systems.effects.effect import JointLanes, in_lanes
 from deepkoco.systems.joint import JointSystem, TorqueLaw
-from deepkoco.systems.registry import make_system
+from deepkoco.systems.origins import find_stored, origin_of, stored_origin
+from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
@@ -71,7 +72,7 @@ class ExtendedSystem(System):
         if unknown:
             raise ParameterError(f"unknown effect {', '.join(unknown)}; known: {', '.join(known)}")
         self.base = base
-        self.name = base.name
+        self.name, self.origin = base.name, base.origin
         self.joints = base.joints
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
@@ -364,9 +365,11 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
     base = system.base if isinstance(system, ExtendedSystem) else system
     effects = [e.name for e in system.effects] if isinstance(system, ExtendedSystem) else []
     learned = [e for e in effects if e.split("(")[0] == "learned"]
+    origin = origin_of(base)
     document = {
         "version": MODEL_VERSION,
         "system": base.name,
+        **({} if origin is None else {"origin": stored_origin(origin, path.parent)}),
         "effects": effects,
         # Fitted to data, without a mechanism behind it: for readers of the file.
         **({"learned": learned} if learned else {}),
@@ -378,6 +381,9 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
 
 def load_model(path: str | Path) -> ExtendedSystem:
     """Read a system from model.yaml.
+
+    The key ``origin`` names the class or file of a system that is not the package's: a relative path is looked for
+    from the folder of model.yaml, then from the current folder. A file of Python is imported, so its code runs.
 
     Raises:
         ModelFileError: The file is missing, is not YAML, or does not describe a known system.
@@ -391,10 +397,39 @@ def load_model(path: str | Path) -> ExtendedSystem:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
-        system = ExtendedSystem(make_system(document["system"]), tuple(document["effects"]), values)
+        base = _base_of(document, path)
+        system = ExtendedSystem(base, tuple(document["effects"]), values)
     except (KeyError, TypeError, AttributeError) as error:
         raise ModelFileError(f"{path}: misses or garbles the entry {error}") from error
     except ValueError as error:
         raise ModelFileError(f"{path}: {error}") from error
     system.source = path
     return system
+
+
+def _base_of(document: dict[str, Any], path: Path) -> System:
+    """The system that a model file extends: by its name, or where the file says that it comes from.
+
+    Raises:
+        ModelFileError: The system has another name now.
+        UnknownSystemError: It is not found.
+    """
+    name, origin = document["system"], document.get("origin")
+    registered = SYSTEMS.get(name)
+    if registered is not None and not registered.__module__.startswith("deepkoco."):
+        return make_system(name)
+    if origin is None:
+        try:
+            return make_system(name)
+        except UnknownSystemError as error:
+            raise UnknownSystemError(
+                f"{error}; one of your own: deepkoco.register_system(CLASS) first"
+            ) from error
+    if not isinstance(origin, str):
+        raise TypeError("origin")
+    base = find_stored(origin, path.parent)
+    if base.name != name:
+        raise ModelFileError(
+            f"{path}: is a model of {name}, and {origin} is called {base.name} now; give it its name back"
+        )
+    return base

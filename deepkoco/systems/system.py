@@ -131,10 +131,13 @@ class System(ABC):
         dry_friction: Whether its joints can have any (a joint that flies cannot).
         resizable: Whether `with_length` can change its links.
         tilt_parameters: What `tilt` of its base adds to the parameters; empty where gravity plays no part.
+        origin: Text by which `load_system` finds it again, such as ``/home/me/my_robot.py:CartPole``; None for a system
+            of the package.
     """
 
     dry_friction = True
     resizable = False
+    origin: str | None = None
 
     name: str
     joints: int
