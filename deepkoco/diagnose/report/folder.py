@@ -19,7 +19,7 @@ from deepkoco.output.new_folder import new_folder
 from deepkoco.output.picture import Picture
 from deepkoco.pages.figures import show_both
 from deepkoco.pages.links import Link
-from deepkoco.systems import save_model
+from deepkoco.systems import ExtendedSystem, System, save_model
 
 DPI = 130  # of the picture files in the folder of the page
 COLOURS_OF_A_PICTURE = 128  # enough for lines and text; the file is a third as large
@@ -68,9 +68,18 @@ def write_report(
                 "deepkoco": diagnosis.versions["deepkoco"],
             }
             save_model(partial / "model.yaml", diagnosis.model, provenance)
+            _write_robot(diagnosis.model, partial, out)
         page = render(diagnosis, shown, shown_as or Path(out_dir).as_posix(), links, made)
         (partial / "report.html").write_text(page, encoding="utf-8")
     return out / "report.html"
+
+
+def _write_robot(model: System, partial: Path, out: Path) -> None:
+    """Write the mended file of a robot that was read from MJCF or URDF; nothing for other systems."""
+    if isinstance(model, ExtendedSystem) and model.base.origin is not None and hasattr(model.base, "tree"):
+        from deepkoco.systems.trees.robot_files import write_robot
+
+        write_robot(model, partial, out)
 
 
 def _png(picture: Picture, dpi: int) -> bytes:

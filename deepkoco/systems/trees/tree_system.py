@@ -66,6 +66,7 @@ class TreeSystem(System):
         origin: Text by which the robot is found again; None if it was made in Python.
         notes: Sentences on what the model has and the system leaves out.
         payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
+        tip: The place of `with_payload`.
     """
 
     def __init__(self, tree: Tree, origin: str | None = None) -> None:
@@ -100,7 +101,7 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
-        self._tip = _tip(tree)
+        self.tip = self.payload_sites[_tip(tree)]
         self._view = choose_view(tree)
         self.parameters = visible_parameters(self, declared_parameters(tree))
 
@@ -212,7 +213,7 @@ class TreeSystem(System):
             joints,
             link_inertias(self.tree, parameters),
             [joint_value(parameters, "armature", joint) for joint in joints],
-            self._gravity(parameters),
+            self.gravity(parameters),
         )
         forces, passive = self._forces(parameters), self._passive(parameters)
         drives = [
@@ -243,7 +244,7 @@ class TreeSystem(System):
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
-        return self.with_payload_at(self.payload_sites[self._tip], mass, parameters)
+        return self.with_payload_at(self.tip, mass, parameters)
 
     def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
@@ -280,7 +281,7 @@ class TreeSystem(System):
         size = np.abs(self.tree.gravity)
         return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
 
-    def _gravity(self, parameters: Parameters) -> Triple:
+    def gravity(self, parameters: Parameters) -> Triple:
         """Gravity in the frame of the base, which may be turned about two of its axes."""
         gravity: Triple = self.tree.gravity
         for k in self._tilt_axes():
