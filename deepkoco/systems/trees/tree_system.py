@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
     CommandTiming,
     Delivery,
+    InverseInertia,
     Motion,
     Parameter,
     Parameters,
@@ -23,9 +26,9 @@ from deepkoco.systems.system import (
     Timing,
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
-from deepkoco.systems.trees.dynamics import forward_dynamics
+from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays, is_plain
-from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
+from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import is_urdf, read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
@@ -155,10 +158,6 @@ class TreeSystem(System):
         )
 
     @property
-    def rubbing_joints(self) -> tuple[int, ...]:
-        return tuple(j for j, joint in enumerate(self.tree.joints) if joint.frictionloss > 0.0)
-
-    @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:
         text = "angle by which the base is turned about its {} axis"
         return tuple(
@@ -202,27 +201,37 @@ class TreeSystem(System):
 
         return deliver
 
-    def dry_friction_limits(self, parameters: Parameters) -> tuple[Tensor, ...]:
-        """Largest dry friction of each joint [N m or N]."""
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
         return tuple(
-            torch.as_tensor(joint_value(parameters, "frictionloss", joint), dtype=torch.float64)
-            for joint in self.tree.joints
+            _as_tensor(limit) if isinstance(limit, Tensor) or limit != 0.0 else None
+            for limit in (joint_value(parameters, "frictionloss", joint) for joint in self.tree.joints)
         )
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
-        joints, tree = self.tree.joints, self.tree
-        inertias, gravity = link_inertias(tree, parameters), self._gravity(parameters)
-        passive = {kind: [joint_value(parameters, kind, joint) for joint in joints] for kind in PASSIVE}
-        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        return self._law(_Numbers.of(self, parameters))
+
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        numbers = _Numbers.of(self, parameters)
+        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
+        return self._law(numbers._replace(passive=passive))
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        joints, own = self.tree.joints, _Numbers.of(self, parameters)
+        fast = own.fast(self._arrays)
+
+        def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
+            if fast is not None and is_plain(motion.angles):
+                return fast.inverse_inertia(motion.angles)
+            return inverse_mass(joints, own.inertias, own.passive["armature"], motion.angles)
+
+        return inverse
+
+    def _law(self, numbers: _Numbers) -> Acceleration:
+        tree, passive = self.tree, numbers.passive
         smooth = self.smoothing_speeds
-        flat = [v for inertia in inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
-        flat += [*gravity, *(v for kind in passive.values() for v in kind)]
-        flat += [v for gain, bias in laws for v in (*gain, *bias)]
-        fast = (
-            FastLaw(self._arrays, inertias, gravity, list(passive.values()), laws) if is_plain(flat) else None
-        )
-        dynamics = forward_dynamics(joints, inertias, passive["armature"], gravity)
-        forces = actuator_forces(tree.actuators, laws)
+        fast = numbers.fast(self._arrays)
+        dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
+        forces = actuator_forces(tree.actuators, numbers.laws)
         resisting = passive_loads(passive, smooth)
         drives = [[k for k, own in enumerate(tree.actuators) if own.joint == j] for j in range(self.joints)]
 
@@ -231,11 +240,11 @@ class TreeSystem(System):
                 return fast(motion, smooth)
             given = forces(motion)
             loads: list[Scalar] = []
-            for j, joint in enumerate(joints):
+            for j, joint in enumerate(tree.joints):
                 load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
                 load = add(load, resisting(motion, j))
-                if motion.loads is not None and motion.loads[j] is not None:
-                    load = add(load, motion.loads[j])
+                if motion.loads is not None and (outside := motion.loads[j]) is not None:
+                    load = add(load, outside)
                 loads.append(load)
             return dynamics(motion.angles, motion.speeds, loads)
 
@@ -308,6 +317,36 @@ class TreeSystem(System):
                 raise TreeError(
                     f'two channels are called "{name}"; rename the actuator or the joint in the model'
                 )
+
+
+class _Numbers(NamedTuple):
+    """What the equations of motion make of a set of parameters."""
+
+    inertias: list[Inertia]
+    gravity: Triple
+    passive: dict[str, list[Scalar]]
+    laws: list[Law]
+
+    @staticmethod
+    def of(system: TreeSystem, parameters: Parameters) -> _Numbers:
+        """Numbers of a system under named values."""
+        tree = system.tree
+        passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
+        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        return _Numbers(link_inertias(tree, parameters), system._gravity(parameters), passive, laws)
+
+    def fast(self, arrays: TreeArrays) -> FastLaw | None:
+        """The compiled loop; None where it cannot be used."""
+        flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
+        flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
+        flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
+        if not is_plain(flat):
+            return None
+        return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)
+
+
+def _as_tensor(value: Scalar) -> Tensor:
+    return torch.as_tensor(value, dtype=torch.float64)
 
 
 def _all_of(motion: Motion) -> list[Tensor | None]:
