@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deepkoco.output.whole_file import write_whole_text
-from deepkoco.systems.extended import ExtendedSystem
 from deepkoco.systems.system import System
 from deepkoco.systems.trees.parameters import is_servo
 from deepkoco.systems.trees.tree_system import TreeSystem
@@ -85,7 +84,10 @@ def _other_simulators(system: System, robot: TreeSystem) -> list[str]:
     ]
     motors = [str(g["name"]) for g in groups if "stiffness" not in g]
     if motors:
-        lines += ["", f"Commands of {', '.join(motors)} are no goals of a position, so they have no stiffness here."]
+        lines += [
+            "",
+            f"Commands of {', '.join(motors)} are no goals of a position, so they have no stiffness here.",
+        ]
     return lines
 
 
@@ -115,7 +117,7 @@ def _actuator(system: System, robot: TreeSystem, index: int) -> dict[str, float 
     if math.isfinite(limit):
         found["limit"] = limit
     name = robot.at_joint("actuation_delay", actuator.joint)
-    delay = own(f"{name}.delay", 0.0) if isinstance(system, ExtendedSystem) else 0.0
+    delay = own(f"delay({actuator.name})", actuator.delay) + own(f"{name}.delay", 0.0)
     found["lag"] = delay / PHYSICS_STEP
     return found
 
@@ -130,7 +132,9 @@ def _mjlab(group: dict[str, float | str]) -> list[str]:
     servo = "stiffness" in group
     fields = [f'target_names_expr=("{group["name"]}",)']
     fields += _fields(group, (("stiffness", "stiffness"), ("damping", "damping"), ("limit", "effort_limit")))
-    fields += _fields(group, (("armature", "armature"), ("friction", "frictionloss"), ("viscous", "viscous_damping")))
+    fields += _fields(
+        group, (("armature", "armature"), ("friction", "frictionloss"), ("viscous", "viscous_damping"))
+    )
     base = "BuiltinPositionActuatorCfg" if servo else "BuiltinMotorActuatorCfg"
     target = "position" if servo else "effort"
     inner = f"{base}({', '.join(fields)})"
@@ -147,7 +151,9 @@ def _isaac_lab(group: dict[str, float | str]) -> list[str]:
     fields = [f'joint_names_expr=["{group["name"]}"]']
     gains = group if "stiffness" in group else {**group, "stiffness": 0.0, "damping": 0.0}
     fields += _fields(gains, (("stiffness", "stiffness"), ("damping", "damping"), ("limit", "effort_limit")))
-    fields += _fields(gains, (("armature", "armature"), ("friction", "friction"), ("friction", "dynamic_friction")))
+    fields += _fields(
+        gains, (("armature", "armature"), ("friction", "friction"), ("friction", "dynamic_friction"))
+    )
     fields += _fields(gains, (("viscous", "viscous_friction"),))
     return [f"DelayedPDActuatorCfg({', '.join(fields)}, min_delay={low}, max_delay={high})"]
 

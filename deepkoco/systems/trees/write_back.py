@@ -87,7 +87,9 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
     """
     robot = tree_of(system)
     if robot is None:
-        raise TreeError(f"{system.name} was not read from an MJCF or URDF file, so there is none to write back to")
+        raise TreeError(
+            f"{system.name} was not read from an MJCF or URDF file, so there is none to write back to"
+        )
     path = Path(str(robot.origin))
     spec, _ = read_spec(path)
     model = spec.compile()
@@ -146,13 +148,20 @@ class _Writer:
 
     def write_bodies(self) -> None:
         for number, body in enumerate(self.robot.tree.bodies):
-            names = [f"mass({body.name})", *(f"{k}_{a}({body.name})" for k in ("com", "inertia") for a in AXES)]
+            names = [
+                f"mass({body.name})",
+                *(f"{k}_{a}({body.name})" for k in ("com", "inertia") for a in AXES),
+            ]
             nominal = [body.mass, *body.com, *body.moments]
             now = [self.values.get(n, v) for n, v in zip(names, nominal, strict=True)]
             if all(_same(a, b) for a, b in zip(now, nominal, strict=True)):
                 continue
             units = ["kg", "m", "m", "m", "kg m2", "kg m2", "kg m2"]
-            labels = ["mass", *(f"centre of mass {a}" for a in AXES), *(f"moment of inertia {a}" for a in AXES)]
+            labels = [
+                "mass",
+                *(f"centre of mass {a}" for a in AXES),
+                *(f"moment of inertia {a}" for a in AXES),
+            ]
             for label, before, after, unit in zip(labels, nominal, now, units, strict=True):
                 if not _same(before, after):
                     self.note(f'body "{body.name}"', label, before, after, unit, "fitted")
@@ -187,7 +196,9 @@ class _Writer:
             }
             for kind, unit in units.items():
                 before = float(getattr(joint, kind))
-                self._set_joint(number, kind, before, self.values.get(f"{kind}({joint.name})", before), unit, "fitted")
+                self._set_joint(
+                    number, kind, before, self.values.get(f"{kind}({joint.name})", before), unit, "fitted"
+                )
 
     def _set_joint(self, number: int, kind: str, before: float, after: float, unit: str, reason: str) -> None:
         if _same(before, after):
@@ -210,7 +221,10 @@ class _Writer:
         values = np.atleast_1d(np.array(getattr(self.joints[number], kind), dtype=float))
         before, after = float(values[0]), float(values[0]) + amount
         if after < 0.0:
-            self.leave_out(name, f"{kind} of the joint would be {after:.4g} {unit}; MJCF has no negative {kind}, so 0 is written")
+            self.leave_out(
+                name,
+                f"{kind} of the joint would be {after:.4g} {unit}; MJCF has no negative {kind}, so 0 is written",
+            )
             after = 0.0
         self._set_joint(number, kind, before, after, unit, reason)
 
@@ -226,8 +240,8 @@ class _Writer:
                         self.note(element, f"{label} {i + 1}", before, float(after), "1", "fitted")
                         values[i] = float(after)
                 setattr(own, label, values)
-            before = actuator.time_constant
-            self.lag[number] = self.values.get(f"time_constant({actuator.name})", before)
+            self.lag[number] = self.values.get(f"time_constant({actuator.name})", actuator.time_constant)
+            self.delay[number] = self.values.get(f"delay({actuator.name})", actuator.delay)
 
     def write_tilt(self) -> None:
         tensors = {
@@ -273,7 +287,10 @@ class _Writer:
         self._friction(name, joint, "frictionloss", own["coulomb"])
         if own["breakaway"] > 0.0:
             unit = self.robot.load_units[joint]
-            self.leave_out(name, f"the excess of {own['breakaway']:.4g} {unit} near standstill; MJCF has one dry friction")
+            self.leave_out(
+                name,
+                f"the excess of {own['breakaway']:.4g} {unit} near standstill; MJCF has one dry friction",
+            )
 
     def _quadratic(self, name: str, joint: int, own: Values) -> None:
         values = np.array(self.joints[joint].damping, dtype=float)
@@ -321,7 +338,9 @@ class _Writer:
             self.offset[index] += own["effort"]
         now = own.get("factor", own.get("effort", 0.0))
         before, unit = (1.0, "1") if "factor" in own else (0.0, self.robot.commands[index].unit)
-        self.note(f'actuator "{self.robot.commands[index].name}"', name.split("(")[0], before, now, unit, name)
+        self.note(
+            f'actuator "{self.robot.commands[index].name}"', name.split("(")[0], before, now, unit, name
+        )
 
     def _saturation(self, name: str, index: int, own: Values) -> None:
         self.limit[index] = own["limit"]
@@ -355,20 +374,25 @@ class _Writer:
                 if low > high:
                     low = high = min(max(low, actuator.low), actuator.high)
                 own.ctrlrange, own.ctrllimited = [low, high], True
-                self.note(element, "ctrlrange high", actuator.high, high, self.robot.commands[i].unit, "saturation")
+                self.note(
+                    element, "ctrlrange high", actuator.high, high, self.robot.commands[i].unit, "saturation"
+                )
             if not _same(self.lag[i], actuator.time_constant):
                 values = np.array(own.dynprm, dtype=float)
                 values[0] = self.lag[i]
                 own.dynprm = values
                 own.dyntype = m.mjtDyn.mjDYN_FILTEREXACT if self.lag[i] > 0.0 else m.mjtDyn.mjDYN_NONE
                 self.note(element, "dynprm 1", actuator.time_constant, self.lag[i], "s", "first-order lag")
-            if self.delay[i] > 0.0:
-                before = float(own.delay)
-                own.delay = before + self.delay[i]
+            if not _same(self.delay[i], actuator.delay):
                 step = float(self.spec.option.timestep)
+                # Linear interpolation, as a delay need not be a multiple of the time step. It lets a jump of the
+                # command begin one step early, so its middle is half a step early.
+                own.delay, own.interp = self.delay[i] + 0.5 * step, 1
                 own.nsample = max(int(own.nsample), math.ceil(own.delay / step) + 2)
-                own.interp = 1  # linear: a delay need not be a multiple of the time step
-                self.note(element, "delay", before, own.delay, "s", "delay of the command")
+                reason = (
+                    "delay of the command (the file has half a time step more, for MuJoCo's interpolation)"
+                )
+                self.note(element, "delay", actuator.delay, self.delay[i], "s", reason)
 
 
 LEFT_OUT = {

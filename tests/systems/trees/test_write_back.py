@@ -70,7 +70,11 @@ EXPRESSED = {
     "saturation": (("saturation(shoulder)",), {"saturation(shoulder).limit": 1.0}),
     "gain, bias and saturation": (
         ("gain(shoulder)", "torque_bias(shoulder)", "saturation(shoulder)"),
-        {"gain(shoulder).factor": 1.2, "torque_bias(shoulder).effort": 0.3, "saturation(shoulder).limit": 1.5},
+        {
+            "gain(shoulder).factor": 1.2,
+            "torque_bias(shoulder).effort": 0.3,
+            "saturation(shoulder).limit": 1.5,
+        },
     ),
     "lag": (("lag(shoulder)",), {"lag(shoulder).time_constant": 0.05}),
     "delay": (("actuation_delay(elbow)",), {"actuation_delay(elbow).delay": 0.0345}),
@@ -117,7 +121,9 @@ def rolled_out(xml: str, joints: int) -> np.ndarray:
     result = [data.qpos[:joints].copy()]
     for k in range(round(SECONDS / STEP)):
         for i in range(every):
-            data.ctrl[:] = commands[min(int((k * STEP + i * model.opt.timestep) / HOLD + 1e-6), len(commands) - 1)]
+            data.ctrl[:] = commands[
+                min(int((k * STEP + i * model.opt.timestep) / HOLD + 1e-6), len(commands) - 1)
+            ]
             mujoco.mj_step(model, data)
         result.append(data.qpos[:joints].copy())
     return np.array(result)
@@ -185,13 +191,20 @@ def test_a_urdf_robot_becomes_mjcf_with_a_motor_for_each_joint(tmp_path):
 
 def test_the_written_robot_loads_again_with_the_new_values(arm, tmp_path):
     system = ExtendedSystem(
-        arm, ("coulomb(elbow)", "lag(shoulder)"), {"coulomb(elbow).torque": 0.2, "lag(shoulder).time_constant": 0.03}
+        arm,
+        ("coulomb(elbow)", "lag(shoulder)", "actuation_delay(elbow)"),
+        {
+            "coulomb(elbow).torque": 0.2,
+            "lag(shoulder).time_constant": 0.03,
+            "actuation_delay(elbow).delay": 0.0345,
+        },
     )
     (tmp_path / "out").mkdir()
     file, text = write_robot(system, tmp_path / "out")
     again = load_system(file)
     assert again.parameter("frictionloss(elbow)").value == pytest.approx(0.2)
     assert again.parameter("time_constant(lift)").value == pytest.approx(0.03)
+    assert again.parameter("delay(bend)").value == pytest.approx(0.0345)
     assert "coulomb(elbow)" in text.read_text()
     with pytest.raises(FileExistsError):
         write_robot(system, tmp_path / "out")
