@@ -99,7 +99,7 @@ def _check_tuple(who: str, name: str, given: Any, kind: type) -> None:
         raise DeclarationError(f"{who}: {name} is one {kind.__name__}, not a tuple: put a comma behind it")
     if not isinstance(given, Sequence) or not all(isinstance(each, kind) for each in given):
         raise DeclarationError(f"{who}: {name} = {given!r:.80}; give a tuple: {EXAMPLES[name]}")
-    if not given and name != "parameters":
+    if not given and name == "measurements":
         raise DeclarationError(_lacks(who, name))
 
 
