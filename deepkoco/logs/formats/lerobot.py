@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet
 
 from deepkoco.logs.formats.log_file import LogError, LogFile, Table
-from deepkoco.logs.formats.parquet_file import DAMAGE, read_table
+from deepkoco.logs.formats.parquet_file import DAMAGE, check_size, read_table
 
 INFO = Path("meta") / "info.json"
 LARGEST_INFO = 1 << 26  # bytes of a file of the metadata
@@ -170,8 +171,12 @@ def _rows_of_v3(dataset: Path) -> Iterator[dict[str, int]]:
         )
     for file in files:
         try:
-            columns = pyarrow.parquet.read_table(file, columns=[EPISODE, _CHUNK, _FILE], partitioning=None)
+            opened = pyarrow.parquet.ParquetFile(file)
+            check_size(file, opened.metadata)
+            columns = opened.read(columns=[EPISODE, _CHUNK, _FILE])
             rows = [columns[name].to_pylist() for name in (EPISODE, _CHUNK, _FILE)]
+        except LogError:
+            raise
         except (*DAMAGE, KeyError) as error:
             raise LogError(
                 f"{file}: cannot be read: {' '.join(str(error).split())[:160]}; copy it again"
@@ -208,7 +213,7 @@ def _timed(dataset: Path, table: Table, info: Mapping[str, Any]) -> Table:
             frame = frame.assign(**{TIME: exact})
     first = [name for name in frame.columns if name == TIME]
     ordered = frame[[*first, *(name for name in frame.columns if name != TIME)]]
-    return Table(ordered, table.kind, (TIME,), left_out=table.left_out)
+    return Table(pd.DataFrame(ordered), table.kind, (TIME,), left_out=table.left_out)
 
 
 def _json(path: Path) -> Any:

@@ -64,7 +64,7 @@ def one_recording(path: Path) -> Path:
     inside = recordings([path])
     if len(inside) > 1:
         raise LogError(f"{path}: contains {len(inside)} recordings; give one of them, such as {inside[0]}")
-    return inside[0]
+    return next(iter(inside))
 
 
 def _inside(path: Path, episodes: Collection[int] | None, depth: int) -> list[Path]:
