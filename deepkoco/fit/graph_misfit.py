@@ -150,10 +150,8 @@ class Misfit:
         values = self.parameters.get(node, {})
         if parameter in values:
             return float(values[parameter])
-        entry = _ENTRY.fullmatch(parameter)
-        if entry is None or entry["parameter"] not in values:
-            return None
-        return float(values[entry["parameter"]].flatten()[int(entry["place"])])
+        entry = _entry_of(values, name)
+        return None if entry is None else float(values[entry[0]].flatten()[entry[1]])
 
 
 class GraphMisfit(Misfit):
@@ -188,18 +186,32 @@ def _put(parameters: dict[str, dict[str, Tensor]], name: str, column: Tensor) ->
     """Put a parameter's values (B,) in its place."""
     node, parameter = name.split(".", 1)
     values = parameters.setdefault(node, {})
-    entry = None if parameter in values else _ENTRY.fullmatch(parameter)
+    entry = None if parameter in values else _entry_of(values, name)
     if entry is None:
         # A graph in single precision needs parameters in single precision.
         values[parameter] = column.to(values[parameter].dtype) if parameter in values else column
         return
+    whole, place = entry
+    vector = values[whole]
+    spread = vector.reshape(-1, vector.shape[-1]).expand(len(column), vector.shape[-1]).clone()
+    spread[:, place] = column.to(vector.dtype)
+    values[whole] = spread
+
+
+def _entry_of(values: Mapping[str, Tensor], name: str) -> tuple[str, int] | None:
+    """The vector and the place in it that a name ``node.parameter[i]`` means; None: it has another form.
+
+    Raises:
+        FitError: There is no such vector, or it is shorter.
+    """
+    node, parameter = name.split(".", 1)
+    entry = _ENTRY.fullmatch(parameter)
+    if entry is None:
+        return None
     whole, place = entry["parameter"], int(entry["place"])
     if whole not in values:
         raise FitError(f'"{name}": give a start value of the vector "{node}.{whole}"')
-    vector = values[whole]
-    width = vector.shape[-1] if vector.ndim else 0
+    width = values[whole].shape[-1] if values[whole].ndim else 0
     if place >= width:
         raise FitError(f'"{name}": "{node}.{whole}" has {width} entries')
-    spread = vector.reshape(-1, width).expand(len(column), width).clone()
-    spread[:, place] = column.to(vector.dtype)
-    values[whole] = spread
+    return whole, place
