@@ -14,7 +14,7 @@ from deepkoco.diagnose.baseline import (
     refit_sharply,
     with_floor_as_noise,
 )
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere, train_on_pushed
@@ -29,7 +29,7 @@ from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_names,
 )
 from deepkoco.diagnose.evidence.selected import Selected, Step, learned_instead
-from deepkoco.diagnose.evidence.selection import DETECTION, FURTHER
+from deepkoco.diagnose.evidence.selection import DETECTION, FURTHER, PATIENCE
 from deepkoco.diagnose.gain import Gain, held_out_gain, kept_as_given
 from deepkoco.diagnose.healthy import describe_healthy, extended
 from deepkoco.diagnose.lost_commands.search import why_not_searched
@@ -46,11 +46,13 @@ from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
 from deepkoco.diagnose.verdict.findings import estimates, evidence_for, finding, localise, motion_of
+from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
+from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.logs.recording import Recording
@@ -134,9 +136,10 @@ class Study:
         self.acting, self.lost = found.acting, found.lost
         scattered = scatter_findings(self.start.system, data.train, final, self.detection)
         after = dispersion(final, data.train)
-        missing = missing_torque(problem, reference, after.deflation)
+        before = self._unchanged(reference)
+        missing = missing_torque(problem, before, after.deflation)
         limit = white_limit(data.train) * start.floor
-        gain = self._gain(reference, final, seed)
+        gain = self._gain(before, final, seed)
         alike = coloured_from(data.train)
         white = after.lag_one <= alike
         self.doubts = (
@@ -145,7 +148,7 @@ class Study:
             *doubts_of_friction(start.system, self.accepted, final, missing, after.deflation),
             *doubts_of_bending(start, self.accepted, self.lost, data.train, final),
         )
-        verdict = verdict_of(found, start, data.train, reference, gain, white, self.doubts)
+        verdict = verdict_of(found, start, data.train, before, gain, white, self.doubts)
         learned = None
         rival = verdict in ("cause", "ambiguous") and rivalled(found, start, data.train)
         if verdict == "unknown" or rival:
@@ -162,20 +165,20 @@ class Study:
             verdict, named = (verdict if self.accepted else "cause"), (*named, *scattered)
         if verdict not in ("cause", "ambiguous") and final is not reference:
             # The causes are not named, so the rest of the report must not use their fit.
-            final, gain, after = reference, None, dispersion(reference, data.train)
+            final, gain, after, before = reference, None, dispersion(reference, data.train), reference
             missing = missing_torque(problem, reference, after.deflation)
         kept = learned if learned is not None and learned.accepted else None
         at_end = final if kept is None else kept.fit
         if kept is not None:
             gain = kept.gain
-        gain = self._gain(reference, final, seed) if gain is None else gain
+        gain = self._gain(before, final, seed) if gain is None else gain
         if kept is None and final is reference and gain is not None:
             gain = kept_as_given(gain, start.system, seed) or gain
         remaining = missing if final is reference else missing_torque(self.acting, final)
         left = describe(remaining, after)
         if verdict == "unknown":
             named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
-        candidates = tuple(finding(problem, c, first) for c in first.candidates)
+        candidates = tuple(finding(problem, c, first, before=start.values) for c in first.candidates)
         traced = (*scattered, *([self.lost] if self.lost else []))
         candidates = tuple(sorted((*candidates, *traced), key=lambda c: -c.delta_bic))
         loose = self._unidentified()
@@ -184,9 +187,9 @@ class Study:
             causes=named,
             candidates=candidates,
             gain=gain,
-            chi2_before=reference.chi2 / data.train.samples,
+            chi2_before=before.chi2 / data.train.samples,
             chi2_after=at_end.chi2 / data.train.samples,
-            strength=float(np.sqrt(max(reference.chi2 - at_end.chi2, 0.0) / data.train.samples)),
+            strength=float(np.sqrt(max(before.chi2 - at_end.chi2, 0.0) / data.train.samples)),
             windows=len(data.train),
             window_s=length,
             localisation=localise(missing),
@@ -213,7 +216,23 @@ class Study:
             detection=self.detection,
             details=self._details(reference, final, missing),
             final=self._written(final, kept, gain, after.deflation),
+            moved=moved_parameters(problem, start, reference) if verdict == "nothing" else (),
         )
+
+    def _unchanged(self, reference: Fit) -> Fit:
+        """Return the refit in which the parameters that the causes change keep their values.
+
+        The refit itself may have moved them as far as the causes do. It could then not show what they explain.
+        """
+        kept = [n for c in self.accepted if is_changed(c) for n in c.free]
+        if not kept:
+            return reference
+        values = {**reference.values, **{n: self.start.values[n] for n in kept}}
+        state, _ = self.problem.fit_states(values, reference.state)
+        free = tuple(n for n in reference.free if n not in kept)
+        trial = Trial("refit", free, self.start.prior, values, state, reference.nuisance)
+        fit = self.problem.fit([trial], PATIENCE)[0]
+        return reference if fit.diverged else self.problem.recentred(fit)
 
     def _written(
         self, final: Fit, learned: ResidualModel | None, gain: Gain | None, deflation: float
@@ -288,6 +307,9 @@ class Study:
 
     def _named(self, missing: Sequence[MissingTorque], final: Fit) -> tuple[Finding, ...]:
         places = SLOTS * len(self.data.train)
+        prior, healthy = self.learned.prior, self.learned.healthy is not None
+        spread = np.sqrt(prior.covariance.diagonal())
+        priors = {n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)}
         result = []
         for ranking, members in self.steps:
             # The reported values are fitted together with the causes accepted later.
@@ -295,7 +317,11 @@ class Study:
             own = missing[best.cause.joint or 0]
             motion = motion_of(self.data.train, own, self.system)
             evidence = evidence_for(best.cause, best, ranking, motion, own, places)
-            result.append(finding(self.problem, best, ranking, members, evidence))
+            if not is_changed(best.cause):
+                evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)
+            named = finding(self.problem, best, ranking, members, evidence, self.start.values)
+            same = same_parameter(self.acting, best.cause, final, self.start.values, ranking.deflation)
+            result.append(replace(named, same_as=same))
         return (*result, *([self.lost] if self.lost else []))
 
     def _gain(self, reference: Fit, final: Fit, seed: int) -> Gain | None:
@@ -324,7 +350,7 @@ class Study:
     def _model(self, final: Fit, learned: ResidualModel | None, gain: Gain | None) -> ExtendedSystem:
         had = tuple(e.name for e in self.system.effects) if isinstance(self.system, ExtendedSystem) else ()
         named = () if final is self.reference else self.accepted
-        found = tuple(c.effect for c in named if c.effect != "event")
+        found = tuple(c.effect for c in named if c.effect != "event" and not is_changed(c))
         if learned is not None:
             final, found = self.problem.recentred(learned.fit), (*found, *learned.effects)
         effects = tuple(dict.fromkeys((*had, *self.start.effects, *found)))
