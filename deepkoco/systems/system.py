@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.declaration import Declared
-from deepkoco.systems.drawing import canvas, draw_bars
+from deepkoco.systems.drawing import Point, canvas, draw_bars
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.typical_loads import typical_loads
 
@@ -124,6 +124,7 @@ class Motion(NamedTuple):
         return 0.0 if given is None else given
 
 
+Outline = tuple[list[tuple[Point, Point]], list[Point]]
 Acceleration = Callable[[Motion], tuple[Tensor, ...]]
 Delivery = Callable[[Motion], tuple[Tensor, ...]]
 InverseInertia = Callable[[Motion], tuple[tuple[Tensor, ...], ...]]
@@ -473,6 +474,14 @@ class System(metaclass=Declared):
             if shown is None
             else [_share(value, c) for value, c in zip(shown, self.commands, strict=False)],
         )
+
+    def outline(self, angles: np.ndarray) -> Outline | None:
+        """Lines of its links and points of its joints in a plane [m], for figures; None where there are none.
+
+        Args:
+            angles: (J,) joint coordinates [rad or m].
+        """
+        return None
 
     def draw(self, measurement: np.ndarray, command: np.ndarray | float, size: int = 256) -> np.ndarray:
         """Picture of the system on an empty background, uint8 (size, size, 3), RGB; see `draw_on`."""

@@ -20,6 +20,7 @@ from deepkoco.systems.system import (
     Delivery,
     InverseInertia,
     Motion,
+    Outline,
     Parameter,
     Parameters,
     System,
@@ -273,6 +274,9 @@ class TreeSystem(System):
         name = payload_name(site)
         before = parameters.get(name)
         return {**parameters, name: mass if before is None else before + mass}
+
+    def outline(self, angles: np.ndarray) -> Outline:
+        return lines(self.tree, angles, self._view)
 
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
