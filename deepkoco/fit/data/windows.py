@@ -136,6 +136,12 @@ def period(system: System) -> float:
     return 2.0 * math.pi / math.sqrt(stiffness) if stiffness > 0 else 1.5
 
 
+def integration_step(system: System) -> float:
+    """Longest integration step of a fit [s]: what the system declares, or a share of its period."""
+    declared = system.longest_step
+    return min(LONGEST_STEP, declared if math.isfinite(declared) else period(system) / STEPS_PER_PERIOD)
+
+
 def cut_windows(
     recordings: Sequence[Recording],
     system: System,
@@ -155,8 +161,7 @@ def cut_windows(
     Raises:
         LogError: A log lacks a command or every measurement.
     """
-    longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
-    steps = math.ceil(length / longest - 1e-9)
+    steps = math.ceil(length / integration_step(system) - 1e-9)
     names = [channel.name for channel in system.measurements]
     noise = estimate_channels(recordings, system) if noise is None else noise
     commands, rows = [], []

@@ -44,6 +44,7 @@ from deepkoco.systems.trees.parameters import (
 from deepkoco.systems.trees.picture import choose_view, lines
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
+from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -58,7 +59,9 @@ class TreeSystem(System):
 
     M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
     clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
-    filter where the actuator has one. Contacts and limits of joints are not simulated; :attr:`notes` says so where the
+    filter where the actuator has one. `accelerations` are exactly these; simulations (`derivative`,
+    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`.
+    Contacts and limits of joints are not simulated; :attr:`notes` says so where the
     model has any.
 
     Args:
@@ -104,6 +107,9 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
+        self._least_inertias = least_inertias(tree)
+        nominal = _Numbers.of(self, {}, steady=True)
+        self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
         self._tip = _tip(tree)
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
@@ -149,6 +155,10 @@ class TreeSystem(System):
     @property
     def load_scales(self) -> tuple[float, ...]:
         return self._load_scales
+
+    @property
+    def longest_step(self) -> float:
+        return self._longest_step
 
     @property
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:
@@ -211,12 +221,12 @@ class TreeSystem(System):
         return self._law(_Numbers.of(self, parameters))
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        numbers = _Numbers.of(self, parameters)
+        numbers = _Numbers.of(self, parameters, steady=True)
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         return self._law(numbers._replace(passive=passive))
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        joints, own = self.tree.joints, _Numbers.of(self, parameters)
+        joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
         fast = own.fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
@@ -254,7 +264,8 @@ class TreeSystem(System):
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
-        accelerations = self.accelerations(parameters)(Motion(parts[: self.joints], speeds, efforts))
+        law = self._law(_Numbers.of(self, parameters, steady=True))
+        accelerations = law(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
@@ -328,11 +339,14 @@ class _Numbers(NamedTuple):
     laws: list[Law]
 
     @staticmethod
-    def of(system: TreeSystem, parameters: Parameters) -> _Numbers:
-        """Numbers of a system under named values."""
+    def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
+        """Numbers of a system under named values; ``steady`` with the armatures that simulations add."""
         tree = system.tree
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        if steady:
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
         return _Numbers(link_inertias(tree, parameters), system._gravity(parameters), passive, laws)
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:
