@@ -341,6 +341,13 @@ def _channels(
         raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
     names = [command.name for command in system.commands if command.name in recording.channels]
     logged = [recording.channels[name] for name in names]
+    if not logged:
+        # A log of a free motion: every command is at its default.
+        ends = [(t[0], t[-1]) for t, _ in series.values()]
+        defaults = np.array([command.default for command in system.commands], dtype=float)
+        t = np.array([min(first for first, _ in ends), max(last for _, last in ends)])
+        value = np.tile(defaults, (2, 1))
+        return CommandSeries(t, value[:, 0] if value.shape[1] == 1 else value), series
     if len(system.commands) == 1:
         return CommandSeries(logged[0].t, logged[0].value), series
     # Each command holds until its next stamp: on the union of all stamps they are one series.

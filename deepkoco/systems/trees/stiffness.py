@@ -24,7 +24,7 @@ from deepkoco.systems.trees.tree import Actuator, Tree
 
 SWING = 0.5  # turn of the fastest swinging motion in one integration step [rad]: 5e-4 rad of phase error
 FADE = 1.0  # decay of the fastest motion in one step; the Runge-Kutta method is stable to 2.78
-FASTEST, FASTEST_SWING = 2000.0, 1000.0  # [1/s, rad/s]
+FASTEST, FASTEST_SWING = 1000.0, 500.0  # [1/s, rad/s]
 
 
 def least_inertias(tree: Tree) -> tuple[float, ...]:

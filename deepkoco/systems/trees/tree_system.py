@@ -29,7 +29,7 @@ from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays, is_plain
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
-from deepkoco.systems.trees.model_file import is_urdf, read_model
+from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_unit,
@@ -95,8 +95,10 @@ class TreeSystem(System):
                 control_unit(a, tree.joints[a.joint]),
                 "command",
                 low,
-                high,
+                # Sizes of effects are taken from the upper limit.
+                high if high > 0.0 else -low,
                 description=_drives(a, tree),
+                default=0.0 if tree.without_actuators else None,
             )
             for a, (low, high) in zip(tree.actuators, controls, strict=True)
         )
@@ -119,7 +121,8 @@ class TreeSystem(System):
     def from_file(cls, path: str | Path) -> TreeSystem:
         """Read a robot from an MJCF or URDF file.
 
-        A URDF file has no actuators: each of its joints gets a command in N m or N with the joint's name.
+        Each joint of a model without actuators (a URDF file has none) gets a command in N m or N with the joint's
+        name. A log need not show it: it is then 0.
 
         Args:
             path: The file.
@@ -130,11 +133,10 @@ class TreeSystem(System):
         path = Path(path)
         model, notes = read_model(path)
         try:
-            tree = compile_tree(model, path.stem, torques=is_urdf(path))
+            tree = compile_tree(model, path.stem)
+            return cls(replace(tree, notes=(*notes, *tree.notes)), str(path))
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
-        tree = replace(tree, notes=(*notes, *tree.notes))
-        return cls(tree, str(path))
 
     @property
     def commands(self) -> tuple[Channel, ...]:
@@ -142,7 +144,7 @@ class TreeSystem(System):
 
     @property
     def command_joints(self) -> tuple[int, ...]:
-        return tuple(a.joint for a in self.tree.actuators)
+        return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -202,11 +204,14 @@ class TreeSystem(System):
     def delivery(self, parameters: Parameters) -> Delivery:
         laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
         forces = actuator_forces(self.tree.actuators, laws)
+        drives = self._drives()
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            given = forces(motion)
+            together = [total([given[k] for k in drives[j]]) for j in self.command_joints]
             return tuple(
                 force if isinstance(force, Tensor) else torch.full_like(motion.speeds[0], force)
-                for force in forces(motion)
+                for force in together
             )
 
         return deliver
@@ -243,7 +248,7 @@ class TreeSystem(System):
         dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
         forces = actuator_forces(tree.actuators, numbers.laws)
         resisting = passive_loads(passive, smooth)
-        drives = [[k for k, own in enumerate(tree.actuators) if own.joint == j] for j in range(self.joints)]
+        drives = self._drives()
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             if fast is not None and is_plain(_all_of(motion)):
@@ -296,6 +301,13 @@ class TreeSystem(System):
             fractions = [u / size for u, size in zip(given, sizes, strict=True)]
             where = [points[j] for j in self.command_joints]
             drawing.draw_joint_commands(image, where, fractions, self._view.reach)
+
+    def _drives(self) -> list[list[int]]:
+        """Actuators of each joint."""
+        found: list[list[int]] = [[] for _ in range(self.joints)]
+        for k, actuator in enumerate(self.tree.actuators):
+            found[actuator.joint].append(k)
+        return found
 
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
