@@ -28,9 +28,21 @@ def read_model(path: str | Path) -> tuple[Any, tuple[str, ...]]:
     Raises:
         TreeError: The file is missing or is not valid; the message names the element and the way out.
     """
-    import mujoco
+    model, _, notes = _compiled(Path(path))
+    return model, notes
 
+
+def read_spec(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+    """As :func:`read_model`, but the specification (`mujoco.MjSpec`) before it is compiled."""
     path = Path(path)
+    _, missing, notes = _compiled(path)
+    spec = _spec(path)
+    _left_out(spec, path, missing)
+    return spec, notes
+
+
+def _compiled(path: Path) -> tuple[Any, list[str], tuple[str, ...]]:
+    """The model, files that are missing, and sentences on what was left out."""
     if not path.is_file():
         raise TreeError(f"{path}: there is no such file")
     try:
@@ -39,23 +51,29 @@ def read_model(path: str | Path) -> tuple[Any, tuple[str, ...]]:
         raise TreeError(f"{path}: is no valid XML: {error}") from None
     missing: list[str] = []
     for _ in range(MOST_FILES):
-        # A spec that failed to compile may have changed: each try starts from the file.
-        try:
-            spec = mujoco.MjSpec.from_file(str(path))
-        except (ValueError, RuntimeError) as error:
-            raise TreeError(f"{path}: {in_one_sentence(str(error))}") from None
+        # A specification that failed to compile may have changed: each try starts from the file.
+        spec = _spec(path)
         if not missing:
             missing += _not_there(spec, path)
         notes = _left_out(spec, path, missing)
         _refuse_muscles(spec, path)
         try:
-            return spec.compile(), notes
+            return spec.compile(), missing, notes
         except (ValueError, RuntimeError) as error:
             file = missing_file(str(error))
             if file is None or file in missing:
                 raise TreeError(f"{path}: {in_one_sentence(str(error))}") from None
             missing.append(file)
     raise TreeError(f"{path}: more than {MOST_FILES} files are missing")
+
+
+def _spec(path: Path) -> Any:
+    import mujoco
+
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, RuntimeError) as error:
+        raise TreeError(f"{path}: {in_one_sentence(str(error))}") from None
 
 
 def is_urdf(path: str | Path) -> bool:

@@ -32,6 +32,7 @@ from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_
 from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
+    control_delay,
     control_unit,
     declared_parameters,
     is_servo,
@@ -73,6 +74,7 @@ class TreeSystem(System):
         origin: Text by which the robot is found again; None if it was made in Python.
         notes: Sentences on what the model has and the system leaves out.
         payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
+        tip: The place of `with_payload`.
     """
 
     def __init__(self, tree: Tree, origin: str | None = None) -> None:
@@ -112,7 +114,7 @@ class TreeSystem(System):
         self._least_inertias = least_inertias(tree)
         nominal = _Numbers.of(self, {}, steady=True)
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
-        self._tip = _tip(tree)
+        self.tip = self.payload_sites[_tip(tree)]
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
         self.parameters = visible_parameters(self, declared_parameters(tree))
@@ -190,16 +192,16 @@ class TreeSystem(System):
 
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         actuator = self.tree.actuators[index]
-        zero = torch.zeros((), dtype=torch.float64)
         lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
-        return CommandTiming(zero, lags, zero)
+        return CommandTiming(control_delay(actuator, parameters), lags, torch.zeros((), dtype=torch.float64))
 
     def timing(self, parameters: Parameters) -> Timing:
         zero = torch.zeros((), dtype=torch.float64)
         lags = [time_constant(a, parameters) for a in self.tree.actuators]
-        if any(not torch.equal(lag, lags[0]) for lag in lags):
-            raise MemoryEffectError(f"the commands of {self.name} have lags of their own")
-        return Timing(zero, zero, lags[0] if lags else zero)
+        delays = [control_delay(a, parameters) for a in self.tree.actuators]
+        if any(not torch.equal(x, times[0]) for times in (lags, delays) for x in times):
+            raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
+        return Timing(delays[0] if delays else zero, zero, lags[0] if lags else zero)
 
     def delivery(self, parameters: Parameters) -> Delivery:
         laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
@@ -274,7 +276,7 @@ class TreeSystem(System):
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
-        return self.with_payload_at(self.payload_sites[self._tip], mass, parameters)
+        return self.with_payload_at(self.tip, mass, parameters)
 
     def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
@@ -318,7 +320,7 @@ class TreeSystem(System):
         size = np.abs(self.tree.gravity)
         return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
 
-    def _gravity(self, parameters: Parameters) -> Triple:
+    def gravity(self, parameters: Parameters) -> Triple:
         """Gravity in the frame of the base, which may be turned about two of its axes."""
         gravity: Triple = self.tree.gravity
         for k in self._tilt_axes():
@@ -359,7 +361,7 @@ class _Numbers(NamedTuple):
         if steady:
             added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
-        return _Numbers(link_inertias(tree, parameters), system._gravity(parameters), passive, laws)
+        return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:
         """The compiled loop; None where it cannot be used."""
