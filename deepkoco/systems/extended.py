@@ -132,6 +132,10 @@ class ExtendedSystem(System):
     def smoothing_speeds(self) -> tuple[float, ...]:
         return self.base.smoothing_speeds
 
+    @property
+    def longest_step(self) -> float:
+        return self.base.longest_step
+
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)
 

@@ -375,6 +375,14 @@ class System(metaclass=Declared):
         return tuple(SMOOTHING[u] for u in self._kinds)
 
     @property
+    def longest_step(self) -> float:
+        """Longest Runge-Kutta step [s] that follows the system's fastest motion; infinite: found from its period.
+
+        A stiff servo inside the system needs shorter steps than the motion that a log shows.
+        """
+        return math.inf
+
+    @property
     def _kinds(self) -> tuple[str, ...]:
         """Unit of each joint: a joint that does not turn slides."""
         return tuple("rad" if unit == "rad" else "m" for unit in self.state_units[: self.joints])
