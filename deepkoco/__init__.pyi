@@ -1,3 +1,8 @@
+from .diagnose.causes import register_cause as register_cause
+from .engines.robot import register_object as register_object
+from .envs.making import make_env as make_env
+from .envs.tasks.registry import register_task as register_task
+from .envs.tasks.task import Task as Task
 from .interchange.loaded_model import (
     LoadedModel as LoadedModel,
 )
