@@ -3,7 +3,7 @@
 from deepkoco.engines.assembly import ENGINES, command_window, find_engine, make_graph
 from deepkoco.engines.engine import Engine, EngineError
 from deepkoco.engines.reset import Drive, ResetError, ResetNode, Teleport, damp
-from deepkoco.engines.robot import OBJECTS, RobotObject, find_object
+from deepkoco.engines.robot import OBJECTS, RobotObject, find_object, register_object
 from deepkoco.engines.simulated import MujocoEngine, OdeEngine
 from deepkoco.engines.unit import UnitEngine
 
@@ -25,4 +25,5 @@ __all__ = [
     "find_engine",
     "find_object",
     "make_graph",
+    "register_object",
 ]

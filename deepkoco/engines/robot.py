@@ -100,6 +100,24 @@ OBJECTS: dict[str, RobotObject] = {
 }
 
 
+def register_object(robot: RobotObject) -> RobotObject:
+    """Let graphs find an object by the name of its system, for this process.
+
+    Args:
+        robot: The object; its system has one joint that turns and has a name, see `register_system`.
+
+    Returns:
+        ``robot``.
+
+    Raises:
+        EngineError: There is another object of that name.
+    """
+    if OBJECTS.get(robot.system, robot) != robot:
+        raise EngineError(f'there is an object "{robot.system}" already; give its system another name')
+    OBJECTS[robot.system] = robot
+    return robot
+
+
 def find_object(name: str) -> RobotObject:
     """Look up an object by name.
 
