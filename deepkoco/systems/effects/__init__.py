@@ -15,6 +15,7 @@ from deepkoco.systems.effects.body import LENGTH, PAYLOAD, TILT
 from deepkoco.systems.effects.disturbance import COGGING, PERIODIC
 from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.systems.effects.hysteresis import BRISTLE
 from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
@@ -36,6 +37,7 @@ EFFECTS: dict[str, Effect] = {
         STRIBECK,
         QUADRATIC,
         LOAD_FRICTION,
+        BRISTLE,
         UNIT_SLIP,
         BACKLASH,
         GAIN_DRIFT,
