@@ -257,7 +257,8 @@ class ExtendedSystem(System):
                 continue
             own = _own(placed.name, parameters)
             if placed.effect.place == "series":
-                effort = placed.effect.apply(effort, t, own)
+                if not self._at_null(placed, parameters):
+                    effort = placed.effect.apply(effort, t, own)
             else:
                 effort = placed.effect.apply(effort, own)
         return effort
@@ -287,6 +288,14 @@ class ExtendedSystem(System):
         return self.base.sensor_filter(parameters) + parameters.get(
             "low_pass.time_constant", torch.zeros((), dtype=torch.float64)
         )
+
+    def output_play(self, parameters: Parameters) -> Levels:
+        base, own = (
+            self.base.output_play(parameters),
+            (self.at_joint("gear_play", j) for j in range(self.joints)),
+        )
+        found = [parameters.get(f"{name}.width") for name in own]
+        return tuple(b if w is None else w if b is None else b + w for b, w in zip(base, found, strict=True))
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure(state, parameters), None, parameters)

@@ -12,6 +12,7 @@ from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.command_effort import command_efforts
 from deepkoco.fit.simulate.nodes import Nodes
+from deepkoco.fit.simulate.play import behind_play
 from deepkoco.fit.simulate.sensor_filter import filtered
 from deepkoco.fit.simulate.step import (
     Drive,
@@ -201,6 +202,9 @@ def predict(
         lanes, differ: As for :func:`integrate`.
     """
     nodes = integrate(system, windows, parameters, initial, push, lanes, differ)
+    play = system.output_play(parameters)
+    if any(width is not None for width in play):
+        nodes = behind_play(nodes, play)
     slow = system.sensor_filter(parameters)
     nodes = nodes if not bool((slow > 0.0).any()) else filtered(nodes, slow, windows.step)
     count, channels, samples = len(windows), windows.t.shape[1], windows.t.shape[2]

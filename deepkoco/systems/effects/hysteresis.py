@@ -1,7 +1,8 @@
 """Effects that remember the way of a joint: bristles that bend before they slip, and play behind the gear.
 
 Both are independent of the rate: what they remember follows from the way alone, in closed form while a joint moves in
-one direction.
+one direction. The play is that of a gear whose output is light or rubs: it stays where it is until the gear has
+crossed the play, and its load on the motor's side is that of a stiff gear.
 
 Source: Dahl, A solid friction model (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, A new model for control of
     systems with friction, IEEE Transactions on Automatic Control 40(3), 1995, for the damping of the bristles; Tao and
@@ -61,4 +62,22 @@ BRISTLE = Effect(
     "dry friction whose bristles bend before they slip",
     _bristle_load,
     memory=Memory(_bent_at_first, _bent),
+)
+
+
+def _gear_play(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    if joint not in system.command_joints:
+        return ()
+    unit = system.state_units[joint]
+    usual = BEND * system.smoothing_speeds[joint]
+    return (Parameter("width", 0.0, unit, 0.0, 50.0 * usual, usual, "w, half of the play"),)
+
+
+GEAR_PLAY = Effect(
+    "gear_play",
+    "sensor",
+    "timing",
+    _gear_play,
+    "there is play between the motor's side of a gear and the side that the sensors show",
+    site="joint",
 )
