@@ -435,6 +435,10 @@ class System(metaclass=Declared):
         """Time constant of a first-order filter behind all sensors [s]; 0 for a plain system."""
         return torch.zeros((), dtype=torch.float64)
 
+    def output_play(self, parameters: Parameters) -> Levels:
+        """Half of the play between each joint and its sensors (J), in its unit; None for none, as in a plain system."""
+        return (None,) * self.joints
+
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
         """As :meth:`measure` along a log, ``time`` (...) since its first command [s]."""
         return self.measure(state, parameters)
