@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any
 
@@ -12,6 +13,7 @@ from torch import Tensor
 from deepkoco.engines.engine import EngineError
 from deepkoco.engines.hold import means_within_tick
 from deepkoco.engines.model_parameters import changed_model, check_names
+from deepkoco.engines.mujoco_world import import_mujoco
 from deepkoco.engines.noise import draw_keys, normal
 from deepkoco.engines.scene import Scene
 from deepkoco.graph import Input, Node
@@ -26,7 +28,8 @@ class MjcfWorld(Node):
     """The state of a scene in MuJoCo, one tick at a time, in any number of environments.
 
     Tick 0 puts out the start state; tick k runs the physics over (t_{k-1}, t_k]. Within a tick, each step of the
-    physics has the time average of the commands that hold during it, so a delay may be finer than a tick. The output
+    physics has the time average of the commands that hold during it, so a delay may be finer than a tick. Where the
+    model's time step does not divide the tick, the longest shorter one that does is taken. The output
     (B, nq + nv + na + sensors) is positions, speeds, activations and sensors at the tick.
 
     The node is a function of its arguments and remembers nothing between calls: its state is MuJoCo's, and the solver
@@ -56,12 +59,12 @@ class MjcfWorld(Node):
     ) -> None:
         super().__init__(name, rate)
         self.scene, self.threads = scene, threads
-        model = scene.model
+        model = self.model = copy.copy(scene.model)  # another world of the scene may have another time step
         self.period = 1.0 / rate
         self.substeps = math.ceil(self.period / model.opt.timestep - 1e-6)
         model.opt.timestep = self.period / self.substeps
         self.ports = {name or "agent": name for name in scene.objects if scene.controls[name]}
-        self.inputs = tuple(self.ports)
+        self.inputs = tuple(self.ports)  # pyright: ignore[reportAttributeAccessIssue]
         self.entries: dict[str, tuple[int, ...]] = {}
         """By object, which entries of a command are its own; of an object that is not named, all."""
         channels = {name: scene.commands[name] for name in scene.objects}
@@ -87,7 +90,7 @@ class MjcfWorld(Node):
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         own = [name for name in parameters if not name.startswith("start")]
-        check_names(self.scene.model, own)
+        check_names(self.model, own)
         begin = torch.from_numpy(self.scene.start).expand(batch, self._size).clone()
         for name, value in parameters.items():
             if name == "start" or name.startswith("start("):
@@ -96,15 +99,14 @@ class MjcfWorld(Node):
                     names = ", ".join(self.scene.state_names[i] for i in places)
                     raise EngineError(f"{name} has {value.shape[-1]} entries; give {len(places)}: {names}")
                 begin[:, places] = value.to(torch.float64).expand(batch, len(places))
-        import mujoco
-
-        data = mujoco.MjData(self.scene.model)
-        physics = np.zeros(mujoco.mj_stateSize(self.scene.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-        mujoco.mj_getState(self.scene.model, data, physics, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco = import_mujoco()
+        data = mujoco.MjData(self.model)
+        physics = np.zeros(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        mujoco.mj_getState(self.model, data, physics, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         whole = np.tile(physics, (batch, 1))
         whole[:, 1 : 1 + self._size] = begin.numpy()
-        idle = np.zeros((batch, 1, self.scene.model.nu))
-        seen = whole[:, 1 : 1 + self._size + self.scene.model.na]
+        idle = np.zeros((batch, 1, self.model.nu))
+        seen = whole[:, 1 : 1 + self._size + self.model.na]
         if self.scene.reads_sensors:
             seen = np.concatenate([seen, self._roll(parameters, whole, idle)[1][:, 0]], 1)
         return {
@@ -134,13 +136,13 @@ class MjcfWorld(Node):
         self, parameters: Parameters, physics: np.ndarray, controls: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """State (B, n) and output (B, width) after a tick; NaN where the state or a command is no number."""
-        good = np.isfinite(physics).all(1) & np.isfinite(controls).all((1, 2))
+        good: Any = np.isfinite(physics).all(1) & np.isfinite(controls).all((1, 2))
         if not good.all():
             physics = np.where(good[:, None], physics, np.nan_to_num(physics[:1] * 0.0))
             controls = np.where(good[:, None, None], controls, 0.0)
         states, sensors = self._roll(parameters, physics, controls)
         after = states[:, self.substeps - 1]
-        seen = after[:, 1 : 1 + self._size + self.scene.model.na]
+        seen = after[:, 1 : 1 + self._size + self.model.na]
         if self.scene.reads_sensors:
             # MuJoCo's sensors belong to the state before a step: one more step shows those of the last state.
             seen = np.concatenate([seen, sensors[:, self.substeps]], 1)
@@ -152,7 +154,7 @@ class MjcfWorld(Node):
     def _controls(self, inputs: dict[str, Input], batch: int) -> np.ndarray:
         """Commands of all actuators in each step of the physics, (B, steps, nu)."""
         steps = self.substeps + self.scene.reads_sensors
-        controls = np.zeros((batch, steps, self.scene.model.nu))
+        controls = np.zeros((batch, steps, self.model.nu))
         for port, name in self.ports.items():
             commands, places = inputs[port], self.scene.controls[name]
             sent = commands.data.to(torch.float64)
@@ -172,14 +174,14 @@ class MjcfWorld(Node):
     def _roll(self, parameters: Parameters, physics: np.ndarray, controls: np.ndarray) -> tuple[Any, Any]:
         """States and sensors (B, steps, ...) of `mujoco.rollout`."""
         if self._pool is None:
-            import mujoco
             from mujoco import rollout
 
+            mujoco = import_mujoco()
             self._pool = rollout.Rollout(nthread=self.threads)
-            self._datas = [mujoco.MjData(self.scene.model) for _ in range(max(1, self.threads))]
+            self._datas = [mujoco.MjData(self.model) for _ in range(max(1, self.threads))]
         batch, steps = controls.shape[:2]
         states = np.empty((batch, steps, physics.shape[1]))
-        sensors = np.empty((batch, steps, self.scene.model.nsensordata))
+        sensors = np.empty((batch, steps, self.model.nsensordata))
         # Without the checks, whose time grows with the number of models.
         return self._pool.rollout(
             self._models_for(parameters, batch),
@@ -197,7 +199,7 @@ class MjcfWorld(Node):
         """A model for each environment; the same where no parameter is given."""
         names = [name for name in parameters if not name.startswith("start")]
         if not names:
-            return [self.scene.model] * batch
+            return [self.model] * batch
         values = tuple(parameters[name] for name in names)
         before, models = self._last
         same = len(before) == len(values) and all(a is b for a, b in zip(before, values, strict=True))
@@ -209,9 +211,7 @@ class MjcfWorld(Node):
             del self._models[next(iter(self._models))]
         for row in rows:
             if (*names, row) not in self._models:
-                self._models[(*names, row)] = changed_model(
-                    self.scene.model, dict(zip(names, row, strict=True))
-                )
+                self._models[(*names, row)] = changed_model(self.model, dict(zip(names, row, strict=True)))
         models = [self._models[(*names, row)] for row in rows]
         self._last = values, models
         return models

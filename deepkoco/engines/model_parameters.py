@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from deepkoco.engines.engine import EngineError
+from deepkoco.engines.mujoco_world import import_mujoco
 from deepkoco.suggestion import did_you_mean
 
 AXES = ("x", "y", "z")
@@ -26,8 +27,7 @@ def parameter_values(model: Any) -> dict[str, float]:
     degree of freedom damping, dry friction, armature, stiffness and the rest position of the spring; of actuators
     ``gain``, or ``kp`` and ``kv`` of a servo; ``friction(GEOM)``, the sliding friction of a contact.
     """
-    import mujoco
-
+    mujoco = import_mujoco()
     found: dict[str, float] = {}
     for b in range(1, model.nbody):
         name = model.body(b).name
@@ -69,8 +69,7 @@ def changed_model(model: Any, values: Mapping[str, float]) -> Any:
     Raises:
         EngineError: The model has no such parameter.
     """
-    import mujoco
-
+    mujoco = import_mujoco()
     changed = copy.copy(model)
     for name, value in values.items():
         _put(changed, name, value)
@@ -128,8 +127,7 @@ def _is_servo(model: Any, actuator: int) -> bool:
 
 def _principal(model: Any, body: int) -> tuple[int, ...]:
     """Which principal moment belongs to the axis next to x, y and z of the body's frame."""
-    import mujoco
-
+    mujoco = import_mujoco()
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, model.body_iquat[body])
     share = np.abs(matrix.reshape(3, 3))
