@@ -85,6 +85,25 @@ def draw_links(image: np.ndarray, points: Sequence[Point], reach: float, width: 
     _disk(image, at[-1], 0.6 * width * size, MASS)
 
 
+def draw_tree(
+    image: np.ndarray,
+    lines: Sequence[tuple[Point, Point]],
+    joints: Sequence[Point],
+    ends: Sequence[Point],
+    reach: float,
+    width: float = 0.03,
+) -> None:
+    """Draw links as lines, joints and the ends of branches as disks [m]; ``reach`` [m] about the centre is in the
+    picture."""
+    size = image.shape[0]
+    for start, end in lines:
+        _line(image, _place(size, start, reach), _place(size, end, reach), ROD, max(2, round(width * size)))
+    for joint in joints:
+        _disk(image, _place(size, joint, reach), 0.6 * width * size, INK)
+    for end in ends:
+        _disk(image, _place(size, end, reach), 0.7 * width * size, MASS)
+
+
 def draw_target(image: np.ndarray, point: Point, reach: float) -> None:
     """Draw a target at a place [m] in the picture of an arm."""
     size = image.shape[0]

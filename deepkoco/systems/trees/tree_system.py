@@ -1,0 +1,384 @@
+"""A robot given as MJCF or URDF, as a system: a contact-free tree of hinges and slides."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems import drawing
+from deepkoco.systems.extended import MemoryEffectError
+from deepkoco.systems.system import (
+    Acceleration,
+    Channel,
+    CommandTiming,
+    Delivery,
+    Motion,
+    Parameter,
+    Parameters,
+    System,
+    Timing,
+)
+from deepkoco.systems.trees.compile_tree import compile_tree
+from deepkoco.systems.trees.dynamics import forward_dynamics
+from deepkoco.systems.trees.model_file import is_urdf, read_model
+from deepkoco.systems.trees.parameters import (
+    actuator_law,
+    control_unit,
+    declared_parameters,
+    is_servo,
+    is_speed_servo,
+    joint_value,
+    link_inertias,
+    payload_name,
+    time_constant,
+)
+from deepkoco.systems.trees.picture import choose_view, lines
+from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub
+from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
+from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
+from deepkoco.systems.trees.visible import visible_parameters
+
+ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
+SPEED_NOISE, RATE_NOISE = 0.05, 5e-3  # [rad/s, m/s]
+TILT_SD, LARGEST_TILT = 0.05, 0.5  # of the base [rad]
+ABOUT = ("about_x", "about_y", "about_z")
+
+
+class TreeSystem(System):
+    r"""M(q) q'' + c(q, q') = gear f(u) - D q' - K (q - q_s) - F_c sign(q') + load, for a tree of hinges and slides.
+
+    M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
+    clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
+    filter where the actuator has one. Contacts and limits of joints are not simulated; :attr:`notes` says so where the
+    model has any.
+
+    Args:
+        tree: Description of the robot.
+        origin: File that it was read from.
+
+    Attributes:
+        tree: The description.
+        origin: Text by which the robot is found again; None if it was made in Python.
+        notes: Sentences on what the model has and the system leaves out.
+        payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
+    """
+
+    def __init__(self, tree: Tree, origin: str | None = None) -> None:
+        self.tree, self.origin, self.notes = tree, origin, tree.notes
+        self.name, self.joints = tree.name, len(tree.joints)
+        names = tuple(joint.name for joint in tree.joints)
+        units = tuple("m" if joint.slides else "rad" for joint in tree.joints)
+        self.state_names = (*(f"q_{n}" for n in names), *(f"dq_{n}" for n in names))
+        self.state_units = (*units, *(f"{u}/s" for u in units))
+        self._names = names
+        self.measurements = (
+            *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
+            *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
+        )
+        loads = motion_loads(tree)
+        controls = tuple(command_range(a, tree.joints[a.joint], loads[a.joint]) for a in tree.actuators)
+        self._commands = tuple(
+            Channel(
+                a.name,
+                control_unit(a, tree.joints[a.joint]),
+                "command",
+                low,
+                high,
+                description=_drives(a, tree),
+            )
+            for a, (low, high) in zip(tree.actuators, controls, strict=True)
+        )
+        self._refuse_clashes()
+        self._load_scales = load_scales(tree, loads, controls)
+        self._delivered = tuple(
+            delivered(a, tree.joints[a.joint], control)
+            for a, control in zip(tree.actuators, controls, strict=True)
+        )
+        self.payload_sites = tuple(site.name for site in tree.sites)
+        self._tip = _tip(tree)
+        self._view = choose_view(tree)
+        self.parameters = visible_parameters(self, declared_parameters(tree))
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> TreeSystem:
+        """Read a robot from an MJCF or URDF file.
+
+        A URDF file has no actuators: each of its joints gets a command in N m or N with the joint's name.
+
+        Args:
+            path: The file.
+
+        Raises:
+            TreeError: The file cannot be read, or is no contact-free tree of hinges and slides.
+        """
+        path = Path(path)
+        model, notes = read_model(path)
+        try:
+            tree = compile_tree(model, path.stem, torques=is_urdf(path))
+        except TreeError as error:
+            raise TreeError(f"{path}: {error}") from None
+        tree = replace(tree, notes=(*notes, *tree.notes))
+        return cls(tree, str(path))
+
+    @property
+    def commands(self) -> tuple[Channel, ...]:
+        return self._commands
+
+    @property
+    def command_joints(self) -> tuple[int, ...]:
+        return tuple(a.joint for a in self.tree.actuators)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self._names
+
+    @property
+    def load_scale(self) -> float:
+        return max(self._load_scales)
+
+    @property
+    def load_scales(self) -> tuple[float, ...]:
+        return self._load_scales
+
+    @property
+    def delivered_scales(self) -> tuple[tuple[float, str], ...]:
+        units = self.load_units
+        return tuple(
+            (most, units[a.joint]) for most, a in zip(self._delivered, self.tree.actuators, strict=True)
+        )
+
+    @property
+    def rubbing_joints(self) -> tuple[int, ...]:
+        return tuple(j for j, joint in enumerate(self.tree.joints) if joint.frictionloss > 0.0)
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        text = "angle by which the base is turned about its {} axis"
+        return tuple(
+            Parameter(ABOUT[k], 0.0, "rad", -LARGEST_TILT, LARGEST_TILT, TILT_SD, text.format("xyz"[k]))
+            for k in self._tilt_axes()
+        )
+
+    def effort_of(self, commands: Tensor) -> Tensor:
+        return commands[..., 0] if len(self._commands) == 1 else commands
+
+    def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
+        return self._cut(index, value)
+
+    def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
+        if len(self._commands) == 1:
+            return self._cut(0, command)
+        return torch.stack([self._cut(k, command[..., k]) for k in range(len(self._commands))], -1)
+
+    def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
+        actuator = self.tree.actuators[index]
+        zero = torch.zeros((), dtype=torch.float64)
+        lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
+        return CommandTiming(zero, lags, zero)
+
+    def timing(self, parameters: Parameters) -> Timing:
+        zero = torch.zeros((), dtype=torch.float64)
+        lags = [time_constant(a, parameters) for a in self.tree.actuators]
+        if any(not torch.equal(lag, lags[0]) for lag in lags):
+            raise MemoryEffectError(f"the commands of {self.name} have lags of their own")
+        return Timing(zero, zero, lags[0] if lags else zero)
+
+    def delivery(self, parameters: Parameters) -> Delivery:
+        forces = self._forces(parameters)
+
+        def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            return tuple(
+                force if isinstance(force, Tensor) else torch.full_like(motion.speeds[0], force)
+                for force in forces(motion)
+            )
+
+        return deliver
+
+    def dry_friction_limits(self, parameters: Parameters) -> tuple[Tensor, ...]:
+        """Largest dry friction of each joint [N m or N]."""
+        return tuple(
+            torch.as_tensor(joint_value(parameters, "frictionloss", joint), dtype=torch.float64)
+            for joint in self.tree.joints
+        )
+
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        joints = self.tree.joints
+        dynamics = forward_dynamics(
+            joints,
+            link_inertias(self.tree, parameters),
+            [joint_value(parameters, "armature", joint) for joint in joints],
+            self._gravity(parameters),
+        )
+        forces, passive = self._forces(parameters), self._passive(parameters)
+        drives = [
+            [k for k, actuator in enumerate(self.tree.actuators) if actuator.joint == j]
+            for j in range(self.joints)
+        ]
+
+        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            given = forces(motion)
+            loads: list[Scalar] = []
+            for j, joint in enumerate(joints):
+                load: Scalar = 0.0
+                for k in drives[j]:
+                    load = add(load, given[k])
+                load = add(_clipped(load, joint.force_low, joint.force_high), passive(motion, j))
+                if motion.loads is not None and motion.loads[j] is not None:
+                    load = add(load, motion.loads[j])
+                loads.append(load)
+            return dynamics(motion.angles, motion.speeds, loads)
+
+        return acceleration
+
+    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        parts = state.unbind(-1)
+        speeds = parts[self.joints :]
+        efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
+        accelerations = self.accelerations(parameters)(Motion(parts[: self.joints], speeds, efforts))
+        return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
+
+    def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
+        return self.with_payload_at(self.payload_sites[self._tip], mass, parameters)
+
+    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+        """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
+
+        Raises:
+            TreeError: There is no such place.
+        """
+        if site not in self.payload_sites:
+            raise TreeError(f'{self.name} has no place "{site}"; it has: {", ".join(self.payload_sites)}')
+        name = payload_name(site)
+        before = parameters.get(name)
+        return {**parameters, name: mass if before is None else before + mass}
+
+    def draw_on(
+        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
+    ) -> None:
+        angles = np.nan_to_num(np.asarray(measurement, dtype=float)[: self.joints])
+        links, points = lines(self.tree, angles, self._view)
+        ends = [end for _, end in links[self.joints :]]
+        drawing.draw_tree(image, links, points, ends, self._view.reach)
+        if command is not None and self._commands:
+            given = np.ravel(command)
+            sizes = [max(abs(c.low), abs(c.high)) for c in self._commands]
+            fractions = [u / size for u, size in zip(given, sizes, strict=True)]
+            where = [points[j] for j in self.command_joints]
+            drawing.draw_joint_commands(image, where, fractions, self._view.reach)
+
+    def _cut(self, index: int, value: Tensor) -> Tensor:
+        low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
+        return _clipped(value, low, high)
+
+    def _tilt_axes(self) -> tuple[int, ...]:
+        """The two axes of the base that lie most across gravity; none without gravity."""
+        size = np.abs(self.tree.gravity)
+        return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
+
+    def _gravity(self, parameters: Parameters) -> Triple:
+        """Gravity in the frame of the base, which may be turned about two of its axes."""
+        gravity: Triple = self.tree.gravity
+        for k in self._tilt_axes():
+            if (angle := parameters.get(ABOUT[k])) is not None:
+                axis: Triple = tuple(float(i == k) for i in range(3))  # pyright: ignore[reportAssignmentType]
+                # Seen from a base that turns by the angle, gravity turns back.
+                across = cross(axis, gravity)
+                along = mul(gravity[k], 1.0)
+                c, s = torch.cos(angle), torch.sin(angle)
+                gravity = tuple(  # pyright: ignore[reportAssignmentType]
+                    along if i == k else sub(mul(c, gravity[i]), mul(s, across[i])) for i in range(3)
+                )
+        return scaled(1.0, gravity)
+
+    def _forces(self, parameters: Parameters):
+        laws = [actuator_law(a, parameters) for a in self.tree.actuators]
+
+        def forces(motion: Motion) -> tuple[Scalar, ...]:
+            """Load of each actuator on its joint [N m or N]."""
+            result = []
+            for actuator, (gain, bias), effort in zip(self.tree.actuators, laws, motion.efforts, strict=True):
+                j, gear = actuator.joint, actuator.gear
+                length, rate = mul(gear, motion.angles[j]), mul(gear, motion.speeds[j])
+                if is_servo(actuator):
+                    force = add(mul(gain[0], effort - length), mul(bias[2], rate))
+                elif is_speed_servo(actuator):
+                    force = mul(gain[0], effort - rate)
+                else:
+                    scale = add(gain[0], add(mul(gain[1], length), mul(gain[2], rate)))
+                    force = add(
+                        mul(scale, effort), add(bias[0], add(mul(bias[1], length), mul(bias[2], rate)))
+                    )
+                result.append(mul(gear, _clipped(force, actuator.force_low, actuator.force_high)))
+            return tuple(result)
+
+        return forces
+
+    def _passive(self, parameters: Parameters):
+        joints = self.tree.joints
+        dampings, frictions, springs, rests = (
+            [joint_value(parameters, kind, joint) for joint in joints]
+            for kind in ("damping", "frictionloss", "stiffness", "springref")
+        )
+        smooth = self.smoothing_speeds
+
+        def passive(motion: Motion, j: int) -> Scalar:
+            """Load of damping, spring and dry friction on a joint [N m or N]."""
+            load = mul(mul(-1.0, dampings[j]), motion.speeds[j])
+            stretched = mul(springs[j], sub(motion.angles[j], rests[j]))
+            load = sub(load, stretched)
+            if isinstance(frictions[j], Tensor) or frictions[j] != 0.0:
+                width = smooth[j] if motion.smoothing is None else motion.smoothing[j]
+                load = sub(load, mul(frictions[j], torch.tanh(motion.speeds[j] / width)))
+            return load
+
+        return passive
+
+    def _refuse_clashes(self) -> None:
+        names = [c.name for c in (*self._commands, *self.measurements)]
+        for name in names:
+            if names.count(name) > 1:
+                raise TreeError(
+                    f'two channels are called "{name}"; rename the actuator or the joint in the model'
+                )
+
+
+def _clipped(value: Scalar, low: float, high: float) -> Scalar:
+    if math.isinf(low) and math.isinf(high):
+        return value
+    if isinstance(value, Tensor):
+        return value.clamp(low, high)
+    return min(max(value, low), high)
+
+
+def _position(name: str, slides: bool, joint: str) -> Channel:
+    unit, noise = ("m", PLACE_NOISE) if slides else ("rad", ANGLE_NOISE)
+    text = f"place of {joint}" if slides else f"angle of {joint}"
+    return Channel(name, unit, "measurement", noise_sd=noise, description=text, angle=not slides)
+
+
+def _speed(name: str, slides: bool, joint: str) -> Channel:
+    unit, noise = ("m/s", RATE_NOISE) if slides else ("rad/s", SPEED_NOISE)
+    return Channel(name, unit, "measurement", noise_sd=noise, description=f"speed of {joint}")
+
+
+def _drives(actuator: Actuator, tree: Tree) -> str:
+    joint = tree.joints[actuator.joint]
+    if is_servo(actuator):
+        return f"goal of the position of {joint.name}"
+    if is_speed_servo(actuator):
+        return f"goal of the speed of {joint.name}"
+    return f"command of {actuator.name} to {joint.name}"
+
+
+def _tip(tree: Tree) -> int:
+    """Index of the site where a robot carries things: on the joint that is farthest from the base."""
+    depth = []
+    for joint in tree.joints:
+        depth.append(1 + (depth[joint.parent] if joint.parent >= 0 else 0))
+    deepest = max(depth[site.joint] for site in tree.sites)
+    return next(i for i, site in enumerate(tree.sites) if depth[site.joint] == deepest)
