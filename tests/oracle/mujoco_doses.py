@@ -18,6 +18,7 @@ WINDOW = 1.0  # [s]
 WINDOWS = 6
 COARSE = 5e-4  # step of a dosing run and of its replay [s]
 NUDGE = 1e-5
+LONGEST_MOVE = 0.2  # of one coordinate of an initial state in one step [rad, m, and per second]
 INVISIBLE = 0.05  # ES below which a dose does nothing that the log shows
 STRONGEST_DOSE = 30.0
 
@@ -30,27 +31,32 @@ def strength(log: Log, seed: int) -> float:
     starts = np.linspace(0.1 * len(log.t), len(log.t) - rows - 1, WINDOWS).astype(int)
     total, count = 0.0, 0
     for start in starts:
-        wanted = log.clean[start : start + rows] / log.sd
+        wanted = (log.clean[start : start + rows] / log.sd).ravel()
         state = log.states[start].copy()
-        for _ in range(2):
-            base = _replay(model, log, state, start, rows) / log.sd
-            slopes = []
+        best = wanted - _replay(model, log, state, start, rows)
+        for _ in range(3):
+            here = wanted - best
+            slopes = np.empty((len(here), len(state)))
             for k in range(len(state)):
                 moved = state.copy()
                 moved[k] += NUDGE
-                slopes.append(((_replay(model, log, moved, start, rows) / log.sd - base) / NUDGE).ravel())
-            step = np.linalg.lstsq(np.array(slopes).T, (wanted - base).ravel(), rcond=None)[0]
-            # Sticking makes a replay a kinked function of its start: a longer step is not believed.
-            state = state + np.clip(step, -0.1, 0.1)
-        left = wanted - _replay(model, log, state, start, rows) / log.sd
-        straight = wanted - base
-        total += min(float((left**2).sum()), float((straight**2).sum()))
-        count += left.size
+                slopes[:, k] = (_replay(model, log, moved, start, rows) - here) / NUDGE
+            step = np.clip(np.linalg.lstsq(slopes, best, rcond=None)[0], -LONGEST_MOVE, LONGEST_MOVE)
+            # Sticking makes a replay a kinked function of its start: only a step that helps is taken.
+            for share in (1.0, 0.3, 0.1):
+                left = wanted - _replay(model, log, state + share * step, start, rows)
+                if float(left @ left) < float(best @ best):
+                    state, best = state + share * step, left
+                    break
+            else:
+                break
+        total += float(best @ best)
+        count += best.size
     return math.sqrt(total / count)
 
 
 def _replay(model: mujoco.MjModel, log: Log, state: np.ndarray, start: int, rows: int) -> np.ndarray:
-    """(rows, N) noise-free readings of the healthy unit under the sent commands."""
+    """(rows * N,) noise-free readings of the healthy unit under the sent commands, in standard deviations."""
     data = mujoco.MjData(model)
     joints = model.njnt
     data.qpos[:], data.qvel[:] = state[:joints], state[joints:]
@@ -61,7 +67,7 @@ def _replay(model: mujoco.MjModel, log: Log, state: np.ndarray, start: int, rows
         result[i] = np.concatenate([data.qpos, data.qvel])[: result.shape[1]]
         data.ctrl[:] = log.commands[start + i]
         mujoco.mj_step(model, data, steps)
-    return result
+    return (result / log.sd).ravel()
 
 
 def dosed(robot: Robot, kind: str, joint: str, dose: float) -> Hidden:

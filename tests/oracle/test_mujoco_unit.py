@@ -82,13 +82,13 @@ def test_a_payload_adds_its_mass_and_its_moment_about_the_joint():
 
 def test_commands_of_a_late_actuator_act_later_by_the_delay():
     robot = arm("position")
-    late = replace(dosed(robot, "delay", "j2", 1.0), size=0.02)
+    late = replace(dosed(robot, "delay", "j3", 1.0), size=0.02)
     log, on_time = (record(robot, h, 5, SECONDS, step=COARSE) for h in (late, None))
     rate = round(1.0 / (log.t[1] - log.t[0]))
     moved = round(0.02 * rate)
-    # The servo of j2 follows the same goals; a light joint hardly feels that the others are on time.
-    shifted = on_time.states[:-moved, 1] - log.states[moved:, 1]
-    assert np.abs(shifted).max() < 0.3 * np.abs(on_time.states[:, 1] - log.states[:, 1]).max()
+    # The tip hardly moves the others, so its own motion is the same, later.
+    shifted = on_time.states[:-moved, 2] - log.states[moved:, 2]
+    assert np.abs(shifted).std() < 0.3 * np.abs(on_time.states[:, 2] - log.states[:, 2]).std()
 
 
 def test_written_log_is_read_back_with_names_and_units(tmp_path):
