@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.logs import SYSTEM_HELP
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.progress import Progress
@@ -21,7 +22,8 @@ Exit status: 0 diagnosed (also without any fault), 2 bad input, 3 the data do no
 EXAMPLE = """\
 example:
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out coulomb_report
-  deepkoco diagnose logs/monday.csv --system model.yaml --healthy logs/sunday.csv"""
+  deepkoco diagnose logs/monday.csv --system model.yaml --healthy logs/sunday.csv
+  deepkoco diagnose cart.csv --system my_robot.py:CartPole"""
 INSUFFICIENT = 3
 
 
@@ -37,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--system",
         metavar="SYSTEM",
-        help="name of the system, or a model.yaml; default: the system in the sidecar",
+        help=f"{SYSTEM_HELP}; default: the system in the sidecar",
     )
     parser.add_argument(
         "--healthy",

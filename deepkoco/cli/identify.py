@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.logs import SYSTEM_HELP
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--system",
         metavar="SYSTEM",
-        help="name of the system, or a model.yaml; default: the system in the sidecar",
+        help=f"{SYSTEM_HELP}; default: the system in the sidecar",
     )
     parser.add_argument(
         "--parameters",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.logs import SYSTEM_HELP
 
 if TYPE_CHECKING:
     from deepkoco.logs.inspect.fitting import Fitting
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--system",
         metavar="SYSTEM",
-        help="system of the proposed mapping; default: the system that fits best",
+        help=f"{SYSTEM_HELP}; default: the system that fits best",
     )
     parser.add_argument(
         "--out", type=Path, metavar="MAP.yaml", help="write the proposed mapping as a sidecar; must not exist"
@@ -92,13 +93,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _fitting(found: Survey, system: str | None, out: Path | None) -> tuple[Fitting | None, str | None]:
+    from deepkoco.cli.logs import named_system
     from deepkoco.logs.inspect.fitting import NoProposalError, propose
-    from deepkoco.systems import UnknownSystemError
 
     try:
-        return propose(found, system), None
-    except UnknownSystemError as error:
-        raise InputError(f"--system: {error}") from error
+        return propose(found, None if system is None else named_system(system)), None
     except NoProposalError as error:
         if out is not None:
             raise InputError(str(error)) from error

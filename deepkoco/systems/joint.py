@@ -10,7 +10,15 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.system import Acceleration, Channel, Motion, Parameter, Parameters, System
+from deepkoco.systems.system import (
+    Acceleration,
+    Channel,
+    InverseInertia,
+    Motion,
+    Parameter,
+    Parameters,
+    System,
+)
 
 
 def angle_channel(noise_sd: float, zero_sd: float = 0.0) -> Channel:
@@ -89,6 +97,10 @@ class JointSystem(System):
             return (torque / inertia,)
 
         return acceleration
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        inverse = 1.0 / self.inertia(parameters)
+        return lambda motion: ((inverse,),)
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         theta, omega = state.unbind(-1)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.drawing import canvas
+from deepkoco.systems.dry_friction import DryFriction, Levels
 
 Parameters = Mapping[str, Tensor]
 
@@ -21,7 +22,6 @@ UNREADABLE = "().,;"  # in the name of a joint: names of parameters are read by 
 # By the unit of a joint. An encoder of a rail resolves a tenth of a millimetre, one of a joint that turns a milliradian
 # or two: while friction holds it, a joint must not creep by more.
 SMOOTHING = {"rad": 0.05, "m": 0.0004}  # speed over which the sign of dry friction is smoothed [rad/s, m/s]
-REVERSAL_STEPS = {"rad": 1, "m": 16}
 
 
 class ParameterError(ValueError):
@@ -112,11 +112,13 @@ class Motion(NamedTuple):
     efforts: tuple[Tensor, ...]  # M, in the commands' units
     loads: tuple[Tensor | None, ...] | None = None  # J outside loads [N m or N]
     time: Tensor | None = None  # log time [s]
-    smoothing: tuple[Tensor, ...] | None = None  # J speeds over which the sign of dry friction changes
+    # J speeds over which the sign of dry friction changes; infinite where dry friction is left out
+    smoothing: tuple[Tensor, ...] | None = None
 
 
 Acceleration = Callable[[Motion], tuple[Tensor, ...]]
 Delivery = Callable[[Motion], tuple[Tensor, ...]]
+InverseInertia = Callable[[Motion], tuple[tuple[Tensor, ...], ...]]
 
 
 class System(ABC):
@@ -131,10 +133,13 @@ class System(ABC):
         dry_friction: Whether its joints can have any (a joint that flies cannot).
         resizable: Whether `with_length` can change its links.
         tilt_parameters: What `tilt` of its base adds to the parameters; empty where gravity plays no part.
+        origin: Text by which `load_system` finds it again, such as ``/home/me/my_robot.py:CartPole``; None for a system
+            of the package.
     """
 
     dry_friction = True
     resizable = False
+    origin: str | None = None
 
     name: str
     joints: int
@@ -182,6 +187,58 @@ class System(ABC):
             ParameterError: The system takes no outside loads.
         """
         raise ParameterError(f"{self.name} takes no outside loads; define its accelerations")
+
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
+        """Largest dry friction of each joint at standstill (J) [N m or N]; None for a joint whose equations have none.
+
+        A system whose equations have dry friction declares it here. A simulation along a log then lets the joint
+        stick: it takes :meth:`free_accelerations` and adds the friction itself. Without this method a friction that
+        the equations contain acts as it is written there.
+        """
+        return (None,) * self.joints
+
+    def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
+        """Levels of the dry friction of each joint, for a simulation in which joints stick."""
+        limits = self.dry_friction_limits(parameters)
+        return DryFriction(limits, tuple(j for j, limit in enumerate(limits) if limit is not None))
+
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        """As :meth:`accelerations`, without the dry friction that :meth:`dry_friction_limits` declares.
+
+        The default asks :meth:`accelerations` for an infinite ``smoothing`` at these joints: tanh(speed / smoothing)
+        is then 0. Equations that leave such friction out, whatever the smoothing, need no change either.
+        """
+        law = self.accelerations(parameters)
+        limits = self.dry_friction_limits(parameters)
+        if all(limit is None for limit in limits):
+            return law
+        smoothing = tuple(
+            torch.full((), speed if limit is None else math.inf, dtype=torch.float64)
+            for speed, limit in zip(self.smoothing_speeds, limits, strict=True)
+        )
+
+        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            return law(motion._replace(smoothing=smoothing))
+
+        return acceleration
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        """Answer of the accelerations to unit loads: motion -> J rows of J columns [1/(kg m2) or 1/kg].
+
+        The default applies a unit load to each joint in turn. A system may compute it faster.
+        """
+        law, joints = self.free_accelerations(parameters), range(self.joints)
+
+        def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
+            bare = motion._replace(loads=None)
+            free = law(bare)
+            one = torch.ones_like(motion.speeds[0])
+            columns = [
+                law(bare._replace(loads=tuple(one if k == j else None for k in joints))) for j in joints
+            ]
+            return tuple(tuple(columns[k][j] - free[j] for k in joints) for j in joints)
+
+        return inverse
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         """Parameters after the link behind a joint is ``factor`` (...) times as long, at the same mass.
@@ -232,22 +289,12 @@ class System(ABC):
 
     @property
     def smoothing_speeds(self) -> tuple[float, ...]:
-        """Speed of each joint over which the sign of dry friction is smoothed [rad/s or m/s].
+        """Speed of each joint over which `derivative` smooths the sign of dry friction [rad/s or m/s].
 
-        A joint that friction holds creeps at up to this speed in a simulation: choose one at which it moves by less
-        than its sensor's noise while it sticks.
+        There a joint that friction holds creeps at up to this speed: choose one at which it moves by less than its
+        sensor's noise while it sticks. Simulations along a log know no such speed: joints stick in them.
         """
         return tuple(SMOOTHING[u] for u in self._kinds)
-
-    @property
-    def reversal_steps(self) -> tuple[int, ...]:
-        """In how many parts a fit integrates a step in which a joint reverses that rubs; 1 leaves the step whole."""
-        return tuple(REVERSAL_STEPS[u] for u in self._kinds)
-
-    @property
-    def rubbing_joints(self) -> tuple[int, ...]:
-        """Joints whose equations have dry friction; none for most systems: effects add it."""
-        return ()
 
     @property
     def _kinds(self) -> tuple[str, ...]:

@@ -15,15 +15,16 @@ from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.sensor_filter import filtered
 from deepkoco.fit.simulate.step import (
     Drive,
-    divided,
+    Equations,
+    Step,
+    corrected,
     replaced,
-    reversing,
-    sharpest_widths,
+    rows_of,
     step_of,
-    widths,
+    turning,
 )
 from deepkoco.systems import ExtendedSystem, System
-from deepkoco.systems.system import Acceleration
+from deepkoco.systems.dry_friction import Levels
 
 
 def trajectories(
@@ -71,13 +72,7 @@ def integrate(
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
-
-    def law_of(values: Mapping[str, Tensor]) -> Acceleration:
-        if isinstance(system, ExtendedSystem):
-            return system.accelerations(values, lanes)
-        return system.accelerations(values)
-
-    law = law_of(own)
+    equations = _equations(system, own, lanes)
     start, slope = zip(
         *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
         strict=True,
@@ -87,9 +82,7 @@ def integrate(
     angle, speed = parts[:joints], parts[joints:]
     angles, speeds = [angle], [speed]
     firsts, lasts = [], []
-    sharpest, rub = sharpest_widths(system.smoothing_speeds), system.rubbing_joints
-    finer = tuple(n if j in rub else 1 for j, n in enumerate(system.reversal_steps))
-    width: tuple[Tensor, ...] = tuple(torch.full((), s, dtype=torch.float64) for s in sharpest)
+    hold: Levels = (None,) * joints
     half = 0.5 * h
     time = torch.from_numpy(windows.t0)[:, None]
     # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
@@ -101,24 +94,57 @@ def integrate(
         begin, middle, end = (effort[i] for effort in efforts)
         t1, t2, t4 = (t[i] for t in at)
         drive = Drive((begin, middle, end), (t1, t2, t4), loads[i])
-        step = step_of(law, angle, speed, drive, width, h)
-        rows = reversing(speed, step.speed, width, finer)
-        if len(rows):
-            # Parameters that differ from log to log belong to the windows of their log.
-            own_law = law_of(of_windows(parameters, apart, windows.log[rows.numpy()])) if apart else law
-            part = divided(own_law, angle, speed, drive, width, sharpest, h, rows, max(finer))
-            step = replaced(step, rows, part)
+        step = step_of(equations, angle, speed, drive, hold, h)
+        rows = turning(speed, step.speed, equations.friction)
+        if len(rows) == len(windows) or (len(rows) and apart):
+            # Parameters that differ from log to log have one value per window.
+            step = corrected(equations, step, angle, speed, drive, hold, h)
+        elif len(rows):
+            step = _corrected_in(rows, equations, step, angle, speed, drive, hold, h)
         angle, speed = step.angle, step.speed
         angles.append(angle)
         speeds.append(speed)
         firsts.append(step.first)
         lasts.append(step.last)
-        width = widths(step.last, sharpest, h)
+        hold = step.hold
     value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
     first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
     last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
     fast = value[joints:]
     return Nodes(value, (*(v[:-1] for v in fast), *first), (*(v[1:] for v in fast), *last))
+
+
+def _equations(
+    system: System, parameters: Mapping[str, Tensor], lanes: Mapping[str, slice] | None
+) -> Equations:
+    smoothing = tuple(torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds)
+    inverse = system.inverse_inertia(parameters)
+    if isinstance(system, ExtendedSystem):
+        free, friction = (
+            system.free_accelerations(parameters, lanes),
+            system.dry_friction_levels(parameters, lanes),
+        )
+    else:
+        free, friction = system.free_accelerations(parameters), system.dry_friction_levels(parameters)
+    return Equations(free, friction, inverse, smoothing)
+
+
+def _corrected_in(
+    rows: Tensor,
+    equations: Equations,
+    step: Step,
+    angle: tuple[Tensor, ...],
+    speed: tuple[Tensor, ...],
+    drive: Drive,
+    hold: Levels,
+    h: float,
+) -> Step:
+    """As :func:`corrected`, in some windows only."""
+    none = (None,) * len(speed)
+    own = Step(*(rows_of(values, rows) for values in step[:4]), none)
+    held = tuple(None if x is None else x.index_select(0, rows) for x in hold)
+    part = corrected(equations, own, rows_of(angle, rows), rows_of(speed, rows), drive.rows(rows), held, h)
+    return replaced(step, rows, part)
 
 
 def _over_steps(

@@ -18,6 +18,7 @@ MOST_CELLS = 1 << 27
 NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name")
 """Fields with names of the elements of the lists beside and below them (JointState, JointTrajectory)."""
 NANO = 10**9
+_CHECKED = 4096  # messages after which the size is checked again
 _RECENT = 10**8 * NANO  # stamps after 1973 count since 1970; earlier ones count from another start
 _STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"secs", "nsecs"})
 _TOKEN = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
@@ -49,8 +50,14 @@ class TopicColumns:
         return len(self._received)
 
     def add(self, received_ns: int, message: Any) -> None:
-        """Add one message: an object with fields, or a value of JSON."""
+        """Add one message: an object with fields, or a value of JSON.
+
+        Raises:
+            LogError: the table would have more than `MOST_CELLS` values.
+        """
         row = len(self._received)
+        if row % _CHECKED == 0:
+            self._check_size()
         self._received.append(received_ns)
         for name, value in self._fields(message):
             self._columns.setdefault(name, []).append((row, value))
@@ -61,12 +68,8 @@ class TopicColumns:
         Raises:
             LogError: the table would have more than `MOST_CELLS` values.
         """
+        self._check_size()
         rows = len(self._received)
-        if rows * len(self._columns) > MOST_CELLS:
-            raise LogError(
-                f"its {rows} messages have {len(self._columns)} different fields, more than {MOST_CELLS} values in "
-                "all; name the fields that are channels in the mapping"
-            )
         received = np.array([stamp - self.origin for stamp in self._received], dtype=np.float64) / NANO
         columns: dict[str, Any] = {RECEIVED: received}
         absent: dict[str, np.ndarray] = {}
@@ -82,6 +85,14 @@ class TopicColumns:
         ordered = [HEADER] if header else []
         ordered += [RECEIVED, *(name for name in times if name != HEADER)]
         return Table(pd.DataFrame(columns), self.kind, tuple(ordered), absent, dict(self._left_out))
+
+    def _check_size(self) -> None:
+        rows = len(self._received)
+        if rows * len(self._columns) > MOST_CELLS:
+            raise LogError(
+                f"its {rows} messages have {len(self._columns)} different fields, more than {MOST_CELLS} values in "
+                "all; name the fields that are channels in the mapping"
+            )
 
     def _fields(self, message: Any) -> Iterator[tuple[str, Any]]:
         if self._paths is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +29,8 @@ class Table:
         times: columns that are known to be times [s], the usual one first.
         absent: column -> True in rows whose message does not have this field (message of another joint).
         left_out: fields that were not read, with the reason.
+        lines: line of the file of each row, as an editor counts them; None if the file is not a text.
+        path: file of the table, if the log has a file for each topic.
     """
 
     frame: pd.DataFrame
@@ -35,6 +38,8 @@ class Table:
     times: tuple[str, ...] = ()
     absent: dict[str, np.ndarray] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+    lines: np.ndarray | None = None
+    path: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,23 @@ class LogFile:
             )
         raise LogError(f'{self.path}: has no topic "{topic}"; it has {there}; correct the mapping')
 
+    def file(self, topic: str) -> Path:
+        """Path of the file that contains a topic."""
+        return self.tables[topic].path or self.path
+
+    def rows(self, topic: str, rows: Sequence[int] | np.ndarray, most: int = 8) -> str:
+        """Name rows for the user: `line 18, 19` in a text file, else `message 17, 18`.
+
+        Args:
+            topic: topic of the table.
+            rows: indices of the rows, from 0.
+            most: largest number of rows that are listed.
+        """
+        lines = self.tables[topic].lines
+        numbers = [int(row) + 1 if lines is None else int(lines[row]) for row in rows[:most]]
+        listed = ", ".join(map(str, numbers)) + (", ..." if len(rows) > most else "")
+        return f"{self.row_name if lines is None else 'line'} {listed}"
+
     def values(self, topic: str, column: str) -> np.ndarray:
         """Return one column as float64, an empty cell as NaN.
 
@@ -106,9 +128,9 @@ class LogFile:
         return f"the {'topic' if self.has_topics else 'file'} has {listed}"
 
     def _where(self, topic: str, column: str) -> str:
-        return (
-            f'{self.path}: topic "{topic}": field "{column}"' if topic else f'{self.path}: column "{column}"'
-        )
+        if self.tables[topic].path is not None or not topic:
+            return f'{self.file(topic)}: column "{column}"'
+        return f'{self.path}: topic "{topic}": field "{column}"'
 
     def _numbers(self, topic: str, column: str, cells: pd.Series) -> np.ndarray:
         if pd.api.types.is_datetime64_any_dtype(cells.dtype):
@@ -125,7 +147,7 @@ class LogFile:
         wrong = [row for row, cell in enumerate(objects) if not _is_number(cell)]
         shown = " ".join(str(objects[wrong[0]]).split())[:60]
         raise LogError(
-            f'{self._where(topic, column)}: "{shown}" at {self.row_name} {wrong[0] + 1} is no number '
+            f'{self._where(topic, column)}: "{shown}" at {self.rows(topic, wrong[:1])} is no number '
             f"({len(wrong)} such cells); write plain numbers in one unit, and the unit in the sidecar"
         )
 
@@ -149,7 +171,8 @@ def iso_seconds(log: LogFile, topic: str, column: str) -> np.ndarray:
     wrong = np.flatnonzero((dates.isna() & cells.notna()).to_numpy())
     if len(wrong):
         raise LogError(
-            f'{log.path}: column "{column}": "{str(cells.iloc[wrong[0]])[:60]}" at {log.row_name} {wrong[0] + 1} is no '
+            f'{log.file(topic)}: column "{column}": "{str(cells.iloc[wrong[0]])[:60]}" at '
+            f"{log.rows(topic, wrong[:1])} is no "
             "date like 2024-05-01T12:00:00.125; if the column holds numbers, give their unit"
         )
     return _seconds(dates)

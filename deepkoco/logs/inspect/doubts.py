@@ -44,16 +44,13 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
             f"{where} has no unit in its name; its steps suggest {clock.unit}, which is used; check it"
         )
     if clock.resets:
-        rows = ", ".join(str(row + 1) for row in clock.resets[:MANY]) + (
-            ", ..." if len(clock.resets) > MANY else ""
-        )
         first = survey.where.get(clock.counter or "", math.nan)
         remedy = (
             f'the column "{clock.counter}" counts the parts; "where: {{{clock.counter}: {first:g}}}" selects one'
             if clock.counter
             else "split the log there"
         )
-        result.append(f"{where} decreases at {survey.log.row_name} {rows}; {remedy}")
+        result.append(f"{where} decreases at {survey.log.rows(clock.topic, clock.resets, MANY)}; {remedy}")
     if clock.duplicates:
         result.append(f"{where} repeats a stamp {clock.duplicates} times; keep one row per stamp")
     if clock.missing:

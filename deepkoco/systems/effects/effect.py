@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+import torch
 from torch import Tensor
 
 from deepkoco.systems.system import Parameter, Parameters, System
@@ -69,6 +70,14 @@ def in_lanes(value: Tensor, start: int, stop: int) -> Tensor:
     return value.narrow(-1, start, stop - start)
 
 
+def steady_level(effect: Effect, p: Parameters) -> Tensor:
+    """Level of dry friction that depends on the effect's own parameters alone."""
+    assert effect.level is not None
+    assert effect.steady
+    nothing = torch.zeros((), dtype=torch.float64)
+    return effect.level(JointState(nothing, nothing, nothing, None, 1.0), p)
+
+
 class SensorSite(NamedTuple):
     """Which channels a sensor effect acts on, and when."""
 
@@ -112,7 +121,9 @@ class Effect:
         site: What the effect belongs to: there is one for each joint, command, or channel, or one in all.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
-        dry: Whether it is dry friction, which changes its sign with the speed.
+        level: Of dry friction, ``level(joint: JointState, p) -> level`` [N m or N]: its size, which is the largest load
+            at which it holds a joint at rest. ``apply`` is then the load of this size against a smoothed direction.
+        steady: Whether ``level`` depends on the parameters alone.
     """
 
     name: str
@@ -123,7 +134,13 @@ class Effect:
     apply: Callable[..., Any] = _carried_out_elsewhere
     site: Site = "joint"
     acting: Callable[[Parameters], Parameters] = _all_of
-    dry: bool = False
+    level: Callable[[JointState, Parameters], Tensor] | None = None
+    steady: bool = False
+
+    @property
+    def dry(self) -> bool:
+        """Whether it is dry friction, which changes its sign with the speed and lets a joint stick."""
+        return self.level is not None
 
 
 class PlacedEffect(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -293,9 +294,9 @@ def _principal(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Principal moments and axes; each axis is named after the axis of the body's frame that is next to it."""
     moments, axes = (own_moments.copy(), own_axes) if parts == 1 else np.linalg.eigh(inertia)
-    from scipy.optimize import linear_sum_assignment
-
-    _, order = linear_sum_assignment(-np.abs(axes))
+    near = np.abs(axes)
+    order = max(permutations(range(3)), key=lambda p: near[0, p[0]] + near[1, p[1]] + near[2, p[2]])
+    order = list(order)
     axes, moments = axes[:, order], moments[order]
     axes = axes * np.where(np.diag(axes) < 0.0, -1.0, 1.0)
     return moments, axes

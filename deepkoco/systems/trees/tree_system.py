@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +24,8 @@ from deepkoco.systems.system import (
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import forward_dynamics
+from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays, is_plain
+from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import is_urdf, read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
@@ -38,7 +39,7 @@ from deepkoco.systems.trees.parameters import (
     time_constant,
 )
 from deepkoco.systems.trees.picture import choose_view, lines
-from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub
+from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
@@ -102,6 +103,7 @@ class TreeSystem(System):
         self.payload_sites = tuple(site.name for site in tree.sites)
         self._tip = _tip(tree)
         self._view = choose_view(tree)
+        self._arrays = TreeArrays(tree)
         self.parameters = visible_parameters(self, declared_parameters(tree))
 
     @classmethod
@@ -189,7 +191,8 @@ class TreeSystem(System):
         return Timing(zero, zero, lags[0] if lags else zero)
 
     def delivery(self, parameters: Parameters) -> Delivery:
-        forces = self._forces(parameters)
+        laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
+        forces = actuator_forces(self.tree.actuators, laws)
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
             return tuple(
@@ -207,27 +210,30 @@ class TreeSystem(System):
         )
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
-        joints = self.tree.joints
-        dynamics = forward_dynamics(
-            joints,
-            link_inertias(self.tree, parameters),
-            [joint_value(parameters, "armature", joint) for joint in joints],
-            self._gravity(parameters),
+        joints, tree = self.tree.joints, self.tree
+        inertias, gravity = link_inertias(tree, parameters), self._gravity(parameters)
+        passive = {kind: [joint_value(parameters, kind, joint) for joint in joints] for kind in PASSIVE}
+        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        smooth = self.smoothing_speeds
+        flat = [v for inertia in inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
+        flat += [*gravity, *(v for kind in passive.values() for v in kind)]
+        flat += [v for gain, bias in laws for v in (*gain, *bias)]
+        fast = (
+            FastLaw(self._arrays, inertias, gravity, list(passive.values()), laws) if is_plain(flat) else None
         )
-        forces, passive = self._forces(parameters), self._passive(parameters)
-        drives = [
-            [k for k, actuator in enumerate(self.tree.actuators) if actuator.joint == j]
-            for j in range(self.joints)
-        ]
+        dynamics = forward_dynamics(joints, inertias, passive["armature"], gravity)
+        forces = actuator_forces(tree.actuators, laws)
+        resisting = passive_loads(passive, smooth)
+        drives = [[k for k, own in enumerate(tree.actuators) if own.joint == j] for j in range(self.joints)]
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            if fast is not None and is_plain(_all_of(motion)):
+                return fast(motion, smooth)
             given = forces(motion)
             loads: list[Scalar] = []
             for j, joint in enumerate(joints):
-                load: Scalar = 0.0
-                for k in drives[j]:
-                    load = add(load, given[k])
-                load = add(_clipped(load, joint.force_low, joint.force_high), passive(motion, j))
+                load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
+                load = add(load, resisting(motion, j))
                 if motion.loads is not None and motion.loads[j] is not None:
                     load = add(load, motion.loads[j])
                 loads.append(load)
@@ -273,7 +279,7 @@ class TreeSystem(System):
 
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
-        return _clipped(value, low, high)
+        return clipped(value, low, high)
 
     def _tilt_axes(self) -> tuple[int, ...]:
         """The two axes of the base that lie most across gravity; none without gravity."""
@@ -295,49 +301,6 @@ class TreeSystem(System):
                 )
         return scaled(1.0, gravity)
 
-    def _forces(self, parameters: Parameters):
-        laws = [actuator_law(a, parameters) for a in self.tree.actuators]
-
-        def forces(motion: Motion) -> tuple[Scalar, ...]:
-            """Load of each actuator on its joint [N m or N]."""
-            result = []
-            for actuator, (gain, bias), effort in zip(self.tree.actuators, laws, motion.efforts, strict=True):
-                j, gear = actuator.joint, actuator.gear
-                length, rate = mul(gear, motion.angles[j]), mul(gear, motion.speeds[j])
-                if is_servo(actuator):
-                    force = add(mul(gain[0], effort - length), mul(bias[2], rate))
-                elif is_speed_servo(actuator):
-                    force = mul(gain[0], effort - rate)
-                else:
-                    scale = add(gain[0], add(mul(gain[1], length), mul(gain[2], rate)))
-                    force = add(
-                        mul(scale, effort), add(bias[0], add(mul(bias[1], length), mul(bias[2], rate)))
-                    )
-                result.append(mul(gear, _clipped(force, actuator.force_low, actuator.force_high)))
-            return tuple(result)
-
-        return forces
-
-    def _passive(self, parameters: Parameters):
-        joints = self.tree.joints
-        dampings, frictions, springs, rests = (
-            [joint_value(parameters, kind, joint) for joint in joints]
-            for kind in ("damping", "frictionloss", "stiffness", "springref")
-        )
-        smooth = self.smoothing_speeds
-
-        def passive(motion: Motion, j: int) -> Scalar:
-            """Load of damping, spring and dry friction on a joint [N m or N]."""
-            load = mul(mul(-1.0, dampings[j]), motion.speeds[j])
-            stretched = mul(springs[j], sub(motion.angles[j], rests[j]))
-            load = sub(load, stretched)
-            if isinstance(frictions[j], Tensor) or frictions[j] != 0.0:
-                width = smooth[j] if motion.smoothing is None else motion.smoothing[j]
-                load = sub(load, mul(frictions[j], torch.tanh(motion.speeds[j] / width)))
-            return load
-
-        return passive
-
     def _refuse_clashes(self) -> None:
         names = [c.name for c in (*self._commands, *self.measurements)]
         for name in names:
@@ -347,12 +310,9 @@ class TreeSystem(System):
                 )
 
 
-def _clipped(value: Scalar, low: float, high: float) -> Scalar:
-    if math.isinf(low) and math.isinf(high):
-        return value
-    if isinstance(value, Tensor):
-        return value.clamp(low, high)
-    return min(max(value, low), high)
+def _all_of(motion: Motion) -> list[Tensor | None]:
+    parts = [*motion.angles, *motion.speeds, *motion.efforts]
+    return [*parts, *(motion.loads or ()), *(motion.smoothing or ())]
 
 
 def _position(name: str, slides: bool, joint: str) -> Channel:
