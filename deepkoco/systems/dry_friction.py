@@ -12,12 +12,15 @@ Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from deepkoco.systems.plain import is_plain
 
 if TYPE_CHECKING:
     from deepkoco.systems.system import Motion
@@ -112,6 +115,8 @@ def rubbed(
     """
     joints = range(len(before))
     rubbing = [j for j in joints if applied[j] is not None]
+    if is_plain([*before, *after, *applied, *slide, *stick, *(w for row in inverse for w in row)]):
+        return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, rubbing, h)
     load = {j: _given(applied[j]) for j in rubbing}
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
     speed, moved, hold = list(after), [0.5 * h * (a + b) for a, b in zip(before, after, strict=True)], {}
@@ -140,6 +145,50 @@ def rubbed(
     rests = tuple((before[j] == 0.0) & (speed[j] == 0.0) for j in joints)
     held = tuple(torch.where(speed[j] == 0.0, hold[j], zero) if j in hold else None for j in joints)
     return Rubbed(tuple(speed), tuple(moved), rests, held)
+
+
+def _rubbed_in_a_loop(
+    before: Values,
+    after: Values,
+    applied: Levels,
+    slide: Levels,
+    stick: Levels,
+    inverse: tuple[Values, ...],
+    rubbing: Sequence[int],
+    h: float,
+) -> Rubbed:
+    """As :func:`rubbed`, compiled: the sweeps in torch cost several times as much as all other equations."""
+    from deepkoco.systems.dry_friction_loop import rub
+
+    joints = len(before)
+    shape = np.broadcast_shapes(
+        *(x.shape for x in (*before, *after, *(w for row in inverse for w in row))),
+        *(_given(level).shape for j in rubbing for level in (applied[j], slide[j], stick[j])),
+    )
+
+    def rows(values: Sequence[Tensor]) -> np.ndarray:
+        table = np.empty((len(values), *shape))
+        for row, value in enumerate(values):
+            table[row] = value.numpy()
+        return table.reshape(len(values), -1)
+
+    start, ends = rows(before), rows(after)
+    load, moving, resting = (rows([_given(levels[j]) for j in rubbing]) for levels in (applied, slide, stick))
+    np.maximum(moving, 0.0, out=moving)
+    np.maximum(resting, 0.0, out=resting)
+    masses = rows([w for row in inverse for w in row]).reshape(joints, joints, -1)
+    speed, moved, hold = np.empty_like(start), np.empty_like(start), np.empty_like(load)
+    sweeps = 1 if len(rubbing) == 1 else SWEEPS
+    rub(
+        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), h, sweeps, CLOSE, speed, moved, hold
+    )  # fmt: skip
+    still = speed == 0.0
+    rests = torch.from_numpy(still & (start == 0.0)).view(joints, *shape).unbind(0)
+    held: list[Tensor | None] = [None] * joints
+    for r, j in enumerate(rubbing):
+        held[j] = torch.from_numpy(np.where(still[j], hold[r], 0.0)).view(shape)
+    whole = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
+    return Rubbed(whole[0], whole[1], rests, tuple(held))
 
 
 def _given(value: Tensor | None) -> Tensor:
