@@ -19,6 +19,7 @@ from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.diagnose.causes.parameter import CHANGED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
     CHANNEL_SLIP,
     LOW_PASS,
@@ -75,20 +76,34 @@ CAUSES: dict[str, Cause] = {
         EVENT,
         UNIT_SLIP,
         CHANNEL_SLIP,
+        CHANGED,
     )
 }
 
 
 def catalogue(system: System) -> dict[str, Cause]:
-    """Return the causes at every joint, command and channel where they have a meaning, by their names there."""
+    """Return the causes at every joint, command, channel and parameter where they have a meaning, by their names."""
     result: dict[str, Cause] = {}
     for kind, cause in CAUSES.items():
-        if kind in EFFECTS:
+        if cause is CHANGED:
+            placed = changed_causes(system)
+        elif kind in EFFECTS:
             placed = [cause.at(p, system) for p in place(EFFECTS[kind], system)]
         else:
-            placed = [cause.on_joint(j, system) for j in range(system.joints)]
+            placed = [cause.on_joint(j, system) for j in system.loaded_joints]
         result |= {c.name: c for c in placed}
     return result
 
 
-__all__ = ["CAUSES", "Cause", "Hint", "Motion", "UnknownCauseError", "catalogue", "causes_named", "kind_of"]
+__all__ = [
+    "CAUSES",
+    "Cause",
+    "Hint",
+    "Motion",
+    "UnknownCauseError",
+    "catalogue",
+    "causes_named",
+    "changed_parameter",
+    "is_changed",
+    "kind_of",
+]

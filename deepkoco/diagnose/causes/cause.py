@@ -69,7 +69,7 @@ class Cause:
         valley: Values -> other values along a valley of the cost, by full names; None where there is none.
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
-        effect: Name of the placed effect that simulates it (or "event").
+        effect: Name of the placed effect that simulates it; "event" for a push, "changed" for a parameter itself.
         joint: Joint on which it acts; None for the whole system.
         index: Index of its command or channel, where it belongs to one.
     """

@@ -12,7 +12,7 @@ from deepkoco.diagnose.diagnosis import Diagnosis, Finding, Localisation
 from deepkoco.diagnose.report.figures.layout import held_out_models
 from deepkoco.diagnose.report.next_steps import next_steps
 from deepkoco.diagnose.report.parameter_table import interval, parameter_rows
-from deepkoco.diagnose.report.text import headline, lead, noise_of, spoken
+from deepkoco.diagnose.report.text import headline, lead, noise_of, rival_of, spoken
 from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.pages.figures import Shown
 from deepkoco.pages.links import Link
@@ -134,7 +134,7 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
     gain = diagnosis.gain
     if gain is not None and diagnosis.verdict in ("cause", "ambiguous"):
         text = (
-            "less error than the refitted simulation, on held-out windows "
+            f"less error than {rival_of(diagnosis)}, on held-out windows "
             f"(95 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %)"
         )
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})

@@ -169,4 +169,6 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
         joints = range(system.joints) if effect.site == "joint" else system.command_joints
         names = [system.at_joint(effect.name, j) for j in joints]
     placed = (PlacedEffect(name, effect, i) for i, name in enumerate(names))
+    if effect.place == "load":
+        placed = (p for p in placed if p.index in system.loaded_joints)
     return tuple(p for p in placed if p.parameters(system))

@@ -364,8 +364,6 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
             raise TreeError(
                 f"{where} has dynamics other than a first-order filter; replace it, or use the MuJoCo engine"
             )
-        if np.any(model.actuator_delay[a]):
-            raise TreeError(f"{where} has a delay; set it to 0 and let the fit find the delay")
         if any(
             np.any(x[a])
             for x in (model.actuator_damping, model.actuator_armature, model.actuator_dampingpoly)
@@ -392,9 +390,17 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
                 float(forces[0]),
                 float(forces[1]),
                 lag,
+                _delay(model, a),
             )
         )
     return tuple(result)
+
+
+def _delay(model: mujoco.MjModel, a: int) -> float:
+    """Mean delay of a control [s]; MuJoCo's linear interpolation lets a jump begin one time step early."""
+    delay = float(model.actuator_delay[a])
+    linear = model.actuator_history[a, 1] == 1
+    return max(delay - 0.5 * float(model.opt.timestep), 0.0) if linear and delay > 0.0 else delay
 
 
 def _torque(joint: Joint, index: int) -> Actuator:

@@ -104,6 +104,20 @@ class FastLaw:
         )  # fmt: skip
         return torch.from_numpy(result).view(joints, *shape).unbind(0)
 
+    def inverse_inertia(self, angles: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], ...]:
+        """J rows of J columns of the inverse mass matrix at J angles (...) [1/(kg m2) or 1/kg]."""
+        from deepkoco.systems.trees.kernel import tree_inverse_inertia
+
+        shape = torch.broadcast_shapes(self.shape, *(x.shape for x in angles))
+        count, joints, a = math.prod(shape), len(angles), self.arrays
+        result = np.empty((joints, joints, count))
+        tree_inverse_inertia(
+            a.parent, a.turns, a.rotation, a.offset, a.reference, self._group(shape), self.inertia, self.passive,
+            _rows(angles, shape, count), result,
+        )  # fmt: skip
+        table = torch.from_numpy(result).view(joints, joints, *shape)
+        return tuple(row.unbind(0) for row in table.unbind(0))
+
     def _group(self, shape: torch.Size) -> np.ndarray:
         """Index of the parameters of each element of a batch."""
         if shape not in self._groups:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
@@ -17,6 +19,7 @@ from deepkoco.systems.system import (
     Channel,
     CommandTiming,
     Delivery,
+    InverseInertia,
     Motion,
     Parameter,
     Parameters,
@@ -24,12 +27,13 @@ from deepkoco.systems.system import (
     Timing,
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
-from deepkoco.systems.trees.dynamics import forward_dynamics
+from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
-from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
+from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import is_urdf, read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
+    control_delay,
     control_unit,
     declared_parameters,
     is_servo,
@@ -68,6 +72,7 @@ class TreeSystem(System):
         origin: Text by which the robot is found again; None if it was made in Python.
         notes: Sentences on what the model has and the system leaves out.
         payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
+        tip: The place of `with_payload`.
     """
 
     def __init__(self, tree: Tree, origin: str | None = None) -> None:
@@ -102,7 +107,7 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
-        self._tip = _tip(tree)
+        self.tip = self.payload_sites[_tip(tree)]
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
         self.parameters = visible_parameters(self, declared_parameters(tree))
@@ -156,10 +161,6 @@ class TreeSystem(System):
         )
 
     @property
-    def rubbing_joints(self) -> tuple[int, ...]:
-        return tuple(j for j, joint in enumerate(self.tree.joints) if joint.frictionloss > 0.0)
-
-    @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:
         text = "angle by which the base is turned about its {} axis"
         return tuple(
@@ -180,16 +181,16 @@ class TreeSystem(System):
 
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         actuator = self.tree.actuators[index]
-        zero = torch.zeros((), dtype=torch.float64)
         lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
-        return CommandTiming(zero, lags, zero)
+        return CommandTiming(control_delay(actuator, parameters), lags, torch.zeros((), dtype=torch.float64))
 
     def timing(self, parameters: Parameters) -> Timing:
         zero = torch.zeros((), dtype=torch.float64)
         lags = [time_constant(a, parameters) for a in self.tree.actuators]
-        if any(not torch.equal(lag, lags[0]) for lag in lags):
-            raise MemoryEffectError(f"the commands of {self.name} have lags of their own")
-        return Timing(zero, zero, lags[0] if lags else zero)
+        delays = [control_delay(a, parameters) for a in self.tree.actuators]
+        if any(not torch.equal(x, times[0]) for times in (lags, delays) for x in times):
+            raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
+        return Timing(delays[0] if delays else zero, zero, lags[0] if lags else zero)
 
     def delivery(self, parameters: Parameters) -> Delivery:
         laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
@@ -203,27 +204,37 @@ class TreeSystem(System):
 
         return deliver
 
-    def dry_friction_limits(self, parameters: Parameters) -> tuple[Tensor, ...]:
-        """Largest dry friction of each joint [N m or N]."""
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
         return tuple(
-            torch.as_tensor(joint_value(parameters, "frictionloss", joint), dtype=torch.float64)
-            for joint in self.tree.joints
+            _as_tensor(limit) if isinstance(limit, Tensor) or limit != 0.0 else None
+            for limit in (joint_value(parameters, "frictionloss", joint) for joint in self.tree.joints)
         )
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
-        joints, tree = self.tree.joints, self.tree
-        inertias, gravity = link_inertias(tree, parameters), self._gravity(parameters)
-        passive = {kind: [joint_value(parameters, kind, joint) for joint in joints] for kind in PASSIVE}
-        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        return self._law(_Numbers.of(self, parameters))
+
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        numbers = _Numbers.of(self, parameters)
+        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
+        return self._law(numbers._replace(passive=passive))
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        joints, own = self.tree.joints, _Numbers.of(self, parameters)
+        fast = own.fast(self._arrays)
+
+        def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
+            if fast is not None and is_plain(motion.angles):
+                return fast.inverse_inertia(motion.angles)
+            return inverse_mass(joints, own.inertias, own.passive["armature"], motion.angles)
+
+        return inverse
+
+    def _law(self, numbers: _Numbers) -> Acceleration:
+        tree, passive = self.tree, numbers.passive
         smooth = self.smoothing_speeds
-        flat = [v for inertia in inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
-        flat += [*gravity, *(v for kind in passive.values() for v in kind)]
-        flat += [v for gain, bias in laws for v in (*gain, *bias)]
-        fast = (
-            FastLaw(self._arrays, inertias, gravity, list(passive.values()), laws) if is_plain(flat) else None
-        )
-        dynamics = forward_dynamics(joints, inertias, passive["armature"], gravity)
-        forces = actuator_forces(tree.actuators, laws)
+        fast = numbers.fast(self._arrays)
+        dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
+        forces = actuator_forces(tree.actuators, numbers.laws)
         resisting = passive_loads(passive, smooth)
         drives = [[k for k, own in enumerate(tree.actuators) if own.joint == j] for j in range(self.joints)]
 
@@ -232,11 +243,11 @@ class TreeSystem(System):
                 return fast(motion, smooth)
             given = forces(motion)
             loads: list[Scalar] = []
-            for j, joint in enumerate(joints):
+            for j, joint in enumerate(tree.joints):
                 load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
                 load = add(load, resisting(motion, j))
-                if motion.loads is not None and motion.loads[j] is not None:
-                    load = add(load, motion.loads[j])
+                if motion.loads is not None and (outside := motion.loads[j]) is not None:
+                    load = add(load, outside)
                 loads.append(load)
             return dynamics(motion.angles, motion.speeds, loads)
 
@@ -250,7 +261,7 @@ class TreeSystem(System):
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
-        return self.with_payload_at(self.payload_sites[self._tip], mass, parameters)
+        return self.with_payload_at(self.tip, mass, parameters)
 
     def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
@@ -287,7 +298,7 @@ class TreeSystem(System):
         size = np.abs(self.tree.gravity)
         return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
 
-    def _gravity(self, parameters: Parameters) -> Triple:
+    def gravity(self, parameters: Parameters) -> Triple:
         """Gravity in the frame of the base, which may be turned about two of its axes."""
         gravity: Triple = self.tree.gravity
         for k in self._tilt_axes():
@@ -309,6 +320,36 @@ class TreeSystem(System):
                 raise TreeError(
                     f'two channels are called "{name}"; rename the actuator or the joint in the model'
                 )
+
+
+class _Numbers(NamedTuple):
+    """What the equations of motion make of a set of parameters."""
+
+    inertias: list[Inertia]
+    gravity: Triple
+    passive: dict[str, list[Scalar]]
+    laws: list[Law]
+
+    @staticmethod
+    def of(system: TreeSystem, parameters: Parameters) -> _Numbers:
+        """Numbers of a system under named values."""
+        tree = system.tree
+        passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
+        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
+
+    def fast(self, arrays: TreeArrays) -> FastLaw | None:
+        """The compiled loop; None where it cannot be used."""
+        flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
+        flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
+        flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
+        if not is_plain(flat):
+            return None
+        return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)
+
+
+def _as_tensor(value: Scalar) -> Tensor:
+    return torch.as_tensor(value, dtype=torch.float64)
 
 
 def _all_of(motion: Motion) -> list[Tensor | None]:

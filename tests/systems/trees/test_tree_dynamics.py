@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -131,3 +132,38 @@ def test_gradients_agree_with_central_differences(seed):
     difference = (8.0 * (ahead - behind) - (twice - back)) / (12.0 * steps)
     scale = (slope.abs() * steps).max() / steps
     assert float(((slope - difference).abs() / scale).max()) < 1e-6
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_inverse_inertia_equals_mujocos(seed):
+    model, system = random_tree(seed)
+    data = mujoco.MjData(model)
+    angles = np.random.default_rng(seed).normal(size=(3, system.joints))
+    motion = Motion(columns(angles), columns(0.0 * angles), ())
+    parameters = system.default_parameters()
+    fast = system.inverse_inertia(parameters)(motion)
+    slow = system.inverse_inertia({n: v.requires_grad_() for n, v in parameters.items()})(motion)
+    for i, q in enumerate(angles):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        mass = np.empty((system.joints, system.joints))
+        mujoco.mj_fullM(model, data, mass)
+        wanted = np.linalg.inv(mass)
+        for found in (fast, slow):
+            own = np.array([[float(x[i].detach()) for x in row] for row in found])
+            assert np.abs(own - wanted).max() < 1e-8 * np.abs(wanted).max()
+
+
+def test_free_accelerations_leave_out_the_dry_friction_and_nothing_else():
+    system = rubbing(random_tree(8)[1], 0)
+    motion, parameters = motion_of(1, (5,), system), system.default_parameters()
+    smooth = tuple(torch.full((), 1e-9, dtype=torch.float64) for _ in range(system.joints))
+    limits = [0.0 if limit is None else limit for limit in system.dry_friction_limits(parameters)]
+    assert any(float(limit) > 0.0 for limit in limits)
+    rub = tuple(-limit * torch.sign(v) for limit, v in zip(limits, motion.speeds, strict=True))
+    assert motion.loads is not None
+    loads = tuple(a + b for a, b in zip(motion.loads, rub, strict=True))
+    wanted = system.accelerations(parameters)(motion._replace(smoothing=smooth))
+    found = system.free_accelerations(parameters)(motion._replace(loads=loads))
+    torch.testing.assert_close(torch.stack(found), torch.stack(wanted), rtol=1e-12, atol=1e-12)
