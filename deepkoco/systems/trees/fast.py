@@ -85,7 +85,9 @@ class FastLaw:
         loads = [] if motion.loads is None else [x for x in motion.loads if x is not None]
         widths = motion.smoothing if motion.smoothing is not None else smoothing
         parts = [*motion.angles, *motion.speeds, *motion.efforts, *loads]
-        shape = torch.broadcast_shapes(self.shape, *(x.shape for x in parts))
+        # torch.broadcast_shapes would cost as much as the loop itself.
+        shapes = {self.shape, *(x.shape for x in parts)}
+        shape = torch.Size(np.broadcast_shapes(*shapes)) if len(shapes) > 1 else self.shape
         count, joints = math.prod(shape), len(motion.angles)
         empty = np.empty((joints, 0))
         pushes, rubbing = empty, empty
