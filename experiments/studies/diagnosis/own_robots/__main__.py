@@ -133,7 +133,7 @@ def judge(case: Case, answer: Mapping[str, Any] | None) -> dict[str, Any]:
     """
     causes = [] if answer is None or answer["verdict"] == "unknown" else answer["causes"]
     members = list(causes[0]["class"]) if causes else []
-    members += [m["name"] for m in causes[0].get("same_as", [])] if causes else []
+    members += [f"changed({m['name']})" for m in causes[0].get("same_as", [])] if causes else []
     wanted = right_names(case)
     right = bool(wanted & set(members)) if wanted else not causes
     return {
