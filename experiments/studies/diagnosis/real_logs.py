@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
+from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.logs.recording import LogError
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems import any_system
@@ -27,7 +28,7 @@ from experiments.studies.diagnosis.real_log_studies import FitRequest, Study, pa
 from experiments.studies.diagnosis.yaml_studies import read_study
 
 
-def answer(folder: Path, study: Study, question: FitRequest) -> Diagnosis:
+def answer(folder: Path, study: Study, question: FitRequest, progress: Progress = silent) -> Diagnosis:
     """Diagnose the training stretches; measure on the test logs.
 
     Raises:
@@ -39,7 +40,9 @@ def answer(folder: Path, study: Study, question: FitRequest) -> Diagnosis:
     window = question.window or study.window
     system = any_system(study.system)
     causes = question.causes(system)
-    return diagnose(train, system, healthy=healthy, holdout=test, window=window, only=causes)
+    return diagnose(
+        train, system, healthy=healthy, holdout=test, window=window, only=causes, progress=progress
+    )
 
 
 def summary(diagnosis: Diagnosis, seconds: float) -> dict:
@@ -88,6 +91,7 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     parser.add_argument(
         "--test", nargs="+", default=[], metavar="FILE[:FROM:TO]", help="logs never fitted, beside --train"
     )
+    parser.add_argument("--progress", action="store_true", help="print each step with its processor time")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--out", type=Path, help="also write the reports into this new folder")
     parser.add_argument("--answers", type=Path, help="keep the figures of each question in this folder")
@@ -113,7 +117,7 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
                 figures[name] = json.loads(kept.read_text())
                 continue
             began, spent = time.perf_counter(), time.process_time()
-            diagnosis = answer(folder, study, question)
+            diagnosis = answer(folder, study, question, _say if args.progress else silent)
             figures[name] = summary(diagnosis, time.perf_counter() - began)
             figures[name]["cpu_seconds"] = round(time.process_time() - spent, 2)
             if args.out:
@@ -128,6 +132,10 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     lines = [json.dumps(result)] if args.json else [_line(name, value) for name, value in figures.items()]
     write("\n".join(lines) + "\n")
     return 0
+
+
+def _say(step: str) -> None:
+    sys.stderr.write(f"{time.process_time():8.1f} s  {step}\n")
 
 
 def _file_name(question: str) -> str:
