@@ -13,6 +13,7 @@ from torch import Tensor
 from deepkoco.systems import drawing
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.extended import MemoryEffectError
+from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
@@ -28,7 +29,7 @@ from deepkoco.systems.system import (
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
-from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays, is_plain
+from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.parameters import (
