@@ -16,7 +16,7 @@ from torch import Tensor
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
-from deepkoco.systems.effects.effect import JointLanes, in_lanes, steady_level
+from deepkoco.systems.effects.effect import COMMON, JointLanes, in_lanes, steady_level
 from deepkoco.systems.joint import JointSystem, TorqueLaw
 from deepkoco.systems.origins import find_stored, origin_of, stored_origin
 from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
@@ -217,15 +217,17 @@ class ExtendedSystem(System):
             if len(self.commands) == 1:
                 effort = placed.effect.apply(effort, own)
             else:
-                parts = list(effort.unbind(-1))
-                parts[placed.index] = placed.effect.apply(parts[placed.index], own)
+                parts = [
+                    placed.effect.apply(part, own) if placed.acts_on(k, self) else part
+                    for k, part in enumerate(effort.unbind(-1))
+                ]
                 effort = torch.stack(torch.broadcast_tensors(*parts), -1)
         return effort
 
     def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
         effort = self.base.shape_command(index, value, t, parameters)
         for placed in self.effects:
-            if placed.index != index or placed.effect.place not in ("command", "series"):
+            if placed.effect.place not in ("command", "series") or not placed.acts_on(index, self):
                 continue
             own = _own(placed.name, parameters)
             if placed.effect.place == "series":
@@ -244,16 +246,22 @@ class ExtendedSystem(System):
         lags = [parameters.get(f"{name}.time_constant", zero) for name in names]
         if any(not torch.equal(x, y) for each in (delays, lags) for x, y in pairwise(each)):
             raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
-        return Timing(base.actuation_delay + delays[0], sensing, base.lag + lags[0])
+        delay = parameters.get(f"actuation_delay({COMMON}).delay", zero) + delays[0]
+        lag = parameters.get(f"lag({COMMON}).time_constant", zero) + lags[0]
+        return Timing(base.actuation_delay + delay, sensing, base.lag + lag)
 
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         base = self.base.command_timing(index, parameters)
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
         delay = delay + parameters.get(f"{self._command_effect('actuation_delay', index)}.delay", zero)
-        lag = parameters.get(f"{self._command_effect('lag', index)}.time_constant")
+        names = [self._command_effect("lag", index)]
+        if index < len(self.command_joints):
+            delay = delay + parameters.get(f"actuation_delay({COMMON}).delay", zero)
+            names.append(f"lag({COMMON})")
+        lags = [parameters[f"{n}.time_constant"] for n in names if f"{n}.time_constant" in parameters]
         skew = base.skew + parameters.get("clock_skew.rate", zero)
-        return CommandTiming(delay, base.lag if lag is None else (*base.lag, lag), skew)
+        return CommandTiming(delay, (*base.lag, *lags), skew)
 
     def sensor_filter(self, parameters: Parameters) -> Tensor:
         return self.base.sensor_filter(parameters) + parameters.get(

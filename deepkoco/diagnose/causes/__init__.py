@@ -19,7 +19,7 @@ from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
-from deepkoco.diagnose.causes.parameter import CHANGED, changed_causes, changed_parameter, is_changed
+from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
     CHANNEL_SLIP,
     LOW_PASS,
@@ -77,6 +77,7 @@ CAUSES: dict[str, Cause] = {
         UNIT_SLIP,
         CHANNEL_SLIP,
         CHANGED,
+        SCALED,
     )
 }
 

@@ -17,6 +17,7 @@ from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, Se
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
+from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
 from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY
 from deepkoco.systems.system import System
@@ -51,6 +52,7 @@ EFFECTS: dict[str, Effect] = {
         PAYLOAD,
         LENGTH,
         TILT,
+        SCALED,
         SENSOR_SCALE,
         SENSOR_BIAS,
         SENSOR_DRIFT,

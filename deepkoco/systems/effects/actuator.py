@@ -111,7 +111,16 @@ def _unit_slip(system: System, command: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("factor", 1.0, "1", -2000.0, 2000.0, 1.0, text),)
 
 
-GAIN = Effect("gain", "actuator", "command", _gain, "the actuator scales its command", _apply_gain, "command")
+GAIN = Effect(
+    "gain",
+    "actuator",
+    "command",
+    _gain,
+    "the actuator scales its command",
+    _apply_gain,
+    "command",
+    shared=True,
+)
 TORQUE_BIAS = Effect(
     "torque_bias",
     "actuator",
@@ -174,6 +183,7 @@ GAIN_DRIFT = Effect(
     "the gain drifts in time",
     _apply_gain_drift,
     "command",
+    shared=True,
 )
 UNIT_SLIP = Effect(
     "unit_slip",

@@ -12,7 +12,10 @@ from torch import Tensor
 from deepkoco.systems.system import Parameter, Parameters, System
 
 Place = Literal["command", "series", "timing", "load", "body", "sensor", "noise"]
-Site = Literal["system", "joint", "command", "channel"]
+Site = Literal["system", "joint", "command", "channel", "kind"]
+
+ALL = -1  # index of an effect that acts on all driving commands alike
+COMMON = "all"  # how its name calls them
 
 
 class JointState(NamedTuple):
@@ -118,7 +121,9 @@ class Effect:
             the effect makes no sense there.
         summary: One sentence for reports.
         apply: The physics.
-        site: What the effect belongs to: there is one for each joint, command, or channel, or one in all.
+        site: What the effect belongs to: there is one for each joint, command, channel, or kind of parameters, or one
+            in all.
+        shared: Whether there is one more, ``<name>(all)``, that acts on all driving commands alike.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
         level: Of dry friction, ``level(joint: JointState, p) -> level`` [N m or N]: its size, which is the largest load
@@ -136,6 +141,7 @@ class Effect:
     acting: Callable[[Parameters], Parameters] = _all_of
     level: Callable[[JointState, Parameters], Tensor] | None = None
     steady: bool = False
+    shared: bool = False
 
     @property
     def dry(self) -> bool:
@@ -150,23 +156,48 @@ class PlacedEffect(NamedTuple):
     effect: Effect
     index: int
 
+    def acts_on(self, command: int, system: System) -> bool:
+        """Whether an effect on commands acts on this one; commands that only switch something are never meant."""
+        return command == self.index or (self.index == ALL and command < len(system.command_joints))
+
     def parameters(self, system: System) -> tuple[Parameter, ...]:
         """Declarations under their short names."""
         return self.effect.parameters(system, self.index)
+
+
+def parameter_kinds(system: System) -> dict[str, tuple[str, ...]]:
+    """Kinds of parameters of which a system has several, ``kp`` of ``kp(elbow)``, with their full names.
+
+    All of a kind have one unit and positive values; else a common factor would make no sense.
+    """
+    kinds: dict[str, list[Parameter]] = {}
+    for p in system.parameters:
+        if p.name.endswith(")") and "." not in p.name:
+            kinds.setdefault(p.name.split("(")[0], []).append(p)
+    return {
+        kind: tuple(p.name for p in own)
+        for kind, own in kinds.items()
+        if len(own) > 1 and len({p.unit for p in own}) == 1 and min(p.value for p in own) > 0.0
+    }
 
 
 def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     """The effect at every site of a system where it makes sense.
 
     A joint, or that of a command, is named where there are several: ``coulomb``, or ``coulomb(joint 2)``; a channel
-    is always named: ``noise_level(theta)``.
+    is always named: ``noise_level(theta)``. What several actuators may have in common has one more site, ``all``.
     """
     if effect.site == "system":
         names = [effect.name]
+    elif effect.site == "kind":
+        names = [f"{effect.name}({kind})" for kind in parameter_kinds(system)]
     elif effect.site == "channel":
         names = [f"{effect.name}({c.name})" for c in system.measurements]
     else:
         joints = range(system.joints) if effect.site == "joint" else system.command_joints
         names = [system.at_joint(effect.name, j) for j in joints]
-    placed = (PlacedEffect(name, effect, i) for i, name in enumerate(names))
+    placed = [PlacedEffect(name, effect, i) for i, name in enumerate(names)]
+    several = len(set(system.command_joints)) > 1 and COMMON not in system.joint_names
+    if effect.shared and several:
+        placed.append(PlacedEffect(f"{effect.name}({COMMON})", effect, ALL))
     return tuple(p for p in placed if p.parameters(system))
