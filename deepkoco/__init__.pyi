@@ -1,3 +1,5 @@
+from . import diagnose as diagnose
+from . import fit as fit
 from .interchange.loaded_model import (
     LoadedModel as LoadedModel,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -196,6 +197,22 @@ class Diagnosis:
             self.verdict == "unknown" and learned,
             self.gain is not None and self.gain.as_given,
         )
+
+    def save(self, folder: str | Path) -> Path:
+        """Write report.html, report.json, the figures and model.yaml into a new folder.
+
+        Args:
+            folder: Folder that does not exist yet.
+
+        Returns:
+            Path of report.html.
+
+        Raises:
+            FolderExistsError: The folder exists.
+        """
+        from deepkoco.diagnose.report.folder import write_report
+
+        return write_report(self, folder)
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of report.json: plain lists, numbers and text."""

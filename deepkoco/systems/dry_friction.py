@@ -55,13 +55,13 @@ class Rubbed(NamedTuple):
     Attributes:
         speed: J speeds at its end.
         moved: J ways over the step, for joints with a constant acceleration before and after they rest.
-        rests: J, whether the joint rests during the whole step.
-        hold: J loads that hold the joints which rest at its end [N m or N]; 0 for those that move.
+        load: J mean friction loads over the step [N m or N]; None for a joint without dry friction.
+        hold: J loads with which friction holds the joint at the end [N m or N], within the level at rest.
     """
 
     speed: Values
     moved: Values
-    rests: Values
+    load: Levels
     hold: Levels
 
 
@@ -111,14 +111,13 @@ def rubbed(
         h: Step [s].
     """
     joints = range(len(before))
-    rubbing = [j for j in joints if applied[j] is not None]
-    load = {j: _given(applied[j]) for j in rubbing}
+    load = {j: value for j, value in enumerate(applied) if value is not None}
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
     speed, moved, hold = list(after), [0.5 * h * (a + b) for a, b in zip(before, after, strict=True)], {}
-    levels = {j: (_given(slide[j]).clamp_min(0.0), _given(stick[j]).clamp_min(0.0)) for j in rubbing}
-    for _ in range(1 if len(rubbing) == 1 else SWEEPS):
+    levels = {j: (_given(slide[j]).clamp_min(0.0), _given(stick[j]).clamp_min(0.0)) for j in load}
+    for _ in range(1 if len(load) == 1 else SWEEPS):
         settled = True
-        for j in rubbing:
+        for j in load:
             own = inverse[j][j]
             others = mean[j] - own * load[j]
             speed[j], moved[j] = slide_and_rest(before[j], others, own * levels[j][0], own * levels[j][1], h)
@@ -136,10 +135,12 @@ def rubbed(
         if k not in load:
             speed[k] = before[k] + h * mean[k]
             moved[k] = 0.5 * h * (before[k] + speed[k])
-    zero = torch.zeros((), dtype=before[0].dtype)
-    rests = tuple((before[j] == 0.0) & (speed[j] == 0.0) for j in joints)
-    held = tuple(torch.where(speed[j] == 0.0, hold[j], zero) if j in hold else None for j in joints)
-    return Rubbed(tuple(speed), tuple(moved), rests, held)
+    return Rubbed(
+        tuple(speed),
+        tuple(moved),
+        tuple(load.get(j) for j in joints),
+        tuple(hold.get(j) for j in joints),
+    )
 
 
 def _given(value: Tensor | None) -> Tensor:

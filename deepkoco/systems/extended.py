@@ -61,6 +61,7 @@ class ExtendedSystem(System):
     """
 
     source: Path | None = None  # model.yaml that it was read from
+    wraps = True
 
     def __new__(cls, base: System | None = None, *_: Any, **__: Any) -> ExtendedSystem:
         return object.__new__(ExtendedJoint if isinstance(base, JointSystem) else cls)
@@ -114,6 +115,18 @@ class ExtendedSystem(System):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return self.base.joint_names
+
+    @property
+    def loaded_joints(self) -> tuple[int, ...]:
+        return self.base.loaded_joints
+
+    @property
+    def takes_payload(self) -> bool:
+        return self.base.takes_payload
+
+    @property
+    def has_equations(self) -> bool:
+        return self.base.has_equations
 
     @property
     def smoothing_speeds(self) -> tuple[float, ...]:
@@ -273,6 +286,9 @@ class ExtendedSystem(System):
 
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure_at(state, time, parameters), time, parameters)
+
+    def ideal_measurement(self, state: Tensor) -> Tensor:
+        return self.base.ideal_measurement(state)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)

@@ -91,7 +91,7 @@ def catalogue(system: System) -> dict[str, Cause]:
         elif kind in EFFECTS:
             placed = [cause.at(p, system) for p in place(EFFECTS[kind], system)]
         else:
-            placed = [cause.on_joint(j, system) for j in range(system.joints)]
+            placed = [cause.on_joint(j, system) for j in system.loaded_joints]
         result |= {c.name: c for c in placed}
     return result
 

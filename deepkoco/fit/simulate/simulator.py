@@ -18,6 +18,7 @@ from deepkoco.fit.simulate.step import (
     Equations,
     Step,
     corrected,
+    directions,
     replaced,
     rows_of,
     step_of,
@@ -82,7 +83,7 @@ def integrate(
     angle, speed = parts[:joints], parts[joints:]
     angles, speeds = [angle], [speed]
     firsts, lasts = [], []
-    hold: Levels = (None,) * joints
+    rest: Levels = (None,) * joints
     half = 0.5 * h
     time = torch.from_numpy(windows.t0)[:, None]
     # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
@@ -94,19 +95,20 @@ def integrate(
         begin, middle, end = (effort[i] for effort in efforts)
         t1, t2, t4 = (t[i] for t in at)
         drive = Drive((begin, middle, end), (t1, t2, t4), loads[i])
-        step = step_of(equations, angle, speed, drive, hold, h)
+        direction = directions(speed, rest, equations.friction)
+        step = step_of(equations, angle, speed, drive, direction, h)
         rows = turning(speed, step.speed, equations.friction)
         if len(rows) == len(windows) or (len(rows) and apart):
             # Parameters that differ from log to log have one value per window.
-            step = corrected(equations, step, angle, speed, drive, hold, h)
+            step = corrected(equations, step, angle, speed, drive, direction, h)
         elif len(rows):
-            step = _corrected_in(rows, equations, step, angle, speed, drive, hold, h)
+            step = _corrected_in(rows, equations, step, angle, speed, drive, direction, h)
         angle, speed = step.angle, step.speed
         angles.append(angle)
         speeds.append(speed)
         firsts.append(step.first)
         lasts.append(step.last)
-        hold = step.hold
+        rest = step.rest
     value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
     first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
     last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
@@ -136,14 +138,14 @@ def _corrected_in(
     angle: tuple[Tensor, ...],
     speed: tuple[Tensor, ...],
     drive: Drive,
-    hold: Levels,
+    direction: Levels,
     h: float,
 ) -> Step:
     """As :func:`corrected`, in some windows only."""
-    none = (None,) * len(speed)
-    own = Step(*(rows_of(values, rows) for values in step[:4]), none)
-    held = tuple(None if x is None else x.index_select(0, rows) for x in hold)
-    part = corrected(equations, own, rows_of(angle, rows), rows_of(speed, rows), drive.rows(rows), held, h)
+    first, last = rows_of(step.first, rows), rows_of(step.last, rows)
+    own = Step(rows_of(step.angle, rows), rows_of(step.speed, rows), first, last, step.rest)
+    share = tuple(None if x is None else x.index_select(0, rows) for x in direction)
+    part = corrected(equations, own, rows_of(angle, rows), rows_of(speed, rows), drive.rows(rows), share, h)
     return replaced(step, rows, part)
 
 

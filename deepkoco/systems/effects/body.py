@@ -7,6 +7,8 @@ from deepkoco.systems.system import Parameter, Parameters, System
 
 
 def _payload(system: System, _: int = 0) -> tuple[Parameter, ...]:
+    if not system.takes_payload:
+        return ()
     # The mass whose weight one metre from the joint equals the joint's typical torque.
     scale = system.load_scale / 9.81
     return (Parameter("mass", 0.0, "kg", 0.0, 20.0 * scale, scale, "m_p, point mass at the tip"),)

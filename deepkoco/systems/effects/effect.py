@@ -197,6 +197,8 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
         joints = range(system.joints) if effect.site == "joint" else system.command_joints
         names = [system.at_joint(effect.name, j) for j in joints]
     placed = [PlacedEffect(name, effect, i) for i, name in enumerate(names)]
+    if effect.place == "load":
+        placed = [p for p in placed if p.index in system.loaded_joints]
     several = len(set(system.command_joints)) > 1 and COMMON not in system.joint_names
     if effect.shared and several:
         placed.append(PlacedEffect(f"{effect.name}({COMMON})", effect, ALL))

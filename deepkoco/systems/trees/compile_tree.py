@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -293,9 +294,9 @@ def _principal(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Principal moments and axes; each axis is named after the axis of the body's frame that is next to it."""
     moments, axes = (own_moments.copy(), own_axes) if parts == 1 else np.linalg.eigh(inertia)
-    from scipy.optimize import linear_sum_assignment
-
-    _, order = linear_sum_assignment(-np.abs(axes))
+    near = np.abs(axes)
+    order = max(permutations(range(3)), key=lambda p: near[0, p[0]] + near[1, p[1]] + near[2, p[2]])
+    order = list(order)
     axes, moments = axes[:, order], moments[order]
     axes = axes * np.where(np.diag(axes) < 0.0, -1.0, 1.0)
     return moments, axes
@@ -363,8 +364,6 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
             raise TreeError(
                 f"{where} has dynamics other than a first-order filter; replace it, or use the MuJoCo engine"
             )
-        if np.any(model.actuator_delay[a]):
-            raise TreeError(f"{where} has a delay; set it to 0 and let the fit find the delay")
         if any(
             np.any(x[a])
             for x in (model.actuator_damping, model.actuator_armature, model.actuator_dampingpoly)
@@ -391,9 +390,17 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
                 float(forces[0]),
                 float(forces[1]),
                 lag,
+                _delay(model, a),
             )
         )
     return tuple(result)
+
+
+def _delay(model: mujoco.MjModel, a: int) -> float:
+    """Mean delay of a control [s]; MuJoCo's linear interpolation lets a jump begin one time step early."""
+    delay = float(model.actuator_delay[a])
+    linear = model.actuator_history[a, 1] == 1
+    return max(delay - 0.5 * float(model.opt.timestep), 0.0) if linear and delay > 0.0 else delay
 
 
 def _torque(joint: Joint, index: int) -> Actuator:

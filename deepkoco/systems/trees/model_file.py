@@ -16,7 +16,20 @@ ENDINGS = (".xml", ".mjcf", ".urdf")
 
 
 def read_model(path: str | Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """Compile an MJCF or URDF file.
+    """Compile an MJCF or URDF file; as :func:`read_spec`.
+
+    Returns:
+        The model, and sentences on what was left out of it.
+    """
+    spec, notes = read_spec(path)
+    try:
+        return spec.compile(), notes
+    except (ValueError, RuntimeError) as error:
+        raise TreeError(_reading(Path(path), error)) from None
+
+
+def read_spec(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+    """Read an MJCF or URDF file without compiling it.
 
     Geoms whose mesh file is missing are left out where the inertia of the bodies is given.
 
@@ -24,7 +37,7 @@ def read_model(path: str | Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
         path: File; other files that it includes are found beside it.
 
     Returns:
-        The model, and sentences on what was left out of it.
+        The specification (``mujoco.MjSpec``), and sentences on what was left out of it.
 
     Raises:
         TreeError: The file is missing or is not valid; the message names the element and the way out.
@@ -42,10 +55,7 @@ def read_model(path: str | Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     missing = _missing_meshes(spec, path)
     if missing:
         notes = _without_meshes(spec, path, missing)
-    try:
-        return spec.compile(), notes
-    except (ValueError, RuntimeError) as error:
-        raise TreeError(_reading(path, error)) from None
+    return spec, notes
 
 
 def is_urdf(path: str | Path) -> bool:

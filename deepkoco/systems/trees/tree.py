@@ -103,6 +103,7 @@ class Actuator:
         low, high: Range of the control u; infinite without one.
         force_low, force_high: Range of the force; infinite without one.
         time_constant: Of the first-order filter of the control; 0 without one [s].
+        delay: Time after which a control acts [s].
     """
 
     name: str
@@ -115,6 +116,7 @@ class Actuator:
     force_low: float
     force_high: float
     time_constant: float
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
