@@ -79,6 +79,7 @@ class ExtendedSystem(System):
         self.joints = base.joints
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
+        self.payload_sites, self.tip = base.payload_sites, base.tip
         self.effects: tuple[PlacedEffect, ...] = tuple(e for name, e in known.items() if name in effects)
         declared = list(base.parameters)
         for placed in self.effects:
@@ -293,6 +294,9 @@ class ExtendedSystem(System):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
 
+    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+        return self.base.with_payload_at(site, mass, parameters)
+
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)
 
@@ -376,17 +380,20 @@ class _Part(NamedTuple):
 
     apply: Callable[..., Tensor]
     joint: int
+    source: int  # joint whose effort it is shown
     values: Parameters
     lanes: slice | None
 
     @staticmethod
-    def of(placed: PlacedEffect, parameters: Parameters, lanes: slice | None, level: bool) -> _Part:
+    def of(
+        placed: PlacedEffect, system: System, parameters: Parameters, lanes: slice | None, level: bool
+    ) -> _Part:
         own = placed.effect.acting(_own(placed.name, parameters))
         if lanes is not None:
             own = {n: in_lanes(v, lanes.start, lanes.stop) for n, v in own.items()}
         apply = placed.effect.level if level else placed.effect.apply
         assert apply is not None
-        return _Part(apply, placed.index, own, lanes)
+        return _Part(apply, placed.joint(system), placed.source(system), own, lanes)
 
 
 class _SumOverJoints:
@@ -409,7 +416,7 @@ class _SumOverJoints:
         levels: bool = False,
     ) -> None:
         self._parts = [
-            _Part.of(placed, parameters, None if lanes is None else lanes.get(placed.name), levels)
+            _Part.of(placed, system, parameters, None if lanes is None else lanes.get(placed.name), levels)
             for placed in effects
         ]
         self._driven = {joint: k for k, joint in enumerate(system.base.command_joints)}
@@ -420,13 +427,13 @@ class _SumOverJoints:
         """Add to what is given for each joint; None stands for 0."""
         total = list(given)
         own: set[int] = set()
-        states: dict[int, JointState] = {}
+        states: dict[tuple[int, int], JointState] = {}
         delivered = motion.efforts if self._deliver is None else self._deliver(motion)
         for part in self._parts:
             j = part.joint
-            state = states.get(j)
+            state = states.get((j, part.source))
             if state is None:
-                state = states[j] = self._state(motion, delivered, j)
+                state = states[j, part.source] = self._state(motion, delivered, j, part.source)
             before, lane = total[j], part.lanes
             if lane is None:
                 value = part.apply(state, part.values)
@@ -443,8 +450,9 @@ class _SumOverJoints:
             total[j] = before
         return tuple(total)
 
-    def _state(self, motion: Motion, delivered: tuple[Tensor, ...], j: int) -> JointState:
-        effort = delivered[self._driven[j]] if j in self._driven else torch.zeros_like(motion.speeds[j])
+    def _state(self, motion: Motion, delivered: tuple[Tensor, ...], j: int, source: int) -> JointState:
+        k = self._driven.get(source)
+        effort = torch.zeros_like(motion.speeds[j]) if k is None else delivered[k]
         smoothing = self._smoothing[j] if motion.smoothing is None else motion.smoothing[j]
         return JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
 

@@ -9,7 +9,7 @@ from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.report.text import spoken
 from deepkoco.fit.request import command_delays
-from deepkoco.systems import ExtendedSystem, MemoryEffectError, make_system
+from deepkoco.systems import ExtendedSystem, MemoryEffectError, Motion, System, make_system
 from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
 from deepkoco.systems.effects import effects_of
 from tests.oracle.unit import hidden_log
@@ -20,6 +20,8 @@ ONE, BOTH = ("joint 1",), ("joint 1", "joint 2")
 
 class TwoServos(TwoLinkArm):
     """An arm whose frictions are named by their kind."""
+
+    joint_names = ("upper", "lower")
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,6 +69,28 @@ def test_common_delay_adds_to_the_own_delays_and_keeps_a_timing_for_environments
     assert [float(x) for x in system.command_timing(1, p).lag] == [0.1]
     with pytest.raises(MemoryEffectError, match="delays or lags of their own"):
         system.timing(p)
+
+
+def test_crosstalk_is_a_share_of_one_effort_on_the_other_joint():
+    name = "crosstalk(joint 1 to joint 2)"
+    system = ExtendedSystem(ARM, (name,), {f"{name}.share": 0.1})
+    p = system.default_parameters()
+    angles, speeds, efforts = of(0.3, -0.4).unbind(), of(1.0, 2.0).unbind(), of(5.0, 1.0).unbind()
+    found = system.accelerations(p)(Motion(angles, speeds, efforts))
+    wanted = ARM.accelerations(p)(Motion(angles, speeds, efforts, (None, of(0.5)[0])))
+    assert torch.allclose(torch.stack(found), torch.stack(wanted))
+    assert catalogue(ARM)[name].joint == 1
+
+
+def test_joints_of_a_long_arm_are_coupled_to_their_neighbours_only():
+    class Snake(TwoLinkArm):
+        joints = 6
+        command_joints = tuple(range(6))
+
+    pairs = System.coupled_joints.fget(object.__new__(Snake))
+    assert len(pairs) == 10
+    assert all(abs(a - b) == 1 for a, b in pairs)
+    assert ARM.coupled_joints == ((0, 1), (1, 0))
 
 
 def test_fit_frees_one_delay_per_command_and_not_the_common_one_too():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from deepkoco.diagnose.causes.actuator import (
     ASYMMETRY,
     BACKLASH,
+    CROSSTALK,
     DEAD_ZONE,
     GAIN,
     GAIN_CURVE,
@@ -62,6 +63,7 @@ CAUSES: dict[str, Cause] = {
         GAIN_CURVE,
         GAIN_DRIFT,
         ASYMMETRY,
+        CROSSTALK,
         COGGING,
         PERIODIC,
         PAYLOAD,

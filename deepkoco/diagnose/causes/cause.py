@@ -106,7 +106,7 @@ class Cause:
     def at(self, placed: PlacedEffect, system: System) -> Cause:
         """The cause at one site of a system."""
         site = placed.effect.site
-        joint = placed.index if site == "joint" else None
+        joint = placed.joint(system) if site in ("joint", "pair") else None
         if site == "command" and placed.index != ALL:
             joint = system.command_joints[placed.index]
         declared = [p.name for p in placed.parameters(system)]

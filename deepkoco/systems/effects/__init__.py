@@ -3,6 +3,7 @@
 from deepkoco.systems.effects.actuator import (
     ASYMMETRY,
     BACKLASH,
+    CROSSTALK,
     DEAD_ZONE,
     GAIN,
     GAIN_CURVE,
@@ -46,6 +47,7 @@ EFFECTS: dict[str, Effect] = {
         TORQUE_BIAS,
         DEAD_ZONE,
         SATURATION,
+        CROSSTALK,
         COGGING,
         PERIODIC,
         LEARNED,

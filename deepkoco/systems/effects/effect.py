@@ -12,7 +12,7 @@ from torch import Tensor
 from deepkoco.systems.system import Parameter, Parameters, System
 
 Place = Literal["command", "series", "timing", "load", "body", "sensor", "noise"]
-Site = Literal["system", "joint", "command", "channel", "kind"]
+Site = Literal["system", "joint", "command", "channel", "kind", "place", "pair"]
 
 ALL = -1  # index of an effect that acts on all driving commands alike
 COMMON = "all"  # how its name calls them
@@ -121,8 +121,9 @@ class Effect:
             the effect makes no sense there.
         summary: One sentence for reports.
         apply: The physics.
-        site: What the effect belongs to: there is one for each joint, command, channel, or kind of parameters, or one
-            in all.
+        site: What the effect belongs to: there is one for each joint, command, channel, kind of parameters, place of
+            a payload (the tip first), or pair of coupled joints, or one in all. A load of a pair acts on the second
+            joint and is shown the state of the second joint with the effort of the first.
         shared: Whether there is one more, ``<name>(all)``, that acts on all driving commands alike.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
@@ -160,20 +161,30 @@ class PlacedEffect(NamedTuple):
         """Whether an effect on commands acts on this one; commands that only switch something are never meant."""
         return command == self.index or (self.index == ALL and command < len(system.command_joints))
 
+    def joint(self, system: System) -> int:
+        """Joint on which a load acts."""
+        return system.coupled_joints[self.index][1] if self.effect.site == "pair" else self.index
+
+    def source(self, system: System) -> int:
+        """Joint whose effort it is shown."""
+        return system.coupled_joints[self.index][0] if self.effect.site == "pair" else self.index
+
     def parameters(self, system: System) -> tuple[Parameter, ...]:
         """Declarations under their short names."""
         return self.effect.parameters(system, self.index)
 
 
 def parameter_kinds(system: System) -> dict[str, tuple[str, ...]]:
-    """Kinds of parameters of which a system has several, ``kp`` of ``kp(elbow)``, with their full names.
+    """Kinds of parameters that several joints or actuators have, ``kp`` of ``kp(elbow)``, with their full names.
 
     All of a kind have one unit and positive values; else a common factor would make no sense.
     """
     kinds: dict[str, list[Parameter]] = {}
+    owners = {*system.joint_names, *(c.name for c in system.commands)}
     for p in system.parameters:
-        if p.name.endswith(")") and "." not in p.name:
-            kinds.setdefault(p.name.split("(")[0], []).append(p)
+        kind, _, owner = p.name.partition("(")
+        if owner.endswith(")") and owner[:-1] in owners:
+            kinds.setdefault(kind, []).append(p)
     return {
         kind: tuple(p.name for p in own)
         for kind, own in kinds.items()
@@ -189,6 +200,14 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     """
     if effect.site == "system":
         names = [effect.name]
+    elif effect.site == "pair":
+        system.at_joint(effect.name, 0)  # refuses names that cannot be read back
+        joints = system.joint_names
+        names = [f"{effect.name}({joints[a]} to {joints[b]})" for a, b in system.coupled_joints]
+    elif effect.site == "place":
+        # The tip is a site too, but has its own, shorter name already.
+        own = ["" if site == system.tip else f"{effect.name}({site})" for site in system.payload_sites]
+        names = [effect.name, *own]
     elif effect.site == "kind":
         names = [f"{effect.name}({kind})" for kind in parameter_kinds(system)]
     elif effect.site == "channel":
@@ -196,9 +215,9 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     else:
         joints = range(system.joints) if effect.site == "joint" else system.command_joints
         names = [system.at_joint(effect.name, j) for j in joints]
-    placed = [PlacedEffect(name, effect, i) for i, name in enumerate(names)]
+    placed = [PlacedEffect(name, effect, i) for i, name in enumerate(names) if name]
     if effect.place == "load":
-        placed = [p for p in placed if p.index in system.loaded_joints]
+        placed = [p for p in placed if p.joint(system) in system.loaded_joints]
     several = len(set(system.command_joints)) > 1 and COMMON not in system.joint_names
     if effect.shared and several:
         placed.append(PlacedEffect(f"{effect.name}({COMMON})", effect, ALL))
