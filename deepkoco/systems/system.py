@@ -148,12 +148,17 @@ class System(metaclass=Declared):
         dry_friction: Whether its joints can have any (a joint that flies cannot).
         resizable: Whether `with_length` can change its links.
         tilt_parameters: What `tilt` of its base adds to the parameters; empty where gravity plays no part.
+        payload_sites: Places at which `with_payload_at` can fix a payload; each is a cause of its own,
+            ``payload(PLACE)``.
+        tip: The one of them that `with_payload` means; None if it is another place.
         origin: Text by which `load_system` finds it again, such as ``/home/me/my_robot.py:CartPole``; None for a system
             of the package.
     """
 
     dry_friction = True
     resizable = False
+    payload_sites: tuple[str, ...] = ()
+    tip: str | None = None
     origin: str | None = None
     wraps = False
 
@@ -208,6 +213,14 @@ class System(metaclass=Declared):
     def takes_payload(self) -> bool:
         """Whether it defines `with_payload`."""
         return type(self).with_payload is not System.with_payload
+
+    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+        """Parameters after a point mass ``mass`` (...) [kg] is fixed at one of `payload_sites`.
+
+        Raises:
+            ParameterError: There is no such place.
+        """
+        raise ParameterError(f'{self.name} has no place "{site}" for a payload; define its payload_sites')
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
         """The equations of motion with everything that only parameters decide computed once.
@@ -317,6 +330,13 @@ class System(metaclass=Declared):
     def command_joints(self) -> tuple[int, ...]:
         """Joint that each command drives; commands beyond these only switch something."""
         return tuple(range(len(self.commands)))
+
+    @property
+    def coupled_joints(self) -> tuple[tuple[int, int], ...]:
+        """(a, b) where a share of what drives joint a may reach joint b: all pairs of three joints, else neighbours."""
+        driven = [j for j in dict.fromkeys(self.command_joints) if j < self.joints]
+        near = self.joints if self.joints <= 3 else 1
+        return tuple((a, b) for a in driven for b in range(self.joints) if 0 < abs(a - b) <= near)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from deepkoco.diagnose.causes.actuator import (
     ASYMMETRY,
     BACKLASH,
+    CROSSTALK,
     DEAD_ZONE,
     GAIN,
     GAIN_CURVE,
@@ -19,7 +20,7 @@ from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
-from deepkoco.diagnose.causes.parameter import CHANGED, changed_causes, changed_parameter, is_changed
+from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
     CHANNEL_SLIP,
     LOW_PASS,
@@ -63,6 +64,7 @@ CAUSES: dict[str, Cause] = {
         GAIN_CURVE,
         GAIN_DRIFT,
         ASYMMETRY,
+        CROSSTALK,
         COGGING,
         PERIODIC,
         PAYLOAD,
@@ -78,6 +80,7 @@ CAUSES: dict[str, Cause] = {
         UNIT_SLIP,
         CHANNEL_SLIP,
         CHANGED,
+        SCALED,
     )
 }
 
