@@ -1,3 +1,5 @@
+from . import diagnose as diagnose
+from . import fit as fit
 from .diagnose.causes import register_cause as register_cause
 from .engines.robot import register_object as register_object
 from .envs.making import make_env as make_env

@@ -5,6 +5,7 @@ from __future__ import annotations
 from deepkoco.diagnose.causes.actuator import (
     ASYMMETRY,
     BACKLASH,
+    CROSSTALK,
     DEAD_ZONE,
     GAIN,
     GAIN_CURVE,
@@ -19,6 +20,7 @@ from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
     CHANNEL_SLIP,
     LOW_PASS,
@@ -62,6 +64,7 @@ CAUSES: dict[str, Cause] = {
         GAIN_CURVE,
         GAIN_DRIFT,
         ASYMMETRY,
+        CROSSTALK,
         COGGING,
         PERIODIC,
         PAYLOAD,
@@ -76,6 +79,8 @@ CAUSES: dict[str, Cause] = {
         EVENT,
         UNIT_SLIP,
         CHANNEL_SLIP,
+        CHANGED,
+        SCALED,
     )
 }
 
@@ -125,11 +130,13 @@ def _register_installed() -> None:
 
 
 def catalogue(system: System) -> dict[str, Cause]:
-    """Return the causes at every joint, command and channel where they have a meaning, by their names there."""
+    """Return the causes at every joint, command, channel and parameter where they have a meaning, by their names."""
     _register_installed()
     result: dict[str, Cause] = {}
     for kind, cause in CAUSES.items():
-        if kind in EFFECTS:
+        if cause is CHANGED:
+            placed = changed_causes(system)
+        elif kind in EFFECTS:
             placed = [cause.at(p, system) for p in place(EFFECTS[kind], system)]
         else:
             placed = [cause.on_joint(j, system) for j in system.loaded_joints]
@@ -145,6 +152,8 @@ __all__ = [
     "UnknownCauseError",
     "catalogue",
     "causes_named",
+    "changed_parameter",
+    "is_changed",
     "kind_of",
     "register_cause",
 ]

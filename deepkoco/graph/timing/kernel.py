@@ -283,8 +283,6 @@ def _next_start(n, row, rules, columns, draws, measured, times, count, taken, sh
             if begun > tick or (rules.skip[e] and begun == tick):
                 break
             if i >= count[s]:
-                if measured.node[s] and measured.start[columns.step_base[s] + i] >= LOST:
-                    break  # its record ends: nothing more is to come
                 if not mine:
                     return start, _INCOMPLETE
                 # A measured start did not wait for what arrived, or if lost was sent, after it.

@@ -202,7 +202,13 @@ def assert_same_schedule(graph: Graph, timing, again, added=()) -> None:
 
 
 @settings(max_examples=100, deadline=None)
-@given(graph=graphs(), steps=st.integers(1, 6), which=st.integers(0, 2**10), lossy=st.booleans(), seed=st.integers(0, 2**32))
+@given(
+    graph=graphs(),
+    steps=st.integers(1, 6),
+    which=st.integers(0, 2**10),
+    lossy=st.booleans(),
+    seed=st.integers(0, 2**32),
+)
 def test_nodes_taken_out_of_a_recording_and_added_again_run_as_they_did(graph, steps, which, lossy, seed):
     if lossy:
         graph = random_graph(Random(seed), lossy=True)
