@@ -6,7 +6,7 @@ from deepkoco.engines.mjcf_object import MjcfObject
 from deepkoco.engines.mjcf_world import MjcfSensor, MjcfWorld
 from deepkoco.engines.model_parameters import parameter_values
 from deepkoco.engines.reset import Drive, ResetError, ResetNode, Teleport, damp
-from deepkoco.engines.robot import OBJECTS, RobotObject, SystemObject, find_object
+from deepkoco.engines.robot import OBJECTS, RobotObject, SystemObject, find_object, register_object
 from deepkoco.engines.scene import Scene
 from deepkoco.engines.simulated import MujocoEngine, OdeEngine
 from deepkoco.engines.unit import UnitEngine
@@ -36,4 +36,5 @@ __all__ = [
     "find_object",
     "make_graph",
     "parameter_values",
+    "register_object",
 ]

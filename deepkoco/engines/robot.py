@@ -93,7 +93,7 @@ def _point_on_rod(p: Values) -> HingedBody:
     )
 
 
-OBJECTS: dict[str, RobotObject] = {
+OBJECTS: dict[str, EngineObject] = {
     robot.system: robot
     for robot in (
         RobotObject("rod_pendulum", _rod),
@@ -122,6 +122,28 @@ class SystemObject:
     def sensors(self) -> tuple[Channel, ...]:
         """What is measured."""
         return self.dynamics.measurements
+
+
+def register_object(thing: EngineObject, name: str | None = None) -> EngineObject:
+    """Let graphs find an object by a name, for this process.
+
+    Args:
+        thing: The object.
+        name: Its name; None takes that of its system, for a `RobotObject`.
+
+    Returns:
+        ``thing``.
+
+    Raises:
+        EngineError: There is another object of that name, or the object needs one.
+    """
+    own = name or (thing.system if isinstance(thing, RobotObject) else None)
+    if own is None:
+        raise EngineError(f"a {type(thing).__name__} has no name of its own; give one: register_object(thing, name)")
+    if OBJECTS.get(own, thing) != thing:
+        raise EngineError(f'there is an object "{own}" already; give another name')
+    OBJECTS[own] = thing
+    return thing
 
 
 def find_object(what: str | Path | System | EngineObject) -> EngineObject:

@@ -1,5 +1,6 @@
 """Estimate parameters, delays and states of a system from recorded logs."""
 
+from deepkoco.callable_package import make_callable
 from deepkoco.fit.data.noise import Noise, estimate_noise
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.delays.hidden_delay import HiddenDelays, hidden_delays
@@ -54,3 +55,5 @@ __all__ = [
     "unidentified",
     "window_length",
 ]
+
+make_callable(__name__)

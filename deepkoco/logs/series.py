@@ -78,9 +78,11 @@ class ChannelReader:
                 _check_header(self.log, part)
         row = self._rows(channel)
         time = self._times(channel.topic, stamp)[row]
-        scale = channel.scale * factor_between(channel.value.unit, target)
+        unit = factor_between(channel.value.unit, target)
+        scale, zero = channel.scale * unit, channel.offset * unit
         with np.errstate(over="ignore"):
             value = self.log.values(channel.topic, channel.value.name)[row] * scale
+            value = value + zero if zero else value
         some = ~(np.isnan(time) & np.isnan(value))
         time, value, row = time[some], value[some], row[some]
         self._refuse(channel, stamp, row, ~np.isfinite(time), "without a time stamp", "drop those rows")
@@ -243,7 +245,7 @@ def _stretches(time: np.ndarray, missing: np.ndarray) -> np.ndarray:
 
 def _check_header(log: LogFile, column: Column) -> None:
     header = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.name)
-    if header is None or column.unit == ISO:
+    if header is None or column.unit == ISO or header.group(1).isdecimal():
         return
     try:
         stated = parse_unit(header.group(1))

@@ -110,6 +110,18 @@ def draw_target(image: np.ndarray, point: Point, reach: float) -> None:
     _disk(image, _place(size, point, reach), 0.055 * size, TARGET)
 
 
+def draw_bars(image: np.ndarray, measured: Sequence[float], commanded: Sequence[float] = ()) -> None:
+    """Draw a bar from the middle for each value in [-1, 1]: measurements, and commands below them."""
+    size, rows = image.shape[0], len(measured) + len(commanded)
+    for k, value in enumerate((*measured, *commanded)):
+        y, middle = size * (k + 1) / (rows + 1), size / 2
+        thickness = max(1, round(0.3 * size / (rows + 1)))
+        _line(image, (middle - REACH * size, y), (middle + REACH * size, y), (222, 224, 228), thickness)
+        colour = MASS if k < len(measured) else COMMAND
+        tip = middle + REACH * size * float(np.clip(value, -1.0, 1.0))
+        _line(image, (middle, y), (tip, y), colour, thickness)
+
+
 def draw_joint_commands(
     image: np.ndarray, points: Sequence[Point], fractions: Sequence[float], reach: float
 ) -> None:

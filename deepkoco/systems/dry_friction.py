@@ -12,12 +12,15 @@ Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from deepkoco.systems.plain import is_plain
 
 if TYPE_CHECKING:
     from deepkoco.systems.system import Motion
@@ -55,13 +58,13 @@ class Rubbed(NamedTuple):
     Attributes:
         speed: J speeds at its end.
         moved: J ways over the step, for joints with a constant acceleration before and after they rest.
-        rests: J, whether the joint rests during the whole step.
-        hold: J loads that hold the joints which rest at its end [N m or N]; 0 for those that move.
+        load: J mean friction loads over the step [N m or N]; None for a joint without dry friction.
+        hold: J loads with which friction holds the joint at the end [N m or N], within the level at rest.
     """
 
     speed: Values
     moved: Values
-    rests: Values
+    load: Levels
     hold: Levels
 
 
@@ -111,14 +114,15 @@ def rubbed(
         h: Step [s].
     """
     joints = range(len(before))
-    rubbing = [j for j in joints if applied[j] is not None]
-    load = {j: _given(applied[j]) for j in rubbing}
+    if is_plain([*before, *after, *applied, *slide, *stick, *(w for row in inverse for w in row)]):
+        return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, h)
+    load = {j: value for j, value in enumerate(applied) if value is not None}
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
     speed, moved, hold = list(after), [0.5 * h * (a + b) for a, b in zip(before, after, strict=True)], {}
-    levels = {j: (_given(slide[j]).clamp_min(0.0), _given(stick[j]).clamp_min(0.0)) for j in rubbing}
-    for _ in range(1 if len(rubbing) == 1 else SWEEPS):
+    levels = {j: (_given(slide[j]).clamp_min(0.0), _given(stick[j]).clamp_min(0.0)) for j in load}
+    for _ in range(1 if len(load) == 1 else SWEEPS):
         settled = True
-        for j in rubbing:
+        for j in load:
             own = inverse[j][j]
             others = mean[j] - own * load[j]
             speed[j], moved[j] = slide_and_rest(before[j], others, own * levels[j][0], own * levels[j][1], h)
@@ -136,10 +140,54 @@ def rubbed(
         if k not in load:
             speed[k] = before[k] + h * mean[k]
             moved[k] = 0.5 * h * (before[k] + speed[k])
-    zero = torch.zeros((), dtype=before[0].dtype)
-    rests = tuple((before[j] == 0.0) & (speed[j] == 0.0) for j in joints)
-    held = tuple(torch.where(speed[j] == 0.0, hold[j], zero) if j in hold else None for j in joints)
-    return Rubbed(tuple(speed), tuple(moved), rests, held)
+    return Rubbed(
+        tuple(speed),
+        tuple(moved),
+        tuple(load.get(j) for j in joints),
+        tuple(hold.get(j) for j in joints),
+    )
+
+
+def _rubbed_in_a_loop(
+    before: Values,
+    after: Values,
+    applied: Levels,
+    slide: Levels,
+    stick: Levels,
+    inverse: tuple[Values, ...],
+    h: float,
+) -> Rubbed:
+    """As :func:`rubbed`, compiled: the sweeps in torch cost several times as much as all other equations."""
+    from deepkoco.systems.dry_friction_loop import rub
+
+    joints, rubbing = len(before), [j for j, load in enumerate(applied) if load is not None]
+    shape = np.broadcast_shapes(
+        *(x.shape for x in (*before, *after, *(w for row in inverse for w in row))),
+        *(_given(level).shape for j in rubbing for level in (applied[j], slide[j], stick[j])),
+    )
+
+    def rows(values: Sequence[Tensor]) -> np.ndarray:
+        table = np.empty((len(values), *shape))
+        for row, value in enumerate(values):
+            table[row] = value.numpy()
+        return table.reshape(len(values), -1)
+
+    start, ends = rows(before), rows(after)
+    load, moving, resting = (rows([_given(levels[j]) for j in rubbing]) for levels in (applied, slide, stick))
+    np.maximum(moving, 0.0, out=moving)
+    np.maximum(resting, 0.0, out=resting)
+    masses = rows([w for row in inverse for w in row]).reshape(joints, joints, -1)
+    speed, moved, hold = np.empty_like(start), np.empty_like(start), np.empty_like(load)
+    sweeps = 1 if len(rubbing) == 1 else SWEEPS
+    rub(
+        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), h, sweeps, CLOSE, speed, moved, hold
+    )  # fmt: skip
+    loads: list[Tensor | None] = [None] * joints
+    holds: list[Tensor | None] = [None] * joints
+    for r, j in enumerate(rubbing):
+        loads[j], holds[j] = (torch.from_numpy(x[r]).view(shape) for x in (load, hold))
+    whole = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
+    return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
 
 
 def _given(value: Tensor | None) -> Tensor:

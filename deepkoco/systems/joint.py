@@ -53,7 +53,7 @@ class JointSystem(System):
     joints = 1
     state_names = ("theta", "omega")
     state_units = ("rad", "rad/s")
-    upright: float  # angle at which the tip points up [rad]
+    upright: float = 0.0  # angle at which the tip points up [rad]
     command: Channel
 
     @property
@@ -75,9 +75,9 @@ class JointSystem(System):
         """Sum of the modelled torques [N m]."""
         return self.torque_law(parameters)(theta, omega, effort, None)
 
-    @abstractmethod
     def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
-        """Draw what turns onto a picture (size, size, 3)."""
+        """Draw what turns onto a picture (size, size, 3): by default a rod."""
+        drawing.draw_rod(image, angle_from_upright)
 
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None

@@ -109,8 +109,12 @@ def find_stored(origin: str, folder: Path) -> System:
 
 
 def _tree(path: Path) -> System:
-    from deepkoco.systems.trees import TreeSystem
+    # MuJoCo reads the file: it is imported for those who have one.
+    from deepkoco.systems.trees import TreeError, TreeSystem
 
-    system = TreeSystem.from_file(path)
+    try:
+        system = TreeSystem.from_file(path)
+    except TreeError as error:
+        raise SystemLoadError(str(error)) from error
     system.origin = str(path)
     return system

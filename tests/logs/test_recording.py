@@ -292,7 +292,7 @@ def test_read_log_names_a_missing_file_or_sidecar(tmp_path):
 
 
 def test_read_log_refuses_a_folder(tmp_path):
-    with pytest.raises(LogError, match=r"is a folder; give the log file in it"):
+    with pytest.raises(LogError, match=r"the folder contains no log; known are .csv"):
         read_log(tmp_path)
 
 

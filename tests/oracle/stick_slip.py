@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from deepkoco.logs.recording import Recording, Series
-from deepkoco.systems import Acceleration, Channel, Motion, Parameter, Parameters, System, make_system
+from deepkoco.systems import Channel, Motion, Parameter, Parameters, System, make_system
+from deepkoco.systems.system import Acceleration
 
 GRAVITY = 9.81  # [m/s2]
 STEP = 2e-4  # [s]

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.dry_friction import DryFriction, Levels, rubbed
+from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.system import Acceleration, InverseInertia, Motion
 
 Values = tuple[Tensor, ...]
@@ -20,18 +21,20 @@ class Drive(NamedTuple):
         efforts: Effort of each command (W, L) at start, middle and end of the step.
         times: (W, 1) log time at start, middle and end [s].
         load: Per joint (W, L), outside load over the step; None for none.
+        memory: What effects remember at the start of the step, one (W, L) for each.
     """
 
     efforts: tuple[Values, Values, Values]
     times: tuple[Tensor, Tensor, Tensor]
     load: Values | None
+    memory: Values = ()
 
     def rows(self, rows: Tensor) -> Drive:
         """Drive of some windows."""
         begin, middle, end = (rows_of(e, rows) for e in self.efforts)
         t1, t2, t4 = (t[rows] for t in self.times)
         load = None if self.load is None else rows_of(self.load, rows)
-        return Drive((begin, middle, end), (t1, t2, t4), load)
+        return Drive((begin, middle, end), (t1, t2, t4), load, rows_of(self.memory, rows))
 
 
 class Equations(NamedTuple):
@@ -42,77 +45,89 @@ class Equations(NamedTuple):
         friction: Levels of the dry friction.
         inverse: Inverse inertia.
         smoothing: Per joint, speed over which equations smooth a dry friction that they do not declare, per second.
+        memory: Effects that remember the way of a joint.
     """
 
     free: Acceleration
     friction: DryFriction
     inverse: InverseInertia
     smoothing: Values
+    memory: JointMemory = JointMemory(())
 
 
 class Step(NamedTuple):
     """State after a step, and the accelerations at its start and end; per joint (W, L).
 
-    ``hold`` are the loads (W, L) with which dry friction holds joints at rest; None where no joint rests.
+    ``rest`` is the share of its level with which dry friction holds a joint at rest; None where no joint rests.
     """
 
     angle: Values
     speed: Values
     first: Values
     last: Values
-    hold: Levels
+    rest: Levels
 
 
-def step_of(equations: Equations, angle: Values, speed: Values, drive: Drive, hold: Levels, h: float) -> Step:
+def directions(speed: Values, rest: Levels, friction: DryFriction) -> Levels:
+    """Share of its level with which dry friction acts against each joint: the sign of its speed, or what holds it.
+
+    Args:
+        speed: Per joint (W, L).
+        rest: Per joint, share of the level at rest, 0 for a joint that moves; None for 0.
+        friction: Levels of the dry friction.
+    """
+    result: list[Tensor | None] = [None] * len(speed)
+    for j in friction.joints:
+        held, sign = rest[j], torch.sign(speed[j])
+        result[j] = sign if held is None else sign + held
+    return tuple(result)
+
+
+def step_of(
+    equations: Equations, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
+) -> Step:
     """One step of the classical Runge-Kutta method, under efforts that are linear in time.
 
-    During the step dry friction acts against the speed at its start, or with ``hold`` where the joint rests. Where a
-    joint then comes to rest, turns or leaves, :func:`corrected` mends the result.
+    The direction of dry friction stays during the step. Where a joint comes to rest, turns or leaves,
+    :func:`corrected` mends the result.
 
     Args:
         equations: Equations of motion.
         angle: Per joint (W, L).
         speed: Per joint (W, L).
         drive: Efforts, times and loads of the step.
-        hold: Per joint, load of dry friction on a joint at rest, 0 for one that moves; None for 0.
+        direction: Per joint, as from :func:`directions`.
         h: Step [s].
     """
     half = 0.5 * h
-    (begin, middle, end), (t1, t2, t4), load = drive
-    free, friction, _, smoothing = equations
-    sign = {j: torch.sign(speed[j]) for j in friction.joints}
+    (begin, middle, end), (t1, t2, t4), load, before = drive
+    free, friction, _, smoothing, memory = equations
 
-    def under(motion: Motion, steady: Levels | None) -> Values:
-        loads = steady
-        if loads is None:
-            loads = _with_friction(motion.loads, friction.levels(motion), sign, hold)
+    def under(motion: Motion) -> Values:
+        loads = _with_friction(load, friction.levels(motion), direction) if steady is None else steady
+        if before:
+            loads = memory.loads(memory.advanced(before, angle, motion), motion, loads)
         return free(motion._replace(loads=loads))
 
-    steady = None if friction.varying else _with_friction(load, friction.steady, sign, hold)
-    a1 = under(Motion(angle, speed, begin, load, t1, smoothing), steady)
+    steady = None if friction.varying else _with_friction(load, friction.steady, direction)
+    a1 = under(Motion(angle, speed, begin, None, t1, smoothing))
     q2, v2 = _moved(angle, speed, half), _moved(speed, a1, half)
-    a2 = under(Motion(q2, v2, middle, load, t2, smoothing), steady)
+    a2 = under(Motion(q2, v2, middle, None, t2, smoothing))
     q3, v3 = _moved(angle, v2, half), _moved(speed, a2, half)
-    a3 = under(Motion(q3, v3, middle, load, t2, smoothing), steady)
+    a3 = under(Motion(q3, v3, middle, None, t2, smoothing))
     q4, v4 = _moved(angle, v3, h), _moved(speed, a3, h)
-    a4 = under(Motion(q4, v4, end, load, t4, smoothing), steady)
+    a4 = under(Motion(q4, v4, end, None, t4, smoothing))
     none = (None,) * len(speed)
     return Step(_mean(angle, speed, v2, v3, v4, h), _mean(speed, a1, a2, a3, a4, h), a1, a4, none)
 
 
-def _with_friction(
-    load: Values | None, levels: Levels, sign: dict[int, Tensor], hold: Levels
-) -> Levels | None:
-    """Loads on the joints, with dry friction against the signs of their speeds."""
-    if not sign:
-        return load
+def _with_friction(load: Values | None, levels: Levels, direction: Levels) -> Levels:
+    """Loads on the joints together with dry friction; None for a joint without any."""
     total: list[Tensor | None] = [None] * len(levels) if load is None else list(load)
-    for j, direction in sign.items():
-        level, held, given = levels[j], hold[j], total[j]
-        if level is None:
-            continue
-        rub = -level * direction if held is None else torch.addcmul(held, level, direction, value=-1.0)
-        total[j] = rub if given is None else given + rub
+    for j, (level, share) in enumerate(zip(levels, direction, strict=True)):
+        if level is not None and share is not None:
+            given = total[j]
+            total[j] = -level * share if given is None else torch.addcmul(given, level, share, value=-1.0)
     return tuple(total)
 
 
@@ -131,42 +146,67 @@ def turning(before: Values, after: Values, friction: DryFriction) -> Tensor:
 
 
 def corrected(
-    equations: Equations, step: Step, angle: Values, speed: Values, drive: Drive, hold: Levels, h: float
+    equations: Equations, step: Step, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
 ) -> Step:
     """Let joints come to rest, stick and turn within a step: see :mod:`deepkoco.systems.dry_friction`.
 
+    The step is integrated once more with the mean friction that is found. Without it the state after the step would
+    jump where the speed at its start changes its sign, and differences of two simulations would show the jump.
+
     Args:
-        equations, angle, speed, drive, hold, h: As for :func:`step_of`.
+        equations, angle, speed, drive, direction, h: As for :func:`step_of`.
         step: Its result.
     """
     friction = equations.friction
-    joints = range(len(speed))
-    middle = tuple(0.5 * (a + b) for a, b in zip(angle, step.angle, strict=True))
-    halfway = Motion(middle, speed, drive.efforts[1], drive.load, drive.times[1], equations.smoothing)
+    halfway = Motion(angle, speed, drive.efforts[1], None, drive.times[1], equations.smoothing)
     inverse = equations.inverse(halfway)
-    if friction.varying is None:
-        slide = stick = friction.steady
-    else:
+    slide = stick = friction.steady
+    if friction.varying:
         slide = friction.levels(halfway._replace(speeds=tuple(0.5 * v for v in speed)))
         stick = friction.levels(halfway._replace(speeds=tuple(torch.zeros_like(v) for v in speed)))
-    # A level below 0 drives the joint: it is part of the free motion.
-    applied = []
-    for j, level in enumerate(slide):
-        load = None if level is None else -level.clamp_min(0.0) * torch.sign(speed[j])
-        held = hold[j]
-        applied.append(load if load is None or held is None else load + held)
-    found = rubbed(speed, step.speed, tuple(applied), slide, stick, inverse, h)
-    angles, firsts, lasts = list(step.angle), list(step.first), list(step.last)
-    for j in joints:
+    found = rubbed(speed, step.speed, _loads(slide, direction), slide, stick, inverse, h)
+    direction = _shares(found.load, slide, direction)
+    again = step_of(equations, angle, speed, drive, direction, h)
+    found = rubbed(speed, again.speed, _loads(slide, direction), slide, stick, inverse, h)
+    angles, firsts, lasts, rest = list(again.angle), list(again.first), list(again.last), list(again.rest)
+    for j, own in enumerate(found.speed):
         # The part of the way that a constant acceleration does not explain stays, but not for a joint at rest.
-        way = found.moved[j] - 0.5 * h * (speed[j] + step.speed[j])
-        angles[j] = torch.where(found.rests[j], angle[j], step.angle[j] + way)
-        if j in friction.joints:
-            turns = speed[j] * step.speed[j] <= 0.0
-            mean = (found.speed[j] - speed[j]) / h
-            firsts[j] = torch.where(turns, mean, step.first[j])
-            lasts[j] = torch.where(turns, mean, step.last[j])
-    return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), found.hold)
+        way = again.angle[j] + (found.moved[j] - 0.5 * h * (speed[j] + again.speed[j]))
+        angles[j] = way
+        if direction[j] is None:
+            continue
+        stays = own == 0.0
+        angles[j] = torch.where(stays & (speed[j] == 0.0), angle[j], way)
+        turns = speed[j] * own <= 0.0
+        mean = (own - speed[j]) / h
+        firsts[j], lasts[j] = (
+            torch.where(turns, mean, again.first[j]),
+            torch.where(turns, mean, again.last[j]),
+        )
+        share = _shares(found.hold, stick, direction)[j]
+        assert share is not None
+        rest[j] = torch.where(stays, share, torch.zeros((), dtype=share.dtype))
+    return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), tuple(rest))
+
+
+def _loads(levels: Levels, direction: Levels) -> Levels:
+    """Friction loads; a level below 0 drives the joint and is part of its free motion."""
+    return tuple(
+        None if level is None or share is None else -level.clamp_min(0.0) * share
+        for level, share in zip(levels, direction, strict=True)
+    )
+
+
+def _shares(loads: Levels, levels: Levels, direction: Levels) -> Levels:
+    """Friction loads as shares of their levels, against them; ``direction`` where the level is not above 0."""
+    result: list[Tensor | None] = []
+    for load, level, share in zip(loads, levels, direction, strict=True):
+        if load is None or level is None or share is None:
+            result.append(share)
+        else:
+            safe = torch.where(level > 0.0, level, torch.ones((), dtype=level.dtype))
+            result.append(torch.where(level > 0.0, -load / safe, share))
+    return tuple(result)
 
 
 def replaced(step: Step, rows: Tensor, part: Step) -> Step:
@@ -176,12 +216,12 @@ def replaced(step: Step, rows: Tensor, part: Step) -> Step:
         pairs = zip(whole, own, strict=True)
         return tuple(a.index_copy(0, rows, b.expand(len(rows), a.shape[1])) for a, b in pairs)
 
-    hold = tuple(
+    rest = tuple(
         None if own is None else torch.zeros_like(v).index_copy(0, rows, own.expand(len(rows), v.shape[1]))
-        for v, own in zip(step.speed, part.hold, strict=True)
+        for v, own in zip(step.speed, part.rest, strict=True)
     )
     angle, speed, first, last = (mixed(whole, own) for whole, own in zip(step[:4], part[:4], strict=True))
-    return Step(angle, speed, first, last, hold)
+    return Step(angle, speed, first, last, rest)
 
 
 def rows_of(values: Values, rows: Tensor) -> Values:

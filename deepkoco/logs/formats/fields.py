@@ -15,7 +15,7 @@ MOST_ELEMENTS = 64
 """Longer lists (images, scans) are read only if one of their fields is requested."""
 MOST_CELLS = 1 << 27
 """Largest number of values of a topic: messages times fields."""
-NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name")
+NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name", "dof_names", "interface_names")
 """Fields with names of the elements of the lists beside and below them (JointState, JointTrajectory)."""
 NANO = 10**9
 _CHECKED = 4096  # messages after which the size is checked again
@@ -126,7 +126,8 @@ class TopicColumns:
                 return
             if len(value) and isinstance(value[0], str):
                 return
-            keys = names if len(names) == len(value) else range(len(value))
+            # The points of a trajectory follow each other in time, even if they are as many as its joints.
+            keys = names if len(names) == len(value) and not _is_series(prefix) else range(len(value))
             for key, element in zip(keys, value, strict=True):
                 yield from self._walk(f"{prefix}[{key}]", element, names)
         elif isinstance(value, bytes | bytearray):
@@ -156,19 +157,20 @@ def parse_field(field: str) -> list[str]:
 
 
 def _resolve(message: Any, path: Sequence[str]) -> Any:
-    value, names = message, ()
+    value, names, before = message, (), ""
     for token in path:
         members = _members(value)
         if members is not None:
             names = _names(members) or names
         if token.startswith("["):
-            value = _element(value, token[1:-1].strip(), names)
+            value = _element(value, token[1:-1].strip(), () if before == "points" else names)
         elif members is not None and token in members:
             value = members[token]
         elif members is None and token == "value" and len(path) == 1:
             return value
         else:
             raise _Missing
+        before = token
     return value
 
 
@@ -189,6 +191,10 @@ def _members(value: Any) -> dict[str, Any] | None:
     if fields is None:
         return None
     return {name: getattr(value, name) for name in fields if not name.startswith("__") and name != "_"}
+
+
+def _is_series(field: str) -> bool:
+    return field.rpartition(".")[2] == "points"
 
 
 def _names(members: Mapping[str, Any]) -> Sequence[str]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+
+from deepkoco.suggestion import did_you_mean
 
 RECEIVED = "received"
 """Column of a topic: time at which the recorder got each message [s since the first message]."""
@@ -54,6 +57,7 @@ class LogFile:
         origin_ns: origin of the times in the tables [ns since 1970]; 0 for a file without topics.
         row_name: name of a row in messages to the user.
         notes: assumptions of the reader.
+        facts: what the file says about the log besides its samples.
     """
 
     path: Path
@@ -63,6 +67,7 @@ class LogFile:
     origin_ns: int = 0
     row_name: str = "message"
     notes: tuple[str, ...] = ()
+    facts: dict[str, float | str] = field(default_factory=dict)
 
     @property
     def has_topics(self) -> bool:
@@ -90,7 +95,10 @@ class LogFile:
                 f'{self.path}: a {self.form} file has topics; give topic and field of each channel, such as "topic: '
                 f'/joint_states, field: position[0]"; it has {there}'
             )
-        raise LogError(f'{self.path}: has no topic "{topic}"; it has {there}; correct the mapping')
+        raise LogError(
+            f'{self.path}: has no topic "{topic}"{did_you_mean(topic, self.tables) or ";"} it has {there}; correct the '
+            "mapping"
+        )
 
     def file(self, topic: str) -> Path:
         """Path of the file that contains a topic."""
@@ -117,15 +125,23 @@ class LogFile:
         """
         table = self.table(topic)
         if column not in table.frame.columns:
+            there = self._columns(topic)
+            listed = ", ".join(there[:40]) + (f" and {len(there) - 40} more" if len(there) > 40 else "")
             raise LogError(
-                f"{self._where(topic, column)} is missing; {self._has(topic)}; correct the mapping"
+                f"{self._where(topic, column)} is missing{did_you_mean(column, there) or ';'} the "
+                f"{'topic' if self.has_topics else 'file'} has {listed}; correct the mapping"
             )
         return self._numbers(topic, column, pd.Series(table.frame[column]))
 
-    def _has(self, topic: str) -> str:
-        names = [str(name) for name in self.tables[topic].frame.columns]
-        listed = ", ".join(names[:40]) + (f" and {len(names) - 40} more" if len(names) > 40 else "")
-        return f"the {'topic' if self.has_topics else 'file'} has {listed}"
+    def _columns(self, topic: str) -> list[str]:
+        """Columns of a topic; messages are read again, because only requested fields have been read."""
+        table = self.tables[topic]
+        if topic and table.path is None:
+            from deepkoco.logs.formats.open_log import open_log
+
+            with suppress(LogError):  # of a file that can only be read in parts
+                table = open_log(self.path).tables.get(topic, table)
+        return [str(name) for name in table.frame.columns]
 
     def _where(self, topic: str, column: str) -> str:
         if self.tables[topic].path is not None or not topic:

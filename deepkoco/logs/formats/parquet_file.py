@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow
-import pyarrow.compute
 import pyarrow.parquet
 
 from deepkoco.logs.formats.fields import MOST_CELLS, MOST_ELEMENTS
@@ -48,7 +47,7 @@ def read_table(
         # From a path, pyarrow would add a column for each parent folder with a name key=value.
         with path.open("rb") as file:
             opened = pyarrow.parquet.ParquetFile(file)
-            _check_size(path, opened.metadata)
+            check_size(path, opened.metadata)
             chosen, left_out = _readable(opened.schema_arrow)
             texts = [name for name in chosen if _is_text(opened.schema_arrow.field(name).type)]
             # Repeated texts stay in a dictionary, for a small file can repeat a long one.
@@ -60,7 +59,8 @@ def read_table(
                 )
             content = opened.read(columns=chosen)
         if filters is not None and filters[0] in content.column_names:
-            content = content.filter(pyarrow.compute.equal(content[filters[0]], filters[1]))
+            wanted = content[filters[0]].to_numpy() == filters[1]
+            content = content.filter(pyarrow.array(wanted))
         frame = content.to_pandas(ignore_metadata=filters is not None)
         if any(name is not None for name in frame.index.names):
             frame = frame.reset_index()
@@ -74,7 +74,7 @@ def read_table(
         ) from error
 
 
-def _check_size(path: Path, metadata: Any) -> None:
+def check_size(path: Path, metadata: Any) -> None:
     """Refuse a file with too many values, before they are unpacked."""
     total = sum(
         metadata.row_group(group).column(column).num_values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,13 +19,12 @@ SLIDE = 2  # mjtJoint.mjJNT_SLIDE
 CLOSE = 1e-14  # entries of rotations that are this close to 0 or 1 are meant to be
 
 
-def compile_tree(model: mujoco.MjModel, name: str, torques: bool = False) -> Tree:
+def compile_tree(model: mujoco.MjModel, name: str) -> Tree:
     """Describe a model as a tree of hinges and slides.
 
     Args:
         model: Compiled model.
         name: Name for messages where the model has none.
-        torques: Whether each joint of a model without actuators gets a command in N m or N.
 
     Raises:
         TreeError: The model has an element that a contact-free tree of hinges and slides cannot have.
@@ -41,8 +41,11 @@ def compile_tree(model: mujoco.MjModel, name: str, torques: bool = False) -> Tre
     _refuse_massless(joints, bodies)
     sites = _sites(model, names, poses, last, bodies)
     actuators = _actuators(model, names)
-    if torques and not actuators:
+    bare = not actuators
+    if bare:
         actuators = tuple(_torque(joint, j) for j, joint in enumerate(joints))
+    firsts = {own.joint: own for own in reversed(actuators)}.values()
+    actuators = tuple(sorted(actuators, key=lambda own: own not in firsts))
     notes = [*_left_out(model, names, last), *names.notes]
     gravity = (
         np.zeros(3) if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY else model.opt.gravity
@@ -55,6 +58,7 @@ def compile_tree(model: mujoco.MjModel, name: str, torques: bool = False) -> Tre
         sites,
         _vector(gravity),
         tuple(notes),
+        bare,
     )
 
 
@@ -293,9 +297,9 @@ def _principal(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Principal moments and axes; each axis is named after the axis of the body's frame that is next to it."""
     moments, axes = (own_moments.copy(), own_axes) if parts == 1 else np.linalg.eigh(inertia)
-    from scipy.optimize import linear_sum_assignment
-
-    _, order = linear_sum_assignment(-np.abs(axes))
+    near = np.abs(axes)
+    order = max(permutations(range(3)), key=lambda p: near[0, p[0]] + near[1, p[1]] + near[2, p[2]])
+    order = list(order)
     axes, moments = axes[:, order], moments[order]
     axes = axes * np.where(np.diag(axes) < 0.0, -1.0, 1.0)
     return moments, axes
@@ -349,6 +353,10 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
         where = f'the actuator "{names.actuators[a]}"'
         if mujoco.mjtTrn(model.actuator_trntype[a]) not in on_joints:
             raise TreeError(f"{where} does not drive a joint; {OTHERWISE}")
+        if not model.actuator_gear[a, 0]:
+            raise TreeError(
+                f"{where} has the gear 0, so it moves nothing; give it another gear, or take it out"
+            )
         scale, offset = gains(model.actuator_gaintype[a]), biases(model.actuator_biastype[a])
         if scale not in (gains.mjGAIN_FIXED, gains.mjGAIN_AFFINE) or (
             offset not in (biases.mjBIAS_NONE, biases.mjBIAS_AFFINE)
@@ -363,8 +371,6 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
             raise TreeError(
                 f"{where} has dynamics other than a first-order filter; replace it, or use the MuJoCo engine"
             )
-        if np.any(model.actuator_delay[a]):
-            raise TreeError(f"{where} has a delay; set it to 0 and let the fit find the delay")
         if any(
             np.any(x[a])
             for x in (model.actuator_damping, model.actuator_armature, model.actuator_dampingpoly)
@@ -391,9 +397,17 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
                 float(forces[0]),
                 float(forces[1]),
                 lag,
+                _delay(model, a),
             )
         )
     return tuple(result)
+
+
+def _delay(model: mujoco.MjModel, a: int) -> float:
+    """Mean delay of a control [s]; MuJoCo's linear interpolation lets a jump begin one time step early."""
+    delay = float(model.actuator_delay[a])
+    linear = model.actuator_history[a, 1] == 1
+    return max(delay - 0.5 * float(model.opt.timestep), 0.0) if linear and delay > 0.0 else delay
 
 
 def _torque(joint: Joint, index: int) -> Actuator:

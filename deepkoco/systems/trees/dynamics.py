@@ -136,6 +136,20 @@ def forward_dynamics(
     return accelerations
 
 
+def inverse_mass(
+    joints: Sequence[Joint],
+    inertias: Sequence[Inertia],
+    armatures: Sequence[Scalar],
+    angles: Sequence[Tensor],
+) -> tuple[tuple[Tensor, ...], ...]:
+    """J rows of J columns of M^-1(q); arguments as for :func:`mass_matrix`."""
+    mass = mass_matrix(joints, inertias, armatures, angles)
+    units = [[float(j == k) for k in range(len(joints))] for j in range(len(joints))]
+    columns = [solve(joints, mass, unit) for unit in units]
+    like = torch.zeros_like(angles[0])
+    return tuple(tuple(like + column[j] for column in columns) for j in range(len(joints)))
+
+
 def _ancestors(joints: Sequence[Joint], k: int) -> tuple[int, ...]:
     """Joints between a joint and the base, the nearest first."""
     found, i = [], joints[k].parent

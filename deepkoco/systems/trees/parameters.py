@@ -29,6 +29,7 @@ PRIORS = {
     "kv": 0.3,
     "bias": 0.2,
     "time_constant": 0.3,
+    "delay": 0.3,
 }
 """Prior standard deviation of each kind as a share of the model's value.
 
@@ -141,6 +142,12 @@ def time_constant(actuator: Actuator, parameters: Parameters) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float64)
 
 
+def control_delay(actuator: Actuator, parameters: Parameters) -> Tensor:
+    """Of the actuator's control [s]; 0 without one."""
+    value = _value(parameters, f"delay({actuator.name})", actuator.delay)
+    return torch.as_tensor(value, dtype=torch.float64)
+
+
 def _value(parameters: Parameters, name: str, otherwise: float) -> Scalar:
     found = parameters.get(name)
     return otherwise if found is None else found
@@ -246,11 +253,18 @@ def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
 
 
 def _lag(actuator: Actuator) -> list[Parameter]:
-    if not actuator.time_constant > 0.0:
-        return []
-    value, text = actuator.time_constant, f"T, first-order lag of {actuator.name}"
-    name, sd = f"time_constant({actuator.name})", PRIORS["time_constant"] * value
-    return [Parameter(name, value, "s", 0.0, max(0.3, 10.0 * value), sd, text)]
+    """Times of the way from the control to the force."""
+    listed = (
+        ("time_constant", actuator.time_constant, f"T, first-order lag of {actuator.name}"),
+        ("delay", actuator.delay, f"tau, delay of the control of {actuator.name}"),
+    )
+    return [
+        Parameter(
+            f"{kind}({actuator.name})", value, "s", 0.0, max(0.3, 10.0 * value), PRIORS[kind] * value, text
+        )
+        for kind, value, text in listed
+        if value > 0.0
+    ]
 
 
 def control_unit(actuator: Actuator, joint: Joint) -> str:

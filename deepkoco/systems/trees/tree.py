@@ -103,6 +103,7 @@ class Actuator:
         low, high: Range of the control u; infinite without one.
         force_low, force_high: Range of the force; infinite without one.
         time_constant: Of the first-order filter of the control; 0 without one [s].
+        delay: Time after which a control acts [s].
     """
 
     name: str
@@ -115,6 +116,7 @@ class Actuator:
     force_low: float
     force_high: float
     time_constant: float
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -125,10 +127,11 @@ class Tree:
         name: Name of the model.
         joints: J joints.
         bodies: Moving bodies; a body without joints belongs to the one that it is welded to.
-        actuators: In the order of the model.
+        actuators: In the order of the model, but those after the first one of a joint come last.
         sites: Named places on moving bodies, first those of the model.
         gravity: Acceleration in the base's frame [m/s2].
         notes: Sentences on what the model has and the compiled tree leaves out.
+        without_actuators: Whether the model has none, and the actuators are plain loads on the joints.
     """
 
     name: str
@@ -138,3 +141,4 @@ class Tree:
     sites: tuple[Site, ...]
     gravity: Vector
     notes: tuple[str, ...] = ()
+    without_actuators: bool = False

@@ -2,32 +2,39 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.extended import MemoryEffectError
+from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
     CommandTiming,
     Delivery,
+    InverseInertia,
     Motion,
+    Outline,
     Parameter,
     Parameters,
     System,
     Timing,
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
-from deepkoco.systems.trees.dynamics import forward_dynamics
-from deepkoco.systems.trees.model_file import is_urdf, read_model
+from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
+from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
+from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
+from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
+    control_delay,
     control_unit,
     declared_parameters,
     is_servo,
@@ -38,8 +45,9 @@ from deepkoco.systems.trees.parameters import (
     time_constant,
 )
 from deepkoco.systems.trees.picture import choose_view, lines
-from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub
+from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
+from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -54,7 +62,9 @@ class TreeSystem(System):
 
     M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
     clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
-    filter where the actuator has one. Contacts and limits of joints are not simulated; :attr:`notes` says so where the
+    filter where the actuator has one. `accelerations` are exactly these; simulations (`derivative`,
+    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`.
+    Contacts and limits of joints are not simulated; :attr:`notes` says so where the
     model has any.
 
     Args:
@@ -66,6 +76,7 @@ class TreeSystem(System):
         origin: Text by which the robot is found again; None if it was made in Python.
         notes: Sentences on what the model has and the system leaves out.
         payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
+        tip: The place of `with_payload`.
     """
 
     def __init__(self, tree: Tree, origin: str | None = None) -> None:
@@ -88,8 +99,10 @@ class TreeSystem(System):
                 control_unit(a, tree.joints[a.joint]),
                 "command",
                 low,
-                high,
+                # Sizes of effects are taken from the upper limit.
+                high if high > 0.0 else -low,
                 description=_drives(a, tree),
+                default=0.0 if tree.without_actuators else None,
             )
             for a, (low, high) in zip(tree.actuators, controls, strict=True)
         )
@@ -100,15 +113,20 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
-        self._tip = _tip(tree)
+        self._least_inertias = least_inertias(tree)
+        nominal = _Numbers.of(self, {}, steady=True)
+        self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
+        self.tip = self.payload_sites[_tip(tree)]
         self._view = choose_view(tree)
+        self._arrays = TreeArrays(tree)
         self.parameters = visible_parameters(self, declared_parameters(tree))
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
         """Read a robot from an MJCF or URDF file.
 
-        A URDF file has no actuators: each of its joints gets a command in N m or N with the joint's name.
+        Each joint of a model without actuators (a URDF file has none) gets a command in N m or N with the joint's
+        name. A log need not show it: it is then 0.
 
         Args:
             path: The file.
@@ -119,11 +137,10 @@ class TreeSystem(System):
         path = Path(path)
         model, notes = read_model(path)
         try:
-            tree = compile_tree(model, path.stem, torques=is_urdf(path))
+            tree = compile_tree(model, path.stem)
+            return cls(replace(tree, notes=(*notes, *tree.notes)), str(path))
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
-        tree = replace(tree, notes=(*notes, *tree.notes))
-        return cls(tree, str(path))
 
     @property
     def commands(self) -> tuple[Channel, ...]:
@@ -131,7 +148,7 @@ class TreeSystem(System):
 
     @property
     def command_joints(self) -> tuple[int, ...]:
-        return tuple(a.joint for a in self.tree.actuators)
+        return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -146,15 +163,15 @@ class TreeSystem(System):
         return self._load_scales
 
     @property
+    def longest_step(self) -> float:
+        return self._longest_step
+
+    @property
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:
         units = self.load_units
         return tuple(
             (most, units[a.joint]) for most, a in zip(self._delivered, self.tree.actuators, strict=True)
         )
-
-    @property
-    def rubbing_joints(self) -> tuple[int, ...]:
-        return tuple(j for j, joint in enumerate(self.tree.joints) if joint.frictionloss > 0.0)
 
     @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:
@@ -177,59 +194,76 @@ class TreeSystem(System):
 
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         actuator = self.tree.actuators[index]
-        zero = torch.zeros((), dtype=torch.float64)
         lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
-        return CommandTiming(zero, lags, zero)
+        return CommandTiming(control_delay(actuator, parameters), lags, torch.zeros((), dtype=torch.float64))
 
     def timing(self, parameters: Parameters) -> Timing:
         zero = torch.zeros((), dtype=torch.float64)
         lags = [time_constant(a, parameters) for a in self.tree.actuators]
-        if any(not torch.equal(lag, lags[0]) for lag in lags):
-            raise MemoryEffectError(f"the commands of {self.name} have lags of their own")
-        return Timing(zero, zero, lags[0] if lags else zero)
+        delays = [control_delay(a, parameters) for a in self.tree.actuators]
+        if any(not torch.equal(x, times[0]) for times in (lags, delays) for x in times):
+            raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
+        return Timing(delays[0] if delays else zero, zero, lags[0] if lags else zero)
 
     def delivery(self, parameters: Parameters) -> Delivery:
-        forces = self._forces(parameters)
+        laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
+        forces = actuator_forces(self.tree.actuators, laws)
+        drives = self._drives()
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            given = forces(motion)
+            together = [total([given[k] for k in drives[j]]) for j in self.command_joints]
             return tuple(
                 force if isinstance(force, Tensor) else torch.full_like(motion.speeds[0], force)
-                for force in forces(motion)
+                for force in together
             )
 
         return deliver
 
-    def dry_friction_limits(self, parameters: Parameters) -> tuple[Tensor, ...]:
-        """Largest dry friction of each joint [N m or N]."""
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
         return tuple(
-            torch.as_tensor(joint_value(parameters, "frictionloss", joint), dtype=torch.float64)
-            for joint in self.tree.joints
+            _as_tensor(limit) if isinstance(limit, Tensor) or limit != 0.0 else None
+            for limit in (joint_value(parameters, "frictionloss", joint) for joint in self.tree.joints)
         )
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
-        joints = self.tree.joints
-        dynamics = forward_dynamics(
-            joints,
-            link_inertias(self.tree, parameters),
-            [joint_value(parameters, "armature", joint) for joint in joints],
-            self._gravity(parameters),
-        )
-        forces, passive = self._forces(parameters), self._passive(parameters)
-        drives = [
-            [k for k, actuator in enumerate(self.tree.actuators) if actuator.joint == j]
-            for j in range(self.joints)
-        ]
+        return self._law(_Numbers.of(self, parameters))
+
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        numbers = _Numbers.of(self, parameters, steady=True)
+        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
+        return self._law(numbers._replace(passive=passive))
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
+        fast = own.fast(self._arrays)
+
+        def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
+            if fast is not None and is_plain(motion.angles):
+                return fast.inverse_inertia(motion.angles)
+            return inverse_mass(joints, own.inertias, own.passive["armature"], motion.angles)
+
+        return inverse
+
+    def _law(self, numbers: _Numbers) -> Acceleration:
+        tree, passive = self.tree, numbers.passive
+        smooth = self.smoothing_speeds
+        fast = numbers.fast(self._arrays)
+        dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
+        forces = actuator_forces(tree.actuators, numbers.laws)
+        resisting = passive_loads(passive, smooth)
+        drives = self._drives()
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            if fast is not None and is_plain(_all_of(motion)):
+                return fast(motion, smooth)
             given = forces(motion)
             loads: list[Scalar] = []
-            for j, joint in enumerate(joints):
-                load: Scalar = 0.0
-                for k in drives[j]:
-                    load = add(load, given[k])
-                load = add(_clipped(load, joint.force_low, joint.force_high), passive(motion, j))
-                if motion.loads is not None and motion.loads[j] is not None:
-                    load = add(load, motion.loads[j])
+            for j, joint in enumerate(tree.joints):
+                load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
+                load = add(load, resisting(motion, j))
+                if motion.loads is not None and (outside := motion.loads[j]) is not None:
+                    load = add(load, outside)
                 loads.append(load)
             return dynamics(motion.angles, motion.speeds, loads)
 
@@ -239,11 +273,12 @@ class TreeSystem(System):
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
-        accelerations = self.accelerations(parameters)(Motion(parts[: self.joints], speeds, efforts))
+        law = self._law(_Numbers.of(self, parameters, steady=True))
+        accelerations = law(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
-        return self.with_payload_at(self.payload_sites[self._tip], mass, parameters)
+        return self.with_payload_at(self.tip, mass, parameters)
 
     def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
@@ -256,6 +291,9 @@ class TreeSystem(System):
         name = payload_name(site)
         before = parameters.get(name)
         return {**parameters, name: mass if before is None else before + mass}
+
+    def outline(self, angles: np.ndarray) -> Outline:
+        return lines(self.tree, angles, self._view)
 
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
@@ -271,16 +309,23 @@ class TreeSystem(System):
             where = [points[j] for j in self.command_joints]
             drawing.draw_joint_commands(image, where, fractions, self._view.reach)
 
+    def _drives(self) -> list[list[int]]:
+        """Actuators of each joint."""
+        found: list[list[int]] = [[] for _ in range(self.joints)]
+        for k, actuator in enumerate(self.tree.actuators):
+            found[actuator.joint].append(k)
+        return found
+
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
-        return _clipped(value, low, high)
+        return clipped(value, low, high)
 
     def _tilt_axes(self) -> tuple[int, ...]:
         """The two axes of the base that lie most across gravity; none without gravity."""
         size = np.abs(self.tree.gravity)
         return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
 
-    def _gravity(self, parameters: Parameters) -> Triple:
+    def gravity(self, parameters: Parameters) -> Triple:
         """Gravity in the frame of the base, which may be turned about two of its axes."""
         gravity: Triple = self.tree.gravity
         for k in self._tilt_axes():
@@ -295,49 +340,6 @@ class TreeSystem(System):
                 )
         return scaled(1.0, gravity)
 
-    def _forces(self, parameters: Parameters):
-        laws = [actuator_law(a, parameters) for a in self.tree.actuators]
-
-        def forces(motion: Motion) -> tuple[Scalar, ...]:
-            """Load of each actuator on its joint [N m or N]."""
-            result = []
-            for actuator, (gain, bias), effort in zip(self.tree.actuators, laws, motion.efforts, strict=True):
-                j, gear = actuator.joint, actuator.gear
-                length, rate = mul(gear, motion.angles[j]), mul(gear, motion.speeds[j])
-                if is_servo(actuator):
-                    force = add(mul(gain[0], effort - length), mul(bias[2], rate))
-                elif is_speed_servo(actuator):
-                    force = mul(gain[0], effort - rate)
-                else:
-                    scale = add(gain[0], add(mul(gain[1], length), mul(gain[2], rate)))
-                    force = add(
-                        mul(scale, effort), add(bias[0], add(mul(bias[1], length), mul(bias[2], rate)))
-                    )
-                result.append(mul(gear, _clipped(force, actuator.force_low, actuator.force_high)))
-            return tuple(result)
-
-        return forces
-
-    def _passive(self, parameters: Parameters):
-        joints = self.tree.joints
-        dampings, frictions, springs, rests = (
-            [joint_value(parameters, kind, joint) for joint in joints]
-            for kind in ("damping", "frictionloss", "stiffness", "springref")
-        )
-        smooth = self.smoothing_speeds
-
-        def passive(motion: Motion, j: int) -> Scalar:
-            """Load of damping, spring and dry friction on a joint [N m or N]."""
-            load = mul(mul(-1.0, dampings[j]), motion.speeds[j])
-            stretched = mul(springs[j], sub(motion.angles[j], rests[j]))
-            load = sub(load, stretched)
-            if isinstance(frictions[j], Tensor) or frictions[j] != 0.0:
-                width = smooth[j] if motion.smoothing is None else motion.smoothing[j]
-                load = sub(load, mul(frictions[j], torch.tanh(motion.speeds[j] / width)))
-            return load
-
-        return passive
-
     def _refuse_clashes(self) -> None:
         names = [c.name for c in (*self._commands, *self.measurements)]
         for name in names:
@@ -347,12 +349,42 @@ class TreeSystem(System):
                 )
 
 
-def _clipped(value: Scalar, low: float, high: float) -> Scalar:
-    if math.isinf(low) and math.isinf(high):
-        return value
-    if isinstance(value, Tensor):
-        return value.clamp(low, high)
-    return min(max(value, low), high)
+class _Numbers(NamedTuple):
+    """What the equations of motion make of a set of parameters."""
+
+    inertias: list[Inertia]
+    gravity: Triple
+    passive: dict[str, list[Scalar]]
+    laws: list[Law]
+
+    @staticmethod
+    def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
+        """Numbers of a system under named values; ``steady`` with the armatures that simulations add."""
+        tree = system.tree
+        passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
+        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        if steady:
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
+        return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
+
+    def fast(self, arrays: TreeArrays) -> FastLaw | None:
+        """The compiled loop; None where it cannot be used."""
+        flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
+        flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
+        flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
+        if not is_plain(flat):
+            return None
+        return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)
+
+
+def _as_tensor(value: Scalar) -> Tensor:
+    return torch.as_tensor(value, dtype=torch.float64)
+
+
+def _all_of(motion: Motion) -> list[Tensor | None]:
+    parts = [*motion.angles, *motion.speeds, *motion.efforts]
+    return [*parts, *(motion.loads or ()), *(motion.smoothing or ())]
 
 
 def _position(name: str, slides: bool, joint: str) -> Channel:

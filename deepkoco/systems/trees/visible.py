@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from deepkoco.systems.trees.tree_system import TreeSystem
 
 MOTIONS = 16
+IN_TIME = ("time_constant(", "delay(")  # of commands: an acceleration at one instant does not show them
 STEP = 1e-3  # of a parameter [prior standard deviations]
 FAINT = (
     1e-7  # change of an acceleration per prior standard deviation that is rounding, per largest acceleration
@@ -23,7 +24,7 @@ FAINT = (
 def visible_parameters(
     system: TreeSystem, declared: Sequence[Parameter], seed: int = 0
 ) -> tuple[Parameter, ...]:
-    """Those of the declared parameters that change an acceleration in random motions."""
+    """Those of the declared parameters that change an acceleration in random motions, and those in time."""
     draw = np.random.default_rng(seed)
     shape = (MOTIONS, 1)
 
@@ -46,4 +47,8 @@ def visible_parameters(
     found = torch.stack(system.accelerations(values)(Motion(angles, speeds, tuple(efforts))))  # (J, n, P + 1)
     change = (found[..., 1:] - found[..., :1]).abs().amax((0, 1)) / STEP
     scale = float(found.abs().max())
-    return tuple(p for p, c in zip(declared, change.tolist(), strict=True) if c > FAINT * scale)
+    return tuple(
+        p
+        for p, c in zip(declared, change.tolist(), strict=True)
+        if c > FAINT * scale or p.name.startswith(IN_TIME)
+    )
