@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.logs import SYSTEM_HELP, add_episodes
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.progress import Progress
@@ -21,7 +22,9 @@ Exit status: 0 diagnosed (also without any fault), 2 bad input, 3 the data do no
 EXAMPLE = """\
 example:
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out coulomb_report
-  deepkoco diagnose logs/monday.csv --system model.yaml --healthy logs/sunday.csv"""
+  deepkoco diagnose logs/monday.csv --system model.yaml --healthy logs/sunday.csv
+  deepkoco diagnose cart.csv --system my_robot.py:CartPole
+  deepkoco diagnose monday/ --system arm.xml --healthy sunday/"""
 INSUFFICIENT = 3
 
 
@@ -32,12 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help="log to explain (CSV, Parquet, MCAP or a ROS bag)",
+        help="log to explain, or a folder of logs (CSV, Parquet, MCAP, ROS bags, LeRobot datasets, ...)",
     )
     parser.add_argument(
         "--system",
         metavar="SYSTEM",
-        help="name of the system, or a model.yaml; default: the system in the sidecar",
+        help=f"{SYSTEM_HELP}; default: the system in the sidecar",
     )
     parser.add_argument(
         "--healthy",
@@ -45,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="LOG",
-        help="logs of the same unit without the fault",
+        help="logs of the same unit without the fault, or folders of them",
     )
     parser.add_argument(
         "--holdout",
@@ -55,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOG",
         help="logs that no fit uses; default: hold out one window in four",
     )
+    add_episodes(parser)
     parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs; default: LOG.yaml")
     parser.add_argument(
         "--fill", choices=("drop", "hold"), help="rule for missing values; default: refuse them"
@@ -78,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A log, the system or the output folder cannot be used.
     """
-    from deepkoco.cli.logs import read_logs
+    from deepkoco.cli.logs import read_logs, result_folder
     from deepkoco.diagnose.diagnose import diagnose
     from deepkoco.diagnose.report.folder import write_report
     from deepkoco.diagnose.report.text import terminal_table
@@ -88,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.output.whole_file import system_error
 
     first = args.recording[0]
-    out = args.out or first.with_name(f"{first.stem}_diagnosis")
+    out = args.out or result_folder(first, "_diagnosis")
     if args.window is not None and not 0.05 <= args.window <= 60.0:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
     try:

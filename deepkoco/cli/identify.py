@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.logs import SYSTEM_HELP, add_episodes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,11 +30,13 @@ example:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco identify`."""
-    parser.add_argument("recording", type=Path, nargs="+", metavar="LOG", help="log of the unit")
+    parser.add_argument(
+        "recording", type=Path, nargs="+", metavar="LOG", help="log of the unit, or a folder of logs"
+    )
     parser.add_argument(
         "--system",
         metavar="SYSTEM",
-        help="name of the system, or a model.yaml; default: the system in the sidecar",
+        help=f"{SYSTEM_HELP}; default: the system in the sidecar",
     )
     parser.add_argument(
         "--parameters",
@@ -73,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="start value; for a parameter that is not fitted, its known value",
     )
+    add_episodes(parser)
     parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar of all logs; default: LOG.yaml")
     parser.add_argument(
         "--fill", choices=("drop", "hold"), help="rule for missing values; default: refuse them"
@@ -104,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A log, a name, a number or the output folder cannot be used.
     """
-    from deepkoco.cli.logs import read_logs
+    from deepkoco.cli.logs import read_logs, result_folder
     from deepkoco.fit.delays.hidden_delay import hidden_delays
     from deepkoco.fit.identify import fit
     from deepkoco.fit.report import as_json, terminal_report, write_identification
@@ -115,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.output.whole_file import system_error
 
     first = args.recording[0]
-    out = args.out or first.with_name(f"{first.stem}_identified")
+    out = args.out or result_folder(first, "_identified")
     options = {
         "bounds": {name: (low, high) for name, (low, high) in _numbers("--bounds", args.bounds, 2).items()},
         "start": {name: value for name, (value,) in _numbers("--start", args.start, 1).items()},

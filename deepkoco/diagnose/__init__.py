@@ -1,5 +1,6 @@
 """Diagnosis of a simulation from logs of the unit: name the cause of the difference and measure the gain."""
 
+from deepkoco.callable_package import make_callable
 from deepkoco.diagnose.baseline import BaselineError
 from deepkoco.diagnose.causes import CAUSES, Cause, UnknownCauseError
 from deepkoco.diagnose.diagnose import diagnose
@@ -20,3 +21,5 @@ __all__ = [
     "diagnose",
     "write_report",
 ]
+
+make_callable(__name__)

@@ -24,15 +24,15 @@ from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
-from deepkoco.logs.recording import Recording
+from deepkoco.logs.read_logs import Logs, read_logs
 from deepkoco.systems import ExtendedSystem, System, any_system
 
 
 def diagnose(
-    recordings: Sequence[Recording],
+    recordings: Logs,
     system: str | System,
-    healthy: Sequence[Recording] = (),
-    holdout: Sequence[Recording] = (),
+    healthy: Logs = (),
+    holdout: Logs = (),
     seed: int = 0,
     window: float | None = None,
     detection: float = DETECTION,
@@ -49,10 +49,10 @@ def diagnose(
     remaining structure decides between "nothing" and "unknown". Held-out windows (or logs) measure the gain.
 
     Args:
-        recordings: Logs to explain.
+        recordings: Logs to explain: recordings, paths of logs, or folders of logs.
         system: Name of the system, or a system (plain, or loaded from model.yaml).
-        healthy: Logs of the same unit in which nothing is wrong.
-        holdout: Logs that are never fitted; without them, one window in four is held out.
+        healthy: Logs of the same unit in which nothing is wrong; like ``recordings``.
+        holdout: Logs that are never fitted, like ``recordings``; without them, one window in four is held out.
         seed: Seed of the bootstrap.
         window: Length of a window [s]; None takes about one period of the system.
         detection: Fall of the BIC from which a cause is named.
@@ -63,7 +63,7 @@ def diagnose(
         progress: Called with the name of each step; ``print``, for example.
 
     Raises:
-        LogError: A log lacks a channel.
+        LogError: A log cannot be read, or lacks a channel.
         UnknownSystemError: There is no such system.
         BaselineError: ``healthy`` and ``baseline`` are both given, or the baseline was learned on another system.
         UnknownCauseError: ``only`` names a cause that the system does not have.
@@ -72,6 +72,7 @@ def diagnose(
     began = time.perf_counter()
     base = any_system(system)
     plain = base.base if isinstance(base, ExtendedSystem) else base
+    recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
     causes = None if only is None else causes_named(catalogue(plain), only, plain.name)
     if baseline is not None:
         if healthy:

@@ -16,7 +16,7 @@ from deepkoco.diagnose.baseline import (
     baseline_from,
     refit_sharply,
 )
-from deepkoco.diagnose.causes import Cause, catalogue, kind_of
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
@@ -140,7 +140,7 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
         prior=learned,
         floor=max(1.0, floor),
         correlation=correlation,
-        effects=tuple(dict.fromkeys(c.effect for c in healthy.causes)),
+        effects=tuple(dict.fromkeys(c.effect for c in healthy.causes if not is_changed(c))),
         healthy=healthy,
         runs=runs,
     )

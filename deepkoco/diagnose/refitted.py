@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from deepkoco.diagnose.baseline import Baseline, prior_of_mean, refit_sharply, with_floor_as_noise
 from deepkoco.diagnose.data import Data
 from deepkoco.diagnose.evidence.event_windows import train_on_pushed
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+
+PATIENCE = 40  # iterations of a refit in which some parameters are kept
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,26 @@ class Refitted:
     def held(self) -> Windows | None:
         """The held-out windows; None where there are none."""
         return self.data.held if self.data.held is not None and len(self.data.held) > 0 else None
+
+
+def with_parameters_kept(base: Refitted, names: Sequence[str]) -> Refitted:
+    """Return the baseline with a refit in which some parameters keep the values given.
+
+    The refit itself may move a changed parameter as far as the cause that names it. It could then not show what this
+    cause explains.
+
+    Args:
+        base: The refitted baseline.
+        names: The parameters; with none, or where this simulation diverges, ``base`` is returned.
+    """
+    if not names:
+        return base
+    problem, refit = base.problem, base.reference
+    values = {**refit.values, **{n: base.start.values[n] for n in names}}
+    state, _ = problem.fit_states(values, refit.state)
+    free = tuple(n for n in refit.free if n not in names)
+    fit = problem.fit([Trial("refit", free, base.start.prior, values, state, refit.nuisance)], PATIENCE)[0]
+    return base if fit.diverged else replace(base, reference=problem.recentred(fit))
 
 
 def refit_to_logs(learned: Baseline, data: Data) -> Refitted:

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from deepkoco.diagnose.causes import is_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, describe_data
-from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding
+from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding, Moved
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.healthy import describe_healthy
@@ -21,6 +22,7 @@ from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise
 from deepkoco.diagnose.verdict.judgement import Judgement
+from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.fit.fit import Fit
@@ -45,9 +47,9 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         causes=judgement.causes,
         candidates=_candidates(explanation, judgement),
         gain=judgement.gain,
-        chi2_before=base.reference.chi2 / train.samples,
+        chi2_before=judgement.before.chi2 / train.samples,
         chi2_after=at_end.chi2 / train.samples,
-        strength=float(np.sqrt(max(base.reference.chi2 - at_end.chi2, 0.0) / train.samples)),
+        strength=float(np.sqrt(max(judgement.before.chi2 - at_end.chi2, 0.0) / train.samples)),
         windows=len(train),
         window_s=request.length,
         localisation=localise(judgement.missing),
@@ -65,6 +67,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         detection=request.detection,
         details=_details(request, base, judgement),
         final=_written(base, judgement),
+        moved=_moved(base) if judgement.verdict == "nothing" else (),
     )
 
 
@@ -103,7 +106,8 @@ def insufficient(request: DiagnosisRequest) -> Diagnosis:
 def _candidates(explanation: Explanation, judgement: Judgement) -> tuple[Finding, ...]:
     """Return everything that was tried, the largest fall of the BIC first."""
     problem, lost = explanation.base.problem, explanation.found.lost
-    ranked = [finding(problem, c, explanation.first) for c in explanation.first.candidates]
+    given = explanation.base.start.values
+    ranked = [finding(problem, c, explanation.first, before=given) for c in explanation.first.candidates]
     traced = (*judgement.scattered, *([lost] if lost else []))
     return tuple(sorted((*ranked, *traced), key=lambda c: -c.delta_bic))
 
@@ -129,6 +133,10 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
         "signatures": [vars(e) for e in signatures(request.system, train, final)],
         **({} if learned is None else {"residual_model": learned.to_json()}),
     }
+
+
+def _moved(base: Refitted) -> tuple[Moved, ...]:
+    return moved_parameters(base.problem, base.start, base.reference)
 
 
 def _unidentified(base: Refitted) -> tuple[Direction, ...]:
@@ -188,7 +196,7 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
     start, final = base.start, judgement.final
     had = tuple(e.name for e in given.effects) if isinstance(given, ExtendedSystem) else ()
     named = () if final is base.reference else explanation.found.accepted
-    found = tuple(c.effect for c in named if c.effect != "event")
+    found = tuple(c.effect for c in named if c.effect != "event" and not is_changed(c))
     if load is not None:
         final, found = base.problem.recentred(load.fit), (*found, *load.effects)
     effects = tuple(dict.fromkeys((*had, *start.effects, *found)))

@@ -1,11 +1,12 @@
 """Estimate parameters, delays and states of a system from recorded logs."""
 
+from deepkoco.callable_package import make_callable
 from deepkoco.fit.data.noise import Noise, estimate_noise
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.delays.hidden_delay import HiddenDelays, hidden_delays
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
-from deepkoco.fit.graph_fit import GraphFit, GraphMisfit, fit_graph, seen_by_supervisor
+from deepkoco.fit.graph_fit import GraphFit, GraphMisfit, fit_graph, fit_replay, seen_by_supervisor
 from deepkoco.fit.identification import Convergence, Estimate, Identification
 from deepkoco.fit.identify import fit
 from deepkoco.fit.request import FitError
@@ -46,6 +47,7 @@ __all__ = [
     "estimate_noise",
     "fit",
     "fit_graph",
+    "fit_replay",
     "hidden_delays",
     "moving",
     "seen_by_supervisor",
@@ -53,3 +55,5 @@ __all__ = [
     "unidentified",
     "window_length",
 ]
+
+make_callable(__name__)

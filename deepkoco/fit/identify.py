@@ -16,14 +16,14 @@ from deepkoco.fit.solve.identifiability import unidentified
 from deepkoco.fit.solve.methods import LevenbergMarquardt, Method, MethodResult, Progress, held
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.threads import one_thread
-from deepkoco.logs.recording import Recording
-from deepkoco.systems import ExtendedSystem, System
+from deepkoco.logs.read_logs import Logs, read_logs
+from deepkoco.systems import ExtendedSystem, System, any_system
 
 
 def fit(
-    recordings: Sequence[Recording],
+    recordings: Logs,
     system: str | System,
-    parameters: Sequence[str],
+    parameters: Sequence[str] | None = None,
     *,
     method: Method | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -42,11 +42,11 @@ def fit(
     window, unknown encoder zeros of each log, and each log's differences of parameters that vary.
 
     Args:
-        recordings: Logs of one unit.
+        recordings: Logs of one unit: recordings, paths of logs, or folders of logs.
         system: Name of the system, or a system.
         parameters: Parameters to fit: the system's own (``mass``), those of effects
             (``actuation_delay.delay``, ``coulomb.torque``; of one joint of several ``coulomb(joint 2).torque``), or
-            the delay of one channel (``theta.delay``).
+            the delay of one channel (``theta.delay``). None takes all parameters of the system.
         method: None takes Levenberg-Marquardt.
         bounds: Parameter -> lowest and highest value; None takes the declared bounds.
         prior: Gaussian prior over some of the parameters; the others get a wide prior.
@@ -63,11 +63,14 @@ def fit(
     Raises:
         FitError: A parameter is unknown or cannot vary, or its bounds or start value are wrong. The joint moves too
             little, or the simulation diverges at the start values.
-        LogError: A log lacks a channel.
+        LogError: A log cannot be read, or lacks a channel.
         UnknownSystemError: There is no such system.
     """
     began = time.perf_counter()
     method = LevenbergMarquardt() if method is None else method
+    recordings = read_logs(recordings, system)
+    if parameters is None:
+        parameters = [p.name for p in any_system(system).parameters]
     with one_thread():
         request = make_request(
             recordings,

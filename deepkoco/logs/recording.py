@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from deepkoco.logs.by_name import mapping_by_names
 from deepkoco.logs.checks.channel_checks import (
     Span,
     check_content,
@@ -18,6 +19,7 @@ from deepkoco.logs.checks.channel_checks import (
 from deepkoco.logs.checks.frozen import check_share, frozen_stretches, summarised, without_frozen
 from deepkoco.logs.formats import LogFile, open_log
 from deepkoco.logs.formats.log_file import HEADER, LogError
+from deepkoco.logs.formats.recordings import is_recording, one_recording
 from deepkoco.logs.series import ChannelReader, Series
 from deepkoco.logs.sidecar import (
     KINDS,
@@ -25,11 +27,13 @@ from deepkoco.logs.sidecar import (
     Column,
     Sidecar,
     dump_sidecar,
+    find_sidecar,
     load_sidecar,
     sidecar_path,
 )
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 from deepkoco.output.whole_file import write_whole_text, writing
+from deepkoco.suggestion import did_you_mean
 
 __all__ = ["LogError", "Recording", "Series", "read_log", "write_log"]
 
@@ -102,9 +106,9 @@ def read_log(
     later rows; repetitions are removed. Stamps of files with topics count from the first message of the file.
 
     Args:
-        path: the log: `.csv` (comma, semicolon, tab or bar; one header row), `.parquet`, `.mcap`, `.bag` of ROS 1,
-            `.db3` or folder of a ROS 2 bag.
-        mapping: content or path of the sidecar; None takes `path` with the suffix `.yaml`.
+        path: the log, in a format that `open_log` reads; a folder that contains one recording stands for it.
+        mapping: content or path of the sidecar; None takes `path` with the suffix `.yaml`, else the sidecar of its
+            folder. Without any, columns that have the names of `channels` are taken in SI units.
         system: name of the system of the log; None takes the name in the sidecar.
         channels: (name, unit, kind) of every channel of the system; None accepts any channel.
         systems: names of all known systems; another name is an error. Empty: not checked.
@@ -117,16 +121,18 @@ def read_log(
     Raises:
         LogError: the log cannot be used; the message names file, column and what to do.
     """
-    path = Path(path)
+    path = one_recording(Path(path))
     if fill is not None and fill not in FILLS:
         raise LogError(f'fill "{fill}" is none of {", ".join(FILLS)}')
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise LogError(f"{path}: is a folder; give the log file in it")
-    if not path.exists():
+    if not path.exists() and not is_recording(path):
         raise LogError(f"{path}: no such file")
+    specs = None if channels is None else {channel: (unit, kind) for channel, unit, kind in channels}
+    by_name = False
+    if mapping is None and specs is not None and find_sidecar(path) is None:
+        mapping = mapping_by_names(path, specs)
+        by_name = mapping is not None
     sidecar = load_sidecar(path, mapping)
     name = _check_system(sidecar, system, systems)
-    specs = None if channels is None else {channel: (unit, kind) for channel, unit, kind in channels}
     targets = _target_units(sidecar, specs)
     readers = _readers(path, sidecar, fill)
     if allow_implausible:
@@ -139,6 +145,8 @@ def read_log(
     }
     check_content(path, series, min_samples, min_seconds, allow_constant_command)
     notes = [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
+    if by_name:
+        notes.append("no sidecar: the columns with the names of the channels were taken in SI units")
     frozen = frozen_stretches(series, derivative_pairs(series))
     frozen = [f for f in frozen if not sidecar.channels[f.channel].checked]
     measured = series
@@ -254,7 +262,9 @@ def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None)
     for name, column in sidecar.channels.items():
         where = f'{sidecar.source}: channel "{name}" (column "{column.value.name}")'
         if name not in specs:
-            raise LogError(f"{where}: the system has no such channel; it has {', '.join(specs)}")
+            raise LogError(
+                f"{where}: the system has no such channel{did_you_mean(name, specs) or ';'} it has {', '.join(specs)}"
+            )
         unit, kind = specs[name]
         if column.kind != kind:
             raise LogError(f"{where}: kind is {column.kind}, but {kind} in the system")

@@ -78,15 +78,16 @@ class ChannelReader:
                 _check_header(self.log, part)
         row = self._rows(channel)
         time = self._times(channel.topic, stamp)[row]
-        scale = channel.scale * factor_between(channel.value.unit, target)
+        unit = factor_between(channel.value.unit, target)
+        scale, zero = channel.scale * unit, channel.offset * unit
         with np.errstate(over="ignore"):
             value = self.log.values(channel.topic, channel.value.name)[row] * scale
+            value = value + zero if zero else value
         some = ~(np.isnan(time) & np.isnan(value))
         time, value, row = time[some], value[some], row[some]
-        self._refuse(stamp, row, ~np.isfinite(time), "without a time stamp", "drop those rows")
-        self._refuse(
-            stamp, row, np.abs(time) > LATEST, "later than the year 5000", "check the unit of the time"
-        )
+        self._refuse(channel, stamp, row, ~np.isfinite(time), "without a time stamp", "drop those rows")
+        late = np.abs(time) > LATEST
+        self._refuse(channel, stamp, row, late, "later than the year 5000", "check the unit of the time")
         if not channel.checked:
             value = self._without_far(channel, row, value, target)
         series_row, time, value, unknown = self._filled(channel, row, time, value)
@@ -136,7 +137,7 @@ class ChannelReader:
         what = f"far from all others ({worst:.6g} {unit})"
         if self.fill is None:
             advice = 'drop them (fill "drop"), or write "checked: true" at the channel if they are right'
-            self._refuse(channel.value, row, far, what, advice)
+            self._refuse(channel, channel.value, row, far, what, advice)
         self.notes.append(f'column "{channel.value.name}": {int(far.sum())} samples {what} taken as missing')
         return np.where(far, np.nan, value)
 
@@ -149,7 +150,7 @@ class ChannelReader:
         if self.fill is None:
             unit = channel.value.unit
             advice = 'drop those rows or fill them (fill "drop" or "hold")'
-            self._refuse(channel.value, row, missing, f"NaN or infinite ({unit})", advice)
+            self._refuse(channel, channel.value, row, missing, f"NaN or infinite ({unit})", advice)
         good = np.flatnonzero(~missing)
         how = "left out" if self.fill == "drop" else "replaced by the previous sample"
         self.notes.append(f'column "{channel.value.name}": {int(missing.sum())} missing samples {how}')
@@ -181,10 +182,10 @@ class ChannelReader:
         keep = np.flatnonzero(~again)
         step = np.append(np.inf, np.diff(time[keep]))
         advice = "sort or split the log" + self._episodes(channel.topic, row[keep][step < 0])
-        self._refuse(
-            stamp, row[keep], step < 0, f"earlier than the {self.log.row_name.split()[-1]} before", advice
-        )
-        self._refuse(stamp, row[keep], step == 0, "with a duplicate time stamp", "keep one row per stamp")
+        before = f"earlier than the {self.log.row_name.split()[-1]} before"
+        self._refuse(channel, stamp, row[keep], step < 0, before, advice)
+        again = "with a duplicate time stamp"
+        self._refuse(channel, stamp, row[keep], step == 0, again, "keep one row per stamp")
         return keep
 
     def _episodes(self, topic: str, resets: np.ndarray) -> str:
@@ -197,15 +198,15 @@ class ChannelReader:
         first = self.log.values(topic, name)[0]
         return f'; the column "{name}" counts its parts: write "where: {{{name}: {first:g}}}" to select one'
 
-    def _refuse(self, column: Column, row: np.ndarray, bad: np.ndarray, what: str, advice: str) -> None:
+    def _refuse(
+        self, channel: ChannelColumn, column: Column, row: np.ndarray, bad: np.ndarray, what: str, advice: str
+    ) -> None:
         if not bad.any():
             return
-        rows = row[bad] + 1
-        listed = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
-        first = " (the first row below the header is 1)" if self.log.row_name == "data row" else ""
+        rows = row[bad]
         raise LogError(
-            f'{self.log.path}: column "{column.name}": {len(rows)} sample{"s" * (len(rows) > 1)} {what}, at '
-            f"{self.log.row_name} {listed}{first}; {advice}"
+            f'{self.log.file(channel.topic)}: column "{column.name}": {len(rows)} sample{"s" * (len(rows) > 1)} '
+            f"{what}, at {self.log.rows(channel.topic, rows)}; {advice}"
         )
 
 
@@ -244,7 +245,7 @@ def _stretches(time: np.ndarray, missing: np.ndarray) -> np.ndarray:
 
 def _check_header(log: LogFile, column: Column) -> None:
     header = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.name)
-    if header is None or column.unit == ISO:
+    if header is None or column.unit == ISO or header.group(1).isdecimal():
         return
     try:
         stated = parse_unit(header.group(1))

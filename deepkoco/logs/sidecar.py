@@ -10,6 +10,7 @@ import yaml
 
 from deepkoco.logs.formats.log_file import HEADER, RECEIVED, LogError
 from deepkoco.logs.units import UnitError, parse_unit
+from deepkoco.suggestion import did_you_mean
 from deepkoco.yaml_file import YamlFileError, read_yaml, shown
 
 __all__ = [
@@ -58,6 +59,7 @@ class ChannelColumn:
         topic: its topic, empty for a file without topics.
         file: another file than the log, relative to its folder; None is the log.
         scale: factor of the values besides their unit: a gear ratio, or -1 for the other direction.
+        offset: added to the scaled values, in the unit of the column: the zero of the model minus that of the sensor.
         checked: True if the user confirms the values; implausible values are then no error.
     """
 
@@ -68,6 +70,7 @@ class ChannelColumn:
     file: str | None = None
     scale: float = 1.0
     checked: bool = False
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -97,12 +100,20 @@ def sidecar_path(path: str | Path) -> Path:
     return path.with_name(f"{path.name}.yaml") if path.is_dir() else path.with_suffix(".yaml")
 
 
+def find_sidecar(log: str | Path) -> Path | None:
+    """Sidecar of a log: its own, else that of its folder (`logs.yaml` beside the folder `logs`); None if both lack."""
+    own = sidecar_path(log)
+    folder = Path(log).absolute().parent
+    common = folder.with_name(f"{folder.name}.yaml")
+    return next((file for file in (own, common) if file.is_file()), None)
+
+
 def load_sidecar(log: Path, mapping: Mapping[str, Any] | str | Path | None = None) -> Sidecar:
     """Read and check the sidecar of a log.
 
     Args:
         log: the log that the mapping belongs to.
-        mapping: content or path of a sidecar; None takes the file beside the log.
+        mapping: content or path of a sidecar; None takes the file beside the log, else that of its folder.
 
     Raises:
         LogError: the sidecar is missing, or a key, kind or unit in it is wrong.
@@ -110,11 +121,12 @@ def load_sidecar(log: Path, mapping: Mapping[str, Any] | str | Path | None = Non
     if isinstance(mapping, Mapping):
         source, content = f"mapping of {log}", dict(mapping)
     else:
-        file = sidecar_path(log) if mapping is None else Path(mapping)
+        file = (find_sidecar(log) or sidecar_path(log)) if mapping is None else Path(mapping)
         source = str(file)
         if not file.is_file():
             raise LogError(
-                f"{log}: no sidecar {file} maps its columns to channels; write one or pass a mapping:{EXAMPLE}"
+                f"{log}: no sidecar {file} maps its columns to channels; write one with deepkoco inspect {log} "
+                f"--system SYSTEM --out {file}, or pass a mapping:{EXAMPLE}"
             )
         try:
             content = read_yaml(file)
@@ -144,6 +156,8 @@ def dump_sidecar(
         entry |= {"unit": channel.value.unit, "kind": channel.kind}
         if channel.scale != 1.0:
             entry["scale"] = channel.scale
+        if channel.offset:
+            entry["offset"] = channel.offset
         if channel.time is not None and channel.time != common:
             alike = common is not None and (channel.time.unit, channel.time.offset) == (
                 common.unit,
@@ -181,7 +195,7 @@ def _parse(source: str, content: Any) -> Sidecar:
 
 
 def _channel(source: str, where: str, content: Any, common: Column | None) -> ChannelColumn:
-    optional = ("column", "topic", "field", "joint", "time", "file", "scale", "checked")
+    optional = ("column", "topic", "field", "joint", "time", "file", "scale", "checked", "offset")
     entry = _keys(source, where, content, required=("unit", "kind"), optional=optional)
     if entry["kind"] not in KINDS:
         raise LogError(f'{source}: {where}: kind "{entry["kind"]}" is none of {", ".join(KINDS)}')
@@ -210,12 +224,22 @@ def _channel(source: str, where: str, content: Any, common: Column | None) -> Ch
         raise LogError(
             f"{source}: {where}: scale: {scale!r} is not a finite number other than 0; write for example 6.33 or -1"
         )
+    offset = entry.get("offset", 0.0)
+    if isinstance(offset, bool) or not isinstance(offset, int | float) or not math.isfinite(offset):
+        raise LogError(f"{source}: {where}: offset: {offset!r} is not a finite number in {entry['unit']}")
     if not isinstance(checked, bool):
         raise LogError(f"{source}: {where}: checked: write true or false, got {shown(checked)}")
     if time is None and not topic:
         raise LogError(f'{source}: the file: key "time" is missing; for example:{EXAMPLE}')
     return ChannelColumn(
-        value, entry["kind"], time, topic, None if file is None else str(file), float(scale), checked
+        value,
+        entry["kind"],
+        time,
+        topic,
+        None if file is None else str(file),
+        float(scale),
+        checked,
+        float(offset),
     )
 
 
@@ -259,7 +283,8 @@ def _keys(
     unknown = [str(key) for key in content if key not in (*required, *optional)]
     if unknown:
         raise LogError(
-            f'{source}: {where}: unknown key "{unknown[0]}"; known: {", ".join((*required, *optional))}'
+            f'{source}: {where}: unknown key "{unknown[0]}"{did_you_mean(unknown[0], (*required, *optional)) or ";"} '
+            f"known: {', '.join((*required, *optional))}"
         )
     return dict(content)
 

@@ -22,6 +22,7 @@ from deepkoco.runs.environments import make_environments
 from deepkoco.runs.hydra_command import BAD_INPUT
 from deepkoco.runs.run_lock import locked
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
+from deepkoco.yaml_file import read_yaml
 
 CONFIG_FILE = "config.yaml"
 
@@ -42,13 +43,14 @@ def load_run_config(folder: Path) -> TrainRunConfig:
     if not path.is_file():
         raise ExperimentError(f"{folder}: no {CONFIG_FILE}; give the folder of a training run")
     try:
+        read_yaml(path)  # OmegaConf has no bound on the size of a file
         stored = OmegaConf.load(path)
         # Runs from before there was a choice do not name their agent.
         name = OmegaConf.select(stored, "agent.name", default="deepkoco")
         schema = OmegaConf.structured(TrainRunConfig(agent=settings_class(name)()))
         config = OmegaConf.to_object(OmegaConf.merge(schema, stored))
     except (OmegaConfBaseException, YAMLError, OSError, TypeError, ValueError) as error:
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split()).removeprefix(f"{path}: ")
         raise ExperimentError(f"{path}: not the settings of a run this release reads: {reason}") from error
     assert isinstance(config, TrainRunConfig)
     return config

@@ -142,7 +142,7 @@ def test_survey_counts_gaps_resets_bursts_duplicates_and_constants(tmp_path, mot
     assert columns["theta"].far == 1
     text = " ".join(doubts_of(found, proposal))
     for part in (
-        "decreases at data row 251",
+        "decreases at line 252",
         "where: {run: 0}",
         "repeats a stamp 1 times",
         '"dead" never changes',

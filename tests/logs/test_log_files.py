@@ -179,7 +179,10 @@ def test_read_log_names_a_missing_topic_field_or_joint(tmp_path):
     path = write_json_mcap(tmp_path / "a.mcap", signals())
     for change, message in (
         ({"topic": "/joint_state"}, 'no topic "/joint_state"'),
-        ({"field": "positions"}, r'field "positions\[shoulder\]" is missing; the topic has'),
+        (
+            {"field": "positions"},
+            r'field "positions\[shoulder\]" is missing; did you mean position\[shoulder\] .*the topic has',
+        ),
         ({"joint": "wrist"}, r'field "position\[wrist\]" is missing'),
         ({"field": "position..x"}, "is not a path such as joints.position"),
         ({"time": "header.time"}, r'field "header.time" is missing'),

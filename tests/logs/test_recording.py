@@ -157,18 +157,21 @@ BAD_TABLES = {
         table().drop(columns="omega"),
         r'column "omega" is missing; the file has t, command, theta',
     ),
-    "NaN": (frame_with("theta", [4, 7], np.nan), r'column "theta": 2 samples NaN.*data row 5, 8 .*drop'),
-    "infinite": (frame_with("omega", [0], np.inf), r'column "omega": 1 sample NaN or infinite.*data row 1 '),
+    "NaN": (frame_with("theta", [4, 7], np.nan), r'column "theta": 2 samples NaN.*line 6, 9;.*drop'),
+    "infinite": (frame_with("omega", [0], np.inf), r'column "omega": 1 sample NaN or infinite.*line 2;'),
     "no time stamp": (
         frame_with("t", [9], np.nan),
-        r'column "t": 1 sample without a time stamp, at data row 10',
+        r'column "t": 1 sample without a time stamp, at line 11',
     ),
     "duplicate stamp": (
         frame_with("t", [9], 0.16),
-        r'column "t": 1 sample with a duplicate time stamp.*row 10 ',
+        r'column "t": 1 sample with a duplicate time stamp, at line 11;',
     ),
-    "going back": (frame_with("t", [9], 0.15), r'column "t": 1 sample earlier than the row before.*row 10 '),
-    "text": (frame_with("theta", [3], "12 deg"), r'column "theta": "12 deg" at data row 4 is no number'),
+    "going back": (
+        frame_with("t", [9], 0.15),
+        r'column "t": 1 sample earlier than the row before, at line 11;',
+    ),
+    "text": (frame_with("theta", [3], "12 deg"), r'column "theta": "12 deg" at line 5 is no number'),
     "too few": (table(10), r'channel "theta" is too short: 10 samples, at least 20'),
     "too short": (
         table(step=0.001),
@@ -268,7 +271,7 @@ def test_read_log_refuses_times_in_two_units(tmp_path):
         (
             "log.csv",
             "t,command,theta,omega\n0,1,2,3\n1,5,2,3,4\n",
-            "data row 2 has more cells than .* names .4.",
+            r"line 3 has \d+ cells and the header has 4 names",
         ),
         ("log.txt", "1 2", 'format ".txt" is not known; known: .csv'),
         ("log.parquet", "nonsense", "not readable as parquet"),
@@ -289,7 +292,7 @@ def test_read_log_names_a_missing_file_or_sidecar(tmp_path):
 
 
 def test_read_log_refuses_a_folder(tmp_path):
-    with pytest.raises(LogError, match=r"is a folder; give the log file in it"):
+    with pytest.raises(LogError, match=r"the folder contains no log; known are .csv"):
         read_log(tmp_path)
 
 

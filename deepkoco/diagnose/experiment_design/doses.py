@@ -73,5 +73,7 @@ def is_shape(cause: Cause, name: str) -> bool:
 
 def null_value(system: ExtendedSystem, name: str) -> float:
     """Return the value at which an effect's parameter changes nothing."""
+    if "." not in name:
+        return system.base.parameter(name).value
     bare = ExtendedSystem(system.base, (name.rsplit(".", 1)[0],))
     return bare.parameter(name).value

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from deepkoco.diagnose.causes import Cause
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
 from deepkoco.diagnose.evidence.sanity_checks import (
@@ -19,7 +21,7 @@ from deepkoco.diagnose.evidence.selected import learned_instead
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.gain import Gain, gain_on_held_out, kept_as_given
-from deepkoco.diagnose.refitted import Refitted
+from deepkoco.diagnose.refitted import Refitted, with_parameters_kept
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import (
     SLOTS,
@@ -31,6 +33,7 @@ from deepkoco.diagnose.residuals.residuals import (
 )
 from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
+from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -47,6 +50,7 @@ class Judgement:
         verdict: The verdict.
         causes: Named causes; empty where the verdict names none.
         final: Fit with the named causes; the refit itself where none is named.
+        before: What this fit is compared with: the refit, in which parameters that are named as changed are kept.
         left: Dispersion of its residuals.
         missing: Missing load of the refit on each joint, under that dispersion.
         scattered: Causes of noise larger than declared, named or not.
@@ -59,6 +63,7 @@ class Judgement:
     verdict: Verdict
     causes: tuple[Finding, ...]
     final: Fit
+    before: Fit
     left: Dispersion
     missing: Sequence[MissingTorque]
     scattered: tuple[Finding, ...]
@@ -84,12 +89,13 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     reference, final, seed = base.reference, found.final, request.seed
     scattered = tuple(scatter_findings(base.start.system, base.train, final, request.detection))
     left = dispersion(final, base.train)
-    missing = missing_torque(base.problem, reference, left.deflation)
-    gain = gain_on_held_out(base, final, found.accepted, seed)
+    without = with_parameters_kept(base, [n for c in found.accepted if is_changed(c) for n in c.free])
+    missing = missing_torque(base.problem, without.reference, left.deflation)
+    gain = gain_on_held_out(without, final, found.accepted, seed)
     unfitted = _with_gain(explanation.unfitted, base, gain)
     white = left.lag_one <= coloured_from(base.train)
     doubts = _doubts(explanation, request.system, missing, left)
-    verdict = verdict_of(found, base.start, base.train, reference, gain, white, doubts)
+    verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
     learned = None
     rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train)
     if verdict == "unknown" or rival:
@@ -109,12 +115,14 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
         verdict, named = (verdict if found.accepted else "cause"), (*named, *scattered)
     if verdict not in ("cause", "ambiguous") and final is not reference:
         # The causes are not named, so the rest of the report must not use their fit.
-        final, gain, left = reference, None, dispersion(reference, base.train)
+        final, gain, left, without = reference, None, dispersion(reference, base.train), base
         missing = missing_torque(base.problem, reference, left.deflation)
     if verdict == "unknown":
         named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
-    judgement = Judgement(verdict, named, final, left, missing, scattered, learned, gain, doubts, unfitted)
-    return _with_final_gain(judgement, base, found.accepted, seed)
+    judgement = Judgement(
+        verdict, named, final, without.reference, left, missing, scattered, learned, gain, doubts, unfitted
+    )
+    return _with_final_gain(judgement, without, found.accepted, seed)
 
 
 def _doubts(
@@ -142,6 +150,9 @@ def _learned_load(
 def _named(explanation: Explanation, system: System, missing: Sequence[MissingTorque]) -> tuple[Finding, ...]:
     base, found = explanation.base, explanation.found
     places = SLOTS * len(base.train)
+    prior, healthy, given = base.learned.prior, base.learned.healthy is not None, base.start.values
+    spread = np.sqrt(prior.covariance.diagonal())
+    priors = {n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)}
     result = []
     for ranking, members in found.steps:
         # The reported values are fitted together with the causes accepted later.
@@ -149,7 +160,11 @@ def _named(explanation: Explanation, system: System, missing: Sequence[MissingTo
         own = missing[best.cause.joint or 0]
         motion = motion_of(base.train, own, system)
         evidence = evidence_for(best.cause, best, ranking, motion, own, places)
-        result.append(finding(base.problem, best, ranking, members, evidence))
+        if not is_changed(best.cause):
+            evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)
+        named = finding(base.problem, best, ranking, members, evidence, given)
+        same = same_parameter(found.acting, best.cause, found.final, given, ranking.deflation)
+        result.append(replace(named, same_as=same))
     return (*result, *([found.lost] if found.lost else []))
 
 

@@ -102,7 +102,10 @@ def check_units(
 
 
 def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:
-    """Pairs of measured channels in which the second is the derivative of the first, by unit and number of joint."""
+    """Pairs of measured channels in which the second is the derivative of the first.
+
+    They are paired by their units, and of several by their names: `q_elbow` with `dq_elbow`, `theta2` with `omega2`.
+    """
     pairs = []
     measured = {name: series for name, series in channels.items() if series.kind == "measurement"}
     for first, series in measured.items():
@@ -111,7 +114,9 @@ def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:
         if len(rates) == 1 and len(alike) == 1:
             pairs.append((first, rates[0]))
         else:
-            number = re.search(r"\d+$", first)
+            named = [n for n in rates if n == f"d{first}"]
+            number = None if named else re.search(r"\d+$", first)
+            pairs += [(first, n) for n in named]
             pairs += [(first, n) for n in rates if number and n.endswith(number.group())]
     return pairs
 

@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from deepkoco.logs.formats.list_cells import split_lists
 from deepkoco.logs.formats.log_file import LogError, LogFile, Table
 
 DELIMITERS = ",;\t|"
+MOST_CELLS = 100_000  # largest number of cells of a row
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
-def read_csv(path: Path) -> LogFile:
-    """Read a CSV.
+def read_csv(path: Path, names: Sequence[str] = ()) -> LogFile:
+    """Read a CSV. A column of lists such as `[0.1, 0.2]` becomes one column for each element.
+
+    Args:
+        path: the file.
+        names: names of the elements of lists; elements without a name are numbered.
 
     Raises:
-        LogError: it is empty, not UTF-8, has no header, a repeated name, or rows with more cells than the header.
+        LogError: it is empty, not UTF-8, has no header, a repeated name, or a row with more or fewer cells than
+            the header has names.
     """
     text = _decode(path)
     first, _, _ = text.partition("\n")
@@ -30,7 +39,7 @@ def read_csv(path: Path) -> LogFile:
     try:
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
         _check_header(path, first, header, delimiter)
-        table = _cells(path, delimiter, len(header), text)
+        table, lines = _cells(path, delimiter, header, text)
     except (ValueError, csv.Error, MemoryError) as error:
         if isinstance(error, LogError):
             raise
@@ -40,7 +49,8 @@ def read_csv(path: Path) -> LogFile:
     if delimiter != "," and (commas := _decimal_commas(table)):
         table = table.assign(**{name: table[name].str.replace(",", ".") for name in commas})
         notes = (f"read decimal commas in the column{'s' * (len(commas) > 1)} {', '.join(commas)}",)
-    return LogFile(path, "CSV", {"": Table(table)}, row_name="data row", notes=notes)
+    content = split_lists(str(path), Table(table, lines=lines), names)
+    return LogFile(path, "CSV", {"": content}, row_name="row", notes=notes)
 
 
 def _decode(path: Path) -> str:
@@ -80,15 +90,16 @@ def _check_header(path: Path, line: str, header: list[str], delimiter: str) -> N
         raise LogError(f'{path}: column "{twice[0]}" is there {header.count(twice[0])} times; rename one')
 
 
-def _cells(path: Path, delimiter: str, columns: int, text: str) -> pd.DataFrame:
-    """Read the cells as text, because pandas' float parser can be wrong by one unit in the last place."""
-    widest = max(columns, max(line.count(delimiter) for line in text.splitlines()) + 1)
-    if widest > 100_000:
-        raise LogError(f"{path}: a row has {widest} cells; the header has {columns} names")
+def _cells(path: Path, delimiter: str, header: list[str], text: str) -> tuple[pd.DataFrame, np.ndarray]:
+    """Read the cells as text, because pandas' float parser can be wrong by one unit in the last place.
+
+    Returns:
+        The table, and the line of each row.
+    """
+    lines, widest = _checked_rows(path, delimiter, header, text)
     table = pd.read_csv(
-        path,
+        StringIO(text),
         sep=delimiter,
-        encoding="utf-8-sig",
         dtype=str,
         header=None,
         skiprows=1,
@@ -97,14 +108,36 @@ def _cells(path: Path, delimiter: str, columns: int, text: str) -> pd.DataFrame:
         skipinitialspace=True,
         na_values=["", "-", "none", "None", "NAN", "Nan"],
     )
-    beyond = table.iloc[:, columns:].notna().any(axis=1).to_numpy()
-    if beyond.any():
-        raise LogError(
-            f"{path}: data row {int(np.flatnonzero(beyond)[0]) + 1} has more cells than the header has names "
-            f"({columns}); decimal commas or commas in a text cause this: write decimal points, or separate columns by "
-            "semicolons"
-        )
-    return table.iloc[:, :columns]
+    if len(table) != len(lines):  # quotes that both readers understand differently
+        raise LogError(f"{path}: a quote is not closed; correct the cells with quotes")
+    return table.iloc[:, : len(header)], lines
+
+
+def _checked_rows(path: Path, delimiter: str, header: list[str], text: str) -> tuple[np.ndarray, int]:
+    """Line of each row, and the largest number of cells; a row with other cells than the header is refused."""
+    named = max(k for k, name in enumerate(header) if name) + 1 if any(header) else len(header)
+    rows = csv.reader(StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
+    next(rows)
+    lines, widest, before = [], len(header), rows.line_num
+    for cells in rows:
+        line, before = before + 1, rows.line_num
+        if not cells or (len(cells) == 1 and not cells[0].strip()):
+            continue
+        if len(cells) < named:
+            last = before > text.rstrip().count("\n")
+            cut = "the file may be cut off there; delete the line" if last else "complete or delete the line"
+            count = f"{len(cells)} cell{'s' * (len(cells) > 1)}"
+            raise LogError(f"{path}: line {line} has {count} and the header has {named} names; {cut}")
+        if len(cells) > len(header) and any(cell.strip() for cell in cells[len(header) :]):
+            raise LogError(
+                f"{path}: line {line} has {len(cells)} cells and the header has {len(header)} names; write decimal "
+                "points, separate the columns by semicolons, or correct the line"
+            )
+        lines.append(line)
+        widest = max(widest, len(cells))
+    if widest > MOST_CELLS:
+        raise LogError(f"{path}: a row has {widest} cells; the header has {len(header)} names")
+    return np.array(lines, dtype=np.int64), widest
 
 
 def _decimal_commas(table: pd.DataFrame) -> list[str]:

@@ -15,9 +15,10 @@ MOST_ELEMENTS = 64
 """Longer lists (images, scans) are read only if one of their fields is requested."""
 MOST_CELLS = 1 << 27
 """Largest number of values of a topic: messages times fields."""
-NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name")
+NAME_LISTS = ("name", "names", "joint_names", "joints", "joint_name", "dof_names", "interface_names")
 """Fields with names of the elements of the lists beside and below them (JointState, JointTrajectory)."""
 NANO = 10**9
+_CHECKED = 4096  # messages after which the size is checked again
 _RECENT = 10**8 * NANO  # stamps after 1973 count since 1970; earlier ones count from another start
 _STAMPS = ({"sec", "nanosec"}, {"sec", "nsec"}, {"secs", "nsecs"})
 _TOKEN = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
@@ -49,8 +50,14 @@ class TopicColumns:
         return len(self._received)
 
     def add(self, received_ns: int, message: Any) -> None:
-        """Add one message: an object with fields, or a value of JSON."""
+        """Add one message: an object with fields, or a value of JSON.
+
+        Raises:
+            LogError: the table would have more than `MOST_CELLS` values.
+        """
         row = len(self._received)
+        if row % _CHECKED == 0:
+            self._check_size()
         self._received.append(received_ns)
         for name, value in self._fields(message):
             self._columns.setdefault(name, []).append((row, value))
@@ -61,12 +68,8 @@ class TopicColumns:
         Raises:
             LogError: the table would have more than `MOST_CELLS` values.
         """
+        self._check_size()
         rows = len(self._received)
-        if rows * len(self._columns) > MOST_CELLS:
-            raise LogError(
-                f"its {rows} messages have {len(self._columns)} different fields, more than {MOST_CELLS} values in "
-                "all; name the fields that are channels in the mapping"
-            )
         received = np.array([stamp - self.origin for stamp in self._received], dtype=np.float64) / NANO
         columns: dict[str, Any] = {RECEIVED: received}
         absent: dict[str, np.ndarray] = {}
@@ -82,6 +85,14 @@ class TopicColumns:
         ordered = [HEADER] if header else []
         ordered += [RECEIVED, *(name for name in times if name != HEADER)]
         return Table(pd.DataFrame(columns), self.kind, tuple(ordered), absent, dict(self._left_out))
+
+    def _check_size(self) -> None:
+        rows = len(self._received)
+        if rows * len(self._columns) > MOST_CELLS:
+            raise LogError(
+                f"its {rows} messages have {len(self._columns)} different fields, more than {MOST_CELLS} values in "
+                "all; name the fields that are channels in the mapping"
+            )
 
     def _fields(self, message: Any) -> Iterator[tuple[str, Any]]:
         if self._paths is None:
@@ -115,7 +126,8 @@ class TopicColumns:
                 return
             if len(value) and isinstance(value[0], str):
                 return
-            keys = names if len(names) == len(value) else range(len(value))
+            # The points of a trajectory follow each other in time, even if they are as many as its joints.
+            keys = names if len(names) == len(value) and not _is_series(prefix) else range(len(value))
             for key, element in zip(keys, value, strict=True):
                 yield from self._walk(f"{prefix}[{key}]", element, names)
         elif isinstance(value, bytes | bytearray):
@@ -145,19 +157,20 @@ def parse_field(field: str) -> list[str]:
 
 
 def _resolve(message: Any, path: Sequence[str]) -> Any:
-    value, names = message, ()
+    value, names, before = message, (), ""
     for token in path:
         members = _members(value)
         if members is not None:
             names = _names(members) or names
         if token.startswith("["):
-            value = _element(value, token[1:-1].strip(), names)
+            value = _element(value, token[1:-1].strip(), () if before == "points" else names)
         elif members is not None and token in members:
             value = members[token]
         elif members is None and token == "value" and len(path) == 1:
             return value
         else:
             raise _Missing
+        before = token
     return value
 
 
@@ -178,6 +191,10 @@ def _members(value: Any) -> dict[str, Any] | None:
     if fields is None:
         return None
     return {name: getattr(value, name) for name in fields if not name.startswith("__") and name != "_"}
+
+
+def _is_series(field: str) -> bool:
+    return field.rpartition(".")[2] == "points"
 
 
 def _names(members: Mapping[str, Any]) -> Sequence[str]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+
+from deepkoco.suggestion import did_you_mean
 
 RECEIVED = "received"
 """Column of a topic: time at which the recorder got each message [s since the first message]."""
@@ -28,6 +32,8 @@ class Table:
         times: columns that are known to be times [s], the usual one first.
         absent: column -> True in rows whose message does not have this field (message of another joint).
         left_out: fields that were not read, with the reason.
+        lines: line of the file of each row, as an editor counts them; None if the file is not a text.
+        path: file of the table, if the log has a file for each topic.
     """
 
     frame: pd.DataFrame
@@ -35,6 +41,8 @@ class Table:
     times: tuple[str, ...] = ()
     absent: dict[str, np.ndarray] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+    lines: np.ndarray | None = None
+    path: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,7 @@ class LogFile:
         origin_ns: origin of the times in the tables [ns since 1970]; 0 for a file without topics.
         row_name: name of a row in messages to the user.
         notes: assumptions of the reader.
+        facts: what the file says about the log besides its samples.
     """
 
     path: Path
@@ -58,6 +67,7 @@ class LogFile:
     origin_ns: int = 0
     row_name: str = "message"
     notes: tuple[str, ...] = ()
+    facts: dict[str, float | str] = field(default_factory=dict)
 
     @property
     def has_topics(self) -> bool:
@@ -85,7 +95,27 @@ class LogFile:
                 f'{self.path}: a {self.form} file has topics; give topic and field of each channel, such as "topic: '
                 f'/joint_states, field: position[0]"; it has {there}'
             )
-        raise LogError(f'{self.path}: has no topic "{topic}"; it has {there}; correct the mapping')
+        raise LogError(
+            f'{self.path}: has no topic "{topic}"{did_you_mean(topic, self.tables) or ";"} it has {there}; correct the '
+            "mapping"
+        )
+
+    def file(self, topic: str) -> Path:
+        """Path of the file that contains a topic."""
+        return self.tables[topic].path or self.path
+
+    def rows(self, topic: str, rows: Sequence[int] | np.ndarray, most: int = 8) -> str:
+        """Name rows for the user: `line 18, 19` in a text file, else `message 17, 18`.
+
+        Args:
+            topic: topic of the table.
+            rows: indices of the rows, from 0.
+            most: largest number of rows that are listed.
+        """
+        lines = self.tables[topic].lines
+        numbers = [int(row) + 1 if lines is None else int(lines[row]) for row in rows[:most]]
+        listed = ", ".join(map(str, numbers)) + (", ..." if len(rows) > most else "")
+        return f"{self.row_name if lines is None else 'line'} {listed}"
 
     def values(self, topic: str, column: str) -> np.ndarray:
         """Return one column as float64, an empty cell as NaN.
@@ -95,20 +125,28 @@ class LogFile:
         """
         table = self.table(topic)
         if column not in table.frame.columns:
+            there = self._columns(topic)
+            listed = ", ".join(there[:40]) + (f" and {len(there) - 40} more" if len(there) > 40 else "")
             raise LogError(
-                f"{self._where(topic, column)} is missing; {self._has(topic)}; correct the mapping"
+                f"{self._where(topic, column)} is missing{did_you_mean(column, there) or ';'} the "
+                f"{'topic' if self.has_topics else 'file'} has {listed}; correct the mapping"
             )
         return self._numbers(topic, column, pd.Series(table.frame[column]))
 
-    def _has(self, topic: str) -> str:
-        names = [str(name) for name in self.tables[topic].frame.columns]
-        listed = ", ".join(names[:40]) + (f" and {len(names) - 40} more" if len(names) > 40 else "")
-        return f"the {'topic' if self.has_topics else 'file'} has {listed}"
+    def _columns(self, topic: str) -> list[str]:
+        """Columns of a topic; messages are read again, because only requested fields have been read."""
+        table = self.tables[topic]
+        if topic and table.path is None:
+            from deepkoco.logs.formats.open_log import open_log
+
+            with suppress(LogError):  # of a file that can only be read in parts
+                table = open_log(self.path).tables.get(topic, table)
+        return [str(name) for name in table.frame.columns]
 
     def _where(self, topic: str, column: str) -> str:
-        return (
-            f'{self.path}: topic "{topic}": field "{column}"' if topic else f'{self.path}: column "{column}"'
-        )
+        if self.tables[topic].path is not None or not topic:
+            return f'{self.file(topic)}: column "{column}"'
+        return f'{self.path}: topic "{topic}": field "{column}"'
 
     def _numbers(self, topic: str, column: str, cells: pd.Series) -> np.ndarray:
         if pd.api.types.is_datetime64_any_dtype(cells.dtype):
@@ -125,7 +163,7 @@ class LogFile:
         wrong = [row for row, cell in enumerate(objects) if not _is_number(cell)]
         shown = " ".join(str(objects[wrong[0]]).split())[:60]
         raise LogError(
-            f'{self._where(topic, column)}: "{shown}" at {self.row_name} {wrong[0] + 1} is no number '
+            f'{self._where(topic, column)}: "{shown}" at {self.rows(topic, wrong[:1])} is no number '
             f"({len(wrong)} such cells); write plain numbers in one unit, and the unit in the sidecar"
         )
 
@@ -149,7 +187,8 @@ def iso_seconds(log: LogFile, topic: str, column: str) -> np.ndarray:
     wrong = np.flatnonzero((dates.isna() & cells.notna()).to_numpy())
     if len(wrong):
         raise LogError(
-            f'{log.path}: column "{column}": "{str(cells.iloc[wrong[0]])[:60]}" at {log.row_name} {wrong[0] + 1} is no '
+            f'{log.file(topic)}: column "{column}": "{str(cells.iloc[wrong[0]])[:60]}" at '
+            f"{log.rows(topic, wrong[:1])} is no "
             "date like 2024-05-01T12:00:00.125; if the column holds numbers, give their unit"
         )
     return _seconds(dates)

@@ -99,6 +99,8 @@ def _topics(path: Path, wanted: Wanted) -> LogFile:
             number = len(topics[topic]) + 1
             try:
                 topics[topic].add(record.log_time, decoders[channel.id](record.data))
+            except LogError:
+                raise
             except (
                 Exception
             ) as error:  # decoders of other libraries raise many kinds of errors on damaged bytes

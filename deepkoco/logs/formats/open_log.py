@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from deepkoco.logs.formats.log_file import LogError, LogFile
+from deepkoco.logs.formats.recordings import is_bag, one_recording
 from deepkoco.logs.formats.wanted import Wanted
 
 
@@ -33,6 +34,30 @@ def _bag(path: Path, wanted: Wanted) -> LogFile:
     return read_bag(path, wanted)
 
 
+def _tensors(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.tensor_file import read_tensors
+
+    return read_tensors(path)
+
+
+def _entries(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.json_entries import read_entries
+
+    return read_entries(path)
+
+
+def _episode(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.lerobot import read_episode
+
+    return read_episode(path)
+
+
+def _pair(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.csv_folder import read_pair
+
+    return read_pair(path)
+
+
 FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
     ".csv": _csv,
     ".parquet": _parquet,
@@ -40,6 +65,8 @@ FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
     ".mcap": _mcap,
     ".bag": _bag,
     ".db3": _bag,
+    ".pt": _tensors,
+    ".json": _entries,
 }
 
 
@@ -47,28 +74,29 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
     """Read a log file.
 
     Args:
-        path: `.csv`, `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), or the folder of a ROS 2 bag.
+        path: `.csv`, `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), `.pt` (tensors), `.json` (entries), the
+            folder of a ROS 2 bag, a folder with a CSV of commands and one of measurements, or an episode of a
+            LeRobot dataset (`DATASET/episode_3`). A folder that contains one recording stands for it.
         wanted: fields to read of each topic; None reads all. Files without topics are always read completely.
 
     Raises:
         LogError: the file is missing, empty or damaged, its format is not known, or a library is missing.
     """
-    path = Path(path)
+    from deepkoco.logs.formats.lerobot import is_episode
+
+    path = one_recording(Path(path))
     if path.is_dir():
-        if not (path / "metadata.yaml").is_file():
-            raise LogError(
-                f"{path}: is a folder; give the log file in it (a folder can only be a ROS 2 bag, which contains "
-                "a metadata.yaml)"
-            )
-        reader = _bag
+        reader = _bag if is_bag(path) else _pair
+    elif is_episode(path):
+        reader = _episode
     elif not path.is_file():
         raise LogError(f"{path}: no such file")
     else:
         found = FORMATS.get(path.suffix.lower())
         if found is None:
             raise LogError(
-                f'{path}: format "{path.suffix}" is not known; known: {", ".join(FORMATS)} and the folder of '
-                "a ROS 2 bag"
+                f'{path}: format "{path.suffix}" is not known; known: {", ".join(FORMATS)}, and folders of ROS 2 '
+                "bags and LeRobot datasets"
             )
         reader = found
     try:

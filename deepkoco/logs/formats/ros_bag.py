@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from deepkoco.extras import install_command
+from deepkoco.logs.formats.bag_bounds import bound_readers, check_bag
 from deepkoco.logs.formats.fields import TopicColumns
 from deepkoco.logs.formats.log_file import LogError, LogFile
 from deepkoco.logs.formats.ros_definition import Definitions, check_size, check_text
@@ -74,6 +75,7 @@ def read_bag(path: Path, wanted: Wanted = None) -> LogFile:
         LogError: the library is missing, or the bag is damaged.
     """
     rosbags = _rosbags()
+    check_bag(path)
     store = rosbags.typesys.get_typestore(rosbags.typesys.Stores[FALLBACK])
     try:
         with rosbags.highlevel.AnyReader([path], default_typestore=store) as reader:
@@ -105,13 +107,16 @@ def _read(path: Path, reader: Any, wanted: Wanted) -> LogFile:
             skipped[connection.topic] = wrong
         else:
             topics.setdefault(connection.topic, TopicColumns(connection.msgtype, origin, fields))
+    unpack = bound_readers(reader.readers)
     for connection, received, data in reader.messages(connections):
         if connection.topic in skipped:
             continue
         columns = topics[connection.topic]
         number = len(columns) + 1
         try:
-            columns.add(received, reader.deserialize(data, connection.msgtype))
+            columns.add(received, reader.deserialize(unpack(data), connection.msgtype))
+        except LogError:
+            raise
         except Exception as error:  # damaged bytes raise errors of several kinds
             raise LogError(
                 f'{path}: topic "{connection.topic}": message {number} is not a valid {connection.msgtype}: '

@@ -54,15 +54,31 @@ def mcap_records(path: Path) -> Iterator[McapRecord]:
             yield record
 
 
+def check_chunks(path: Path) -> None:
+    """Check what the chunks of an MCAP file unpack to, for readers of other libraries.
+
+    Raises:
+        DAMAGE: one of these errors, where the file is cut off or damaged or a chunk unpacks to too much.
+    """
+    with path.open("rb") as file:
+        stream = _Bounded(file)
+        for record in StreamReader(stream, emit_chunks=True).records:  # type: ignore[arg-type]
+            if isinstance(record, Chunk):
+                _check_size(record)
+
+
 def _check_size(chunk: Chunk) -> None:
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
         # The library goes by the size in the compressed data, if there is one.
         size = max(size, get_frame_parameters(chunk.data).content_size % (1 << 64))
     elif chunk.compression == "lz4":
-        from lz4.frame import get_frame_info
+        from lz4.frame import LZ4FrameDecompressor, get_frame_info
 
-        size = max(size, get_frame_info(chunk.data)["content_size"])
+        size = max(size, get_frame_info(chunk.data)["content_size"] or 0)
+        if not get_frame_info(chunk.data)["content_size"]:
+            # The frame does not say its size, and the library unpacks it all.
+            size = max(size, len(LZ4FrameDecompressor().decompress(chunk.data, LARGEST_CHUNK + 1)))
     if size > LARGEST_CHUNK:
         raise ValueError(f"a chunk unpacks to {size} bytes; at most {LARGEST_CHUNK} are read")
 

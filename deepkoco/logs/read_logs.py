@@ -1,0 +1,50 @@
+"""Recordings from what a user gives: recordings, paths of logs, or folders of them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from deepkoco.logs.formats.recordings import recordings
+from deepkoco.logs.recording import Recording, read_log
+from deepkoco.systems import System, any_system
+
+Logs = Recording | str | Path | Sequence[Recording | str | Path]
+"""What functions take as logs: a recording, the path of a log or of a folder of logs, or a sequence of both."""
+
+
+def read_logs(
+    logs: Logs,
+    system: str | System,
+    *,
+    mapping: Mapping[str, Any] | str | Path | None = None,
+    episodes: Collection[int] | None = None,
+    fill: str | None = None,
+) -> list[Recording]:
+    """Read logs of one system; a folder stands for all logs in it, a LeRobot dataset for its episodes.
+
+    Args:
+        logs: recordings, which are taken as they are, and paths of files and folders.
+        system: the system, or its name.
+        mapping: content or path of the sidecar of all logs; None takes the file beside each log.
+        episodes: numbers of the episodes to take of datasets; None takes all.
+        fill: rule for missing values: None raises, "drop" leaves the sample out, "hold" repeats the previous one.
+
+    Raises:
+        LogError: a log cannot be used, or a folder contains none.
+        UnknownSystemError: there is no such system.
+    """
+    given = [logs] if isinstance(logs, Recording | str | Path) else list(logs)
+    result: list[Recording] = []
+    for log in given:
+        if isinstance(log, Recording):
+            result.append(log)
+            continue
+        found = any_system(system)
+        channels = [(c.name, c.unit, c.kind) for c in (*found.commands, *found.measurements)]
+        result += [
+            read_log(path, mapping, found.name, channels=channels, fill=fill)
+            for path in recordings([log], episodes)
+        ]
+    return result
