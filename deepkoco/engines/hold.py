@@ -26,3 +26,28 @@ def mean_over_tick(values: Tensor, commands: Input, period: float) -> Tensor:
     if values.ndim > 2:
         held = held.unsqueeze(-1)
     return (values * held).sum(1) / period
+
+
+def means_within_tick(values: Tensor, commands: Input, period: float, parts: int) -> Tensor:
+    """Time averages (B, parts, M) over equal parts of the tick that ends now.
+
+    Each command holds from its arrival to the next one's; the oldest has held since before the tick.
+
+    Args:
+        values: (B, window, M) what each of the commands delivers.
+        commands: The commands, with their arrivals.
+        period: Length of the tick [s].
+        parts: Number of parts.
+    """
+    begin = commands.t_start - period
+    arrival = (
+        commands.t_received[:, 1:] - begin[:, None]
+    )  # of all but the oldest, after the begin of the tick [s]
+    if values.shape[1] == 1 or bool((arrival <= 0.0).all()):
+        return values[:, -1:].expand(-1, parts, -1)
+    length = period / parts
+    edges = torch.arange(parts, dtype=torch.float64) * length
+    # Share of each part in which a command has arrived: it replaces the one before it for that long.
+    share = ((edges[:, None] + length - arrival[:, None]) / length).clamp(0.0, 1.0)  # (B, parts, window - 1)
+    change = values[:, 1:] - values[:, :-1]
+    return values[:, None, 0] + torch.einsum("bpw,bwm->bpm", share, change)

@@ -30,7 +30,8 @@ class DelayGraphVectorEnv(GraphVectorEnv):
 
     The reward is minus the task's cost of the true state and the command at the agent's tick; the
     observation is what the agent has received by then. Every environment draws delays and randomized
-    parameters of its own at each episode. Episodes are cut after ``max_episode_steps`` and never terminate.
+    parameters of its own at each episode. Episodes are cut after ``max_episode_steps``; they terminate only where
+    the task has limits and the state leaves them.
 
     Args:
         num_envs: Environments B.

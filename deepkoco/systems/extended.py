@@ -18,6 +18,7 @@ from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
 from deepkoco.systems.effects.effect import COMMON, JointLanes, in_lanes, steady_level
 from deepkoco.systems.joint import JointSystem, TorqueLaw
+from deepkoco.systems.joint_memory import JointMemory, Remembering
 from deepkoco.systems.origins import find_stored, origin_of, stored_origin
 from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
 from deepkoco.systems.system import (
@@ -133,6 +134,10 @@ class ExtendedSystem(System):
     def smoothing_speeds(self) -> tuple[float, ...]:
         return self.base.smoothing_speeds
 
+    @property
+    def longest_step(self) -> float:
+        return self.base.longest_step
+
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)
 
@@ -187,6 +192,14 @@ class ExtendedSystem(System):
         levels = self.dry_friction_levels(parameters).levels(still)
         return tuple(None if (level := levels[j]) is None else level.clamp_min(0.0) for j in joints)
 
+    def joint_memory(self, parameters: Parameters) -> JointMemory:
+        """What effects remember of the ways of the joints; empty where none does."""
+        parts = [
+            Remembering(placed.effect, placed.index, _own(placed.name, parameters))
+            for placed in self._at("memory")
+        ]
+        return JointMemory(parts)
+
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
         return self.base.inverse_inertia(self._body(parameters))
 
@@ -209,6 +222,12 @@ class ExtendedSystem(System):
         return acceleration
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        for placed in self._at("memory"):
+            if not self._at_null(placed, parameters):
+                raise MemoryEffectError(
+                    f"{placed.name} remembers the way of its joint: it acts along a log (diagnosis, identification) "
+                    "and cannot be simulated one state at a time"
+                )
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self.commands) == 1 else effort.unbind(-1)
@@ -245,7 +264,8 @@ class ExtendedSystem(System):
                 continue
             own = _own(placed.name, parameters)
             if placed.effect.place == "series":
-                effort = placed.effect.apply(effort, t, own)
+                if not self._at_null(placed, parameters):
+                    effort = placed.effect.apply(effort, t, own)
             else:
                 effort = placed.effect.apply(effort, own)
         return effort
@@ -281,6 +301,14 @@ class ExtendedSystem(System):
         return self.base.sensor_filter(parameters) + parameters.get(
             "low_pass.time_constant", torch.zeros((), dtype=torch.float64)
         )
+
+    def output_play(self, parameters: Parameters) -> Levels:
+        base, own = (
+            self.base.output_play(parameters),
+            (self.at_joint("gear_play", j) for j in range(self.joints)),
+        )
+        found = [parameters.get(f"{name}.width") for name in own]
+        return tuple(b if w is None else w if b is None else b + w for b, w in zip(base, found, strict=True))
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure(state, parameters), None, parameters)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.declaration import Declared
-from deepkoco.systems.drawing import canvas, draw_bars
+from deepkoco.systems.drawing import Point, canvas, draw_bars
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.typical_loads import typical_loads
 
@@ -124,6 +124,7 @@ class Motion(NamedTuple):
         return 0.0 if given is None else given
 
 
+Outline = tuple[list[tuple[Point, Point]], list[Point]]
 Acceleration = Callable[[Motion], tuple[Tensor, ...]]
 Delivery = Callable[[Motion], tuple[Tensor, ...]]
 InverseInertia = Callable[[Motion], tuple[tuple[Tensor, ...], ...]]
@@ -394,6 +395,14 @@ class System(metaclass=Declared):
         return tuple(SMOOTHING[u] for u in self._kinds)
 
     @property
+    def longest_step(self) -> float:
+        """Longest Runge-Kutta step [s] that follows the system's fastest motion; infinite: found from its period.
+
+        A stiff servo inside the system needs shorter steps than the motion that a log shows.
+        """
+        return math.inf
+
+    @property
     def _kinds(self) -> tuple[str, ...]:
         """Unit of each joint: a joint that does not turn slides."""
         return tuple("rad" if unit == "rad" else "m" for unit in self.state_units[: self.joints])
@@ -446,6 +455,10 @@ class System(metaclass=Declared):
         """Time constant of a first-order filter behind all sensors [s]; 0 for a plain system."""
         return torch.zeros((), dtype=torch.float64)
 
+    def output_play(self, parameters: Parameters) -> Levels:
+        """Half of the play between each joint and its sensors (J), in its unit; None for none, as in a plain system."""
+        return (None,) * self.joints
+
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
         """As :meth:`measure` along a log, ``time`` (...) since its first command [s]."""
         return self.measure(state, parameters)
@@ -493,6 +506,14 @@ class System(metaclass=Declared):
             if shown is None
             else [_share(value, c) for value, c in zip(shown, self.commands, strict=False)],
         )
+
+    def outline(self, angles: np.ndarray) -> Outline | None:
+        """Lines of its links and points of its joints in a plane [m], for figures; None where there are none.
+
+        Args:
+            angles: (J,) joint coordinates [rad or m].
+        """
+        return None
 
     def draw(self, measurement: np.ndarray, command: np.ndarray | float, size: int = 256) -> np.ndarray:
         """Picture of the system on an empty background, uint8 (size, size, 3), RGB; see `draw_on`."""

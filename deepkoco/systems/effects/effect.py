@@ -11,7 +11,7 @@ from torch import Tensor
 
 from deepkoco.systems.system import Parameter, Parameters, System
 
-Place = Literal["command", "series", "timing", "load", "body", "sensor", "noise"]
+Place = Literal["command", "series", "timing", "load", "memory", "body", "sensor", "noise"]
 Site = Literal["system", "joint", "command", "channel", "kind", "place", "pair"]
 
 ALL = -1  # index of an effect that acts on all driving commands alike
@@ -73,6 +73,18 @@ def in_lanes(value: Tensor, start: int, stop: int) -> Tensor:
     return value.narrow(-1, start, stop - start)
 
 
+class Memory(NamedTuple):
+    """How the value that an effect remembers begins, and how it changes while the joint moves.
+
+    Attributes:
+        start: (joint, load that would hold it at rest, p) -> value at the start of a window.
+        advance: (value, way, joint, p) -> value after the joint has moved this way in one direction.
+    """
+
+    start: Callable[[JointState, Tensor, Parameters], Tensor]
+    advance: Callable[[Tensor, Tensor, JointState, Parameters], Tensor]
+
+
 def steady_level(effect: Effect, p: Parameters) -> Tensor:
     """Level of dry friction that depends on the effect's own parameters alone."""
     assert effect.level is not None
@@ -113,6 +125,8 @@ class Effect:
               effort depends on the past or on the time since the log began;
             - ``load``: ``apply(joint: JointState, p) -> load`` on the joint [N m or N]; of a joint's state an effect
               may read the attributes only;
+            - ``memory``: ``apply(joint: JointState, value, p) -> load``: a load that depends on what the effect
+              remembers of the way of the joint, see :class:`Memory`; it acts along a log only;
             - ``body``: ``apply(system, joint, parameters, p) -> parameters``;
             - ``sensor``: ``apply(measurement (..., N), site: SensorSite, p) -> measurement``;
             - ``timing``: no ``apply``; the simulator carries it out;
@@ -130,6 +144,7 @@ class Effect:
         level: Of dry friction, ``level(joint: JointState, p) -> level`` [N m or N]: its size, which is the largest load
             at which it holds a joint at rest. ``apply`` is then the load of this size against a smoothed direction.
         steady: Whether ``level`` depends on the parameters alone.
+        memory: Of an effect with a memory, how its value begins and changes.
     """
 
     name: str
@@ -142,6 +157,7 @@ class Effect:
     acting: Callable[[Parameters], Parameters] = _all_of
     level: Callable[[JointState, Parameters], Tensor] | None = None
     steady: bool = False
+    memory: Memory | None = None
     shared: bool = False
 
     @property

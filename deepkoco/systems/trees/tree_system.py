@@ -13,6 +13,7 @@ from torch import Tensor
 from deepkoco.systems import drawing
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.extended import MemoryEffectError
+from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
@@ -20,6 +21,7 @@ from deepkoco.systems.system import (
     Delivery,
     InverseInertia,
     Motion,
+    Outline,
     Parameter,
     Parameters,
     System,
@@ -27,9 +29,9 @@ from deepkoco.systems.system import (
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
-from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays, is_plain
+from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
-from deepkoco.systems.trees.model_file import is_urdf, read_model
+from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
@@ -45,6 +47,7 @@ from deepkoco.systems.trees.parameters import (
 from deepkoco.systems.trees.picture import choose_view, lines
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
+from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -59,7 +62,9 @@ class TreeSystem(System):
 
     M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
     clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
-    filter where the actuator has one. Contacts and limits of joints are not simulated; :attr:`notes` says so where the
+    filter where the actuator has one. `accelerations` are exactly these; simulations (`derivative`,
+    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`.
+    Contacts and limits of joints are not simulated; :attr:`notes` says so where the
     model has any.
 
     Args:
@@ -94,8 +99,10 @@ class TreeSystem(System):
                 control_unit(a, tree.joints[a.joint]),
                 "command",
                 low,
-                high,
+                # Sizes of effects are taken from the upper limit.
+                high if high > 0.0 else -low,
                 description=_drives(a, tree),
+                default=0.0 if tree.without_actuators else None,
             )
             for a, (low, high) in zip(tree.actuators, controls, strict=True)
         )
@@ -106,6 +113,9 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
+        self._least_inertias = least_inertias(tree)
+        nominal = _Numbers.of(self, {}, steady=True)
+        self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
         self.tip = self.payload_sites[_tip(tree)]
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
@@ -115,7 +125,8 @@ class TreeSystem(System):
     def from_file(cls, path: str | Path) -> TreeSystem:
         """Read a robot from an MJCF or URDF file.
 
-        A URDF file has no actuators: each of its joints gets a command in N m or N with the joint's name.
+        Each joint of a model without actuators (a URDF file has none) gets a command in N m or N with the joint's
+        name. A log need not show it: it is then 0.
 
         Args:
             path: The file.
@@ -126,11 +137,10 @@ class TreeSystem(System):
         path = Path(path)
         model, notes = read_model(path)
         try:
-            tree = compile_tree(model, path.stem, torques=is_urdf(path))
+            tree = compile_tree(model, path.stem)
+            return cls(replace(tree, notes=(*notes, *tree.notes)), str(path))
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
-        tree = replace(tree, notes=(*notes, *tree.notes))
-        return cls(tree, str(path))
 
     @property
     def commands(self) -> tuple[Channel, ...]:
@@ -138,7 +148,7 @@ class TreeSystem(System):
 
     @property
     def command_joints(self) -> tuple[int, ...]:
-        return tuple(a.joint for a in self.tree.actuators)
+        return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -151,6 +161,10 @@ class TreeSystem(System):
     @property
     def load_scales(self) -> tuple[float, ...]:
         return self._load_scales
+
+    @property
+    def longest_step(self) -> float:
+        return self._longest_step
 
     @property
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:
@@ -194,11 +208,14 @@ class TreeSystem(System):
     def delivery(self, parameters: Parameters) -> Delivery:
         laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
         forces = actuator_forces(self.tree.actuators, laws)
+        drives = self._drives()
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            given = forces(motion)
+            together = [total([given[k] for k in drives[j]]) for j in self.command_joints]
             return tuple(
                 force if isinstance(force, Tensor) else torch.full_like(motion.speeds[0], force)
-                for force in forces(motion)
+                for force in together
             )
 
         return deliver
@@ -213,12 +230,12 @@ class TreeSystem(System):
         return self._law(_Numbers.of(self, parameters))
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        numbers = _Numbers.of(self, parameters)
+        numbers = _Numbers.of(self, parameters, steady=True)
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         return self._law(numbers._replace(passive=passive))
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        joints, own = self.tree.joints, _Numbers.of(self, parameters)
+        joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
         fast = own.fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
@@ -235,7 +252,7 @@ class TreeSystem(System):
         dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
         forces = actuator_forces(tree.actuators, numbers.laws)
         resisting = passive_loads(passive, smooth)
-        drives = [[k for k, own in enumerate(tree.actuators) if own.joint == j] for j in range(self.joints)]
+        drives = self._drives()
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             if fast is not None and is_plain(_all_of(motion)):
@@ -256,7 +273,8 @@ class TreeSystem(System):
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
-        accelerations = self.accelerations(parameters)(Motion(parts[: self.joints], speeds, efforts))
+        law = self._law(_Numbers.of(self, parameters, steady=True))
+        accelerations = law(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
@@ -274,6 +292,9 @@ class TreeSystem(System):
         before = parameters.get(name)
         return {**parameters, name: mass if before is None else before + mass}
 
+    def outline(self, angles: np.ndarray) -> Outline:
+        return lines(self.tree, angles, self._view)
+
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
     ) -> None:
@@ -287,6 +308,13 @@ class TreeSystem(System):
             fractions = [u / size for u, size in zip(given, sizes, strict=True)]
             where = [points[j] for j in self.command_joints]
             drawing.draw_joint_commands(image, where, fractions, self._view.reach)
+
+    def _drives(self) -> list[list[int]]:
+        """Actuators of each joint."""
+        found: list[list[int]] = [[] for _ in range(self.joints)]
+        for k, actuator in enumerate(self.tree.actuators):
+            found[actuator.joint].append(k)
+        return found
 
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
@@ -330,11 +358,14 @@ class _Numbers(NamedTuple):
     laws: list[Law]
 
     @staticmethod
-    def of(system: TreeSystem, parameters: Parameters) -> _Numbers:
-        """Numbers of a system under named values."""
+    def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
+        """Numbers of a system under named values; ``steady`` with the armatures that simulations add."""
         tree = system.tree
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        if steady:
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
         return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:

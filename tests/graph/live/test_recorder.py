@@ -25,6 +25,7 @@ from deepkoco.graph import (
     write_episodes,
 )
 from deepkoco.graph.live import ConcurrentRuntime, WallClockRuntime
+from tests.on_time import on_time
 
 LOSSY = {
     "sensor->agent": {"law": "lossy", "delay": 0.002, "probability": 0.4},
@@ -200,6 +201,7 @@ SCRIPT = """
 """
 
 
+@on_time
 def test_a_killed_caller_leaves_what_ran_until_shortly_before(tmp_path):
     caller = start(SCRIPT, tmp_path)
     assert caller.stdout is not None

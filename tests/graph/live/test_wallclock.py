@@ -1,4 +1,4 @@
-"""Real time: every tick once, by the rules, recorded as it was. Nothing here depends on how busy the machine is."""
+"""Real time: every tick once, by the rules, recorded as it was."""
 
 import time
 
@@ -10,6 +10,7 @@ from live_nodes import Timed, act, loop
 from deepkoco.graph import Connection, Episode, Graph, Supervisor, replay_episode
 from deepkoco.graph.live import WallClockRuntime, message_times, node_times
 from tests.graph.timing_reference import Accumulate
+from tests.on_time import on_time
 
 
 def recorded(graph: Graph, steps: int, **options) -> Episode:
@@ -55,6 +56,7 @@ class Slow(Timed):
 
 
 @pytest.mark.parametrize("scheduling", ["frequency", "phase"])
+@on_time
 def test_each_tick_runs_once_and_an_overrun_shifts_or_is_caught_up(scheduling):
     slow = Slow("slow", 100, scheduling=scheduling)
     agent = Supervisor("agent", 50, initial_action=torch.zeros(2, dtype=torch.float64))
