@@ -39,9 +39,9 @@ def _transformed() -> bool:
     return (
         torch._C._len_torch_dispatch_stack() > 0
         or torch._C._len_torch_function_stack() > 0
-        or torch._C._functorch.peek_interpreter_stack() is not None
+        or torch._C._functorch.peek_interpreter_stack() is not None  # pyright: ignore[reportAttributeAccessIssue]
         or torch.compiler.is_compiling()
-        or torch.jit.is_tracing()
+        or torch.jit.is_tracing()  # pyright: ignore[reportPrivateImportUsage]
     )
 
 
@@ -110,6 +110,11 @@ class FastLaw:
         """
         from deepkoco.systems.trees.kernel import tree_accelerations
 
+        # The compiled loop does not check bounds.
+        given = len(motion.angles), len(motion.speeds), len(motion.efforts)
+        wanted = len(self.inertia), len(self.inertia), len(self.law)
+        if given != wanted:
+            raise ValueError(f"a motion has {given} angles, speeds and efforts; the robot has {wanted}")
         loads = [] if motion.loads is None else [x for x in motion.loads if x is not None]
         widths = motion.smoothing if motion.smoothing is not None else smoothing
         parts = [*motion.angles, *motion.speeds, *motion.efforts, *loads]
