@@ -16,7 +16,9 @@ from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import Motion, System
 
 LONGEST_STEP = 0.01  # integration step [s]
-STEPS_PER_PERIOD = 100  # smallest number of integration steps in a period of the system
+# Smallest number of integration steps in a period of the fastest small motion. The classical Runge-Kutta method then
+# shifts its phase by 2 pi (2 pi / 50)^4 / 120 = 1.3e-5 rad in a period.
+STEPS_PER_PERIOD = 50
 HISTORY = 0.1  # commands must be known for this time before a window, because of delays and lags [s]
 WARM_UP = 0.15  # or this share of a window; a slow lag then forgets commands from before the log
 MIN_SAMPLES = 6  # smallest number of samples of a channel in a window

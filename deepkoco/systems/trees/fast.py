@@ -17,6 +17,7 @@ from deepkoco.systems.trees.tree import Tree
 PASSIVE = ("armature", "damping", "stiffness", "springref", "frictionloss")
 
 
+<<<<<<< HEAD
 def is_plain(values: Sequence[Scalar | None]) -> bool:
     """Whether values are float64 numbers on the CPU, without gradients and outside of a trace.
 
@@ -45,6 +46,8 @@ def _transformed() -> bool:
     )
 
 
+=======
+>>>>>>> main
 class TreeArrays:
     """The numbers of a tree that no parameter changes."""
 

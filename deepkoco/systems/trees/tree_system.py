@@ -14,6 +14,7 @@ from torch import Tensor
 from deepkoco.systems import drawing
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.extended import MemoryEffectError
+from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
@@ -21,6 +22,7 @@ from deepkoco.systems.system import (
     Delivery,
     InverseInertia,
     Motion,
+    Outline,
     Parameter,
     Parameters,
     System,
@@ -28,7 +30,7 @@ from deepkoco.systems.system import (
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
-from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays, is_plain
+from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.parameters import (
@@ -311,6 +313,9 @@ class TreeSystem(System):
         name = payload_name(site)
         before = parameters.get(name)
         return {**parameters, name: mass if before is None else before + mass}
+
+    def outline(self, angles: np.ndarray) -> Outline:
+        return lines(self.tree, angles, self._view)
 
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
