@@ -114,13 +114,25 @@ MOVED = (
     ("deepkoco.unit", "deepkoco.excitation", "excitation played record"),
     ("deepkoco.unit", "deepkoco.logs.inspect", "log_summary"),
 )
-# (package, name): the package that has the name now
+# (package, name): the package or module that has the name now
 MOVED_NAMES = {
     **{("deepkoco.graph", name): "deepkoco.logs" for name in ("LogError", "Recording", "Series")},
     **{("deepkoco.graph", name): "deepkoco.logs" for name in ("read_log", "write_log")},
     **{("deepkoco.unit", name): "deepkoco.excitation" for name in ("EXCITATIONS", "Excitation")},
     **{("deepkoco.unit", name): "deepkoco.excitation" for name in ("ExcitationError", "make_excitation")},
     ("deepkoco.unit", "policy_excitation"): "deepkoco.excitation",
+    **{
+        ("deepkoco.diagnose.residuals", name): "deepkoco.diagnose.residuals.residuals"
+        for name in ("SLOTS", "acting_system", "push_of")
+    },
+    **{
+        ("deepkoco.diagnose.verdict", name): "deepkoco.diagnose.verdict.verdict"
+        for name in ("rivalled", "verdict_of")
+    },
+    **{
+        ("deepkoco.graph.episodes.storage", name): "deepkoco.graph.episodes.export"
+        for name in ("episode_table", "export_episodes")
+    },
 }
 
 
@@ -256,12 +268,31 @@ def names_on_demand(
     modules = moved_modules(MOVED)
 
     def find(name: str) -> Any:
-        home = MOVED_NAMES.get((package, name))
-        if home is None:
-            moved = f"{package}.{name}"
-            return import_module(moved) if moved in modules else found(name)
-        text = f"{package}.{name} has moved to {home}.{name}; import it from there"
-        warnings.warn(text, DeprecationWarning, stacklevel=2)
-        return getattr(import_module(home), name)
+        if (package, name) in MOVED_NAMES:
+            return _moved_name(package, name)
+        moved = f"{package}.{name}"
+        return import_module(moved) if moved in modules else found(name)
 
     return find, listed, names
+
+
+def moved_names(package: str) -> Callable[[str], Any]:
+    """Return `__getattr__` of a package that finds the names of `MOVED_NAMES`, with a DeprecationWarning.
+
+    Args:
+        package: Name of the package.
+    """
+
+    def find(name: str) -> Any:
+        if (package, name) not in MOVED_NAMES:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return _moved_name(package, name)
+
+    return find
+
+
+def _moved_name(package: str, name: str) -> Any:
+    home = MOVED_NAMES[package, name]
+    text = f"{package}.{name} has moved to {home}.{name}; import it from there"
+    warnings.warn(text, DeprecationWarning, stacklevel=3)
+    return getattr(import_module(home), name)

@@ -43,6 +43,12 @@ def test_a_moved_name_is_the_object_at_the_new_place(package: str, name: str) ->
     assert found is getattr(importlib.import_module(home), name)
 
 
+@pytest.mark.parametrize("name", ["episode_table", "export_episodes"])
+def test_names_of_the_old_storage_package_are_still_there(name: str) -> None:
+    old = importlib.import_module("deepkoco.graph.storage")
+    assert getattr(old, name) is getattr(importlib.import_module("deepkoco.graph.episodes.export"), name)
+
+
 @pytest.mark.parametrize(
     ("module", "name"),
     [
@@ -69,6 +75,8 @@ def test_a_name_that_never_was_is_not_found() -> None:
         importlib.import_module("deepkoco.identity")
     with pytest.raises(AttributeError, match="cameras"):
         importlib.import_module("deepkoco.graph").cameras  # noqa: B018
+    with pytest.raises(AttributeError, match="sentence"):
+        importlib.import_module("deepkoco.diagnose.verdict").sentence  # noqa: B018
 
 
 def test_a_module_runs_under_its_old_name() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.logs import SYSTEM_HELP
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.experiment_design.design import Design
@@ -31,9 +32,7 @@ INSEPARABLE = 3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco design-experiment`."""
-    parser.add_argument(
-        "--system", metavar="SYSTEM", help="name of the system; default: the system of the model or log"
-    )
+    parser.add_argument("--system", metavar="SYSTEM", help=f"{SYSTEM_HELP}; default: the system of the log")
     parser.add_argument(
         "--distinguish", nargs="+", required=True, metavar="CAUSE", help="two or more causes of the catalogue"
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
-from deepkoco.cli.logs import add_episodes
+from deepkoco.cli.logs import SYSTEM_HELP, add_episodes
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.progress import Progress
@@ -23,7 +23,8 @@ EXAMPLE = """\
 example:
   deepkoco diagnose logs/coulomb.csv --system rod_pendulum --out coulomb_report
   deepkoco diagnose logs/monday.csv --system model.yaml --healthy logs/sunday.csv
-  deepkoco diagnose monday/ --system rod_pendulum --healthy sunday/"""
+  deepkoco diagnose cart.csv --system my_robot.py:CartPole
+  deepkoco diagnose monday/ --system arm.xml --healthy sunday/"""
 INSUFFICIENT = 3
 
 
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--system",
         metavar="SYSTEM",
-        help="name of the system, or a model.yaml; default: the system in the sidecar",
+        help=f"{SYSTEM_HELP}; default: the system in the sidecar",
     )
     parser.add_argument(
         "--healthy",

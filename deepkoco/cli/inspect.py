@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
-from deepkoco.cli.logs import add_episodes
+from deepkoco.cli.logs import SYSTEM_HELP, add_episodes
 
 if TYPE_CHECKING:
     from deepkoco.logs.inspect.fitting import Fitting
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--system",
         metavar="SYSTEM",
-        help="system of the proposed mapping; default: the system that fits best",
+        help=f"{SYSTEM_HELP}; default: the system that fits best",
     )
     parser.add_argument(
         "--out", type=Path, metavar="MAP.yaml", help="write the proposed mapping as a sidecar; must not exist"

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from deepkoco.logs.recording import Recording
     from deepkoco.systems import System
 
+OWN_SYSTEM = "my_robot.py:CLASS, arm.xml, arm.urdf or model.yaml"
+SYSTEM_HELP = "system: a name, my_robot.py:CLASS, package.module:CLASS, arm.xml, arm.urdf or model.yaml"
+
 
 def read_logs(
     args: argparse.Namespace, paths: Sequence[Path], system: System | None
@@ -27,7 +30,7 @@ def read_logs(
     """
     from deepkoco.logs.formats.recordings import recordings as found_recordings
     from deepkoco.logs.recording import read_log
-    from deepkoco.systems import SYSTEMS
+    from deepkoco.systems import UnknownSystemError, load_system, system_names
 
     episodes = getattr(args, "episodes", None)
     name = args.system
@@ -36,16 +39,20 @@ def read_logs(
     recordings = []
     for path in found_recordings(paths, episodes):
         if system is None:
-            said = read_log(path, args.map, systems=tuple(SYSTEMS), fill=args.fill).system
+            said = read_log(path, args.map, fill=args.fill).system
             if said is None:
                 raise InputError(
-                    f"{path}: the sidecar does not name the system; give --system, one of {', '.join(SYSTEMS)}"
+                    f"{path}: the sidecar does not name the system; give --system: {OWN_SYSTEM}, or one of "
+                    f"{', '.join(system_names())}"
                 )
-            system = named_system(said)
+            try:
+                system = load_system(said, (path.parent, Path()))
+            except UnknownSystemError as error:
+                raise InputError(
+                    f"{path}: the system of the sidecar: {error}; give --system for one of your own: {OWN_SYSTEM}"
+                ) from error
         channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
-        recordings.append(
-            read_log(path, args.map, system.name, channels=channels, systems=tuple(SYSTEMS), fill=args.fill)
-        )
+        recordings.append(read_log(path, args.map, system.name, channels=channels, fill=args.fill))
     assert system is not None or not paths
     return system, recordings  # type: ignore[return-value]
 
@@ -84,14 +91,14 @@ def _episodes(text: str) -> tuple[int, ...]:
 
 
 def named_system(name: str) -> System:
-    """Make the system with this name, or load a model.yaml.
+    """Make the system that `--system` names: see `deepkoco.load_system`.
 
     Raises:
-        InputError: The name is unknown, or the file cannot be read.
+        InputError: There is no such system, or its file cannot be read.
     """
-    from deepkoco.systems import ModelFileError, UnknownSystemError, load_model, make_system
+    from deepkoco.systems import ModelFileError, UnknownSystemError, load_system
 
     try:
-        return load_model(name) if name.endswith((".yaml", ".yml")) else make_system(name)
+        return load_system(name)
     except (ModelFileError, UnknownSystemError) as error:
         raise InputError(f"--system: {error}") from error

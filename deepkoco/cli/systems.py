@@ -8,20 +8,22 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.logs import SYSTEM_HELP
 
 if TYPE_CHECKING:
     from deepkoco.systems import System
 
-DESCRIPTION = "List the systems of the package: channels, parameters, units and bounds."
+DESCRIPTION = "List the systems of the package and those registered: channels, parameters, units and bounds."
 EXAMPLE = """\
 example:
   deepkoco systems
-  deepkoco systems rod_pendulum --effects"""
+  deepkoco systems rod_pendulum --effects
+  deepkoco systems my_robot.py:CartPole"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco systems`."""
-    parser.add_argument("system", nargs="?", help="show only this system")
+    parser.add_argument("system", nargs="?", help=f"show only this {SYSTEM_HELP}")
     parser.add_argument("--effects", action="store_true", help="list the parameters of the effects too")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
@@ -32,15 +34,16 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such system.
     """
-    from deepkoco.systems import SYSTEMS, ExtendedSystem, UnknownSystemError, make_system
+    from deepkoco.systems import ExtendedSystem, ModelFileError, UnknownSystemError, load_system, system_names
     from deepkoco.systems.effects import effects_of
 
     try:
-        systems = [make_system(name) for name in ([args.system] if args.system else sorted(SYSTEMS))]
-    except UnknownSystemError as error:
+        systems = [load_system(name) for name in ([args.system] if args.system else system_names())]
+    except (ModelFileError, UnknownSystemError) as error:
         raise InputError(str(error)) from error
     if args.effects:
-        systems = [ExtendedSystem(s, tuple(effects_of(s))) for s in systems]
+        bases = [s.base if isinstance(s, ExtendedSystem) else s for s in systems]
+        systems = [ExtendedSystem(s, tuple(effects_of(s))) for s in bases]
     described = [_describe(system) for system in systems]
     if args.json:
         sys.stdout.write(json.dumps(described, indent=2) + "\n")

@@ -10,14 +10,18 @@ from deepkoco.diagnose.baseline import (
     BaselineError,
     baseline_from,
     check_learned,
+    with_gauges_fixed,
 )
 from deepkoco.diagnose.causes import catalogue, causes_named
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
+from deepkoco.diagnose.explanation import explain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.progress import Progress, silent
-from deepkoco.diagnose.study import Study, insufficient
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.result import diagnosis_of, insufficient
+from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
@@ -81,20 +85,26 @@ def diagnose(
     length = window_length(base) if window is None else window
     with one_thread():
         data = cut_data(recordings, holdout, base, length)
+        request = DiagnosisRequest(recordings, base, data, length, seed, detection, causes, progress, began)
         if len(data.train) < MIN_TRAINING_WINDOWS:
-            return insufficient(data, base, recordings, length, seed, began)
-        start, unfitted = baseline, ()
-        if start is None and healthy:
+            return insufficient(request)
+        learned, unfitted = baseline, ()
+        if learned is None and healthy:
             try:
-                start = learn_baseline(healthy, base, length, progress)
+                learned = learn_baseline(healthy, base, length, progress)
             except DivergedError as error:
                 unfitted = (f"the healthy logs, which are left out ({error})",)
-        if start is not None:
+        if learned is not None:
             try:
-                study = Study(base, start, data, detection, causes, progress)
-                return study.run(recordings, length, seed, began)
+                return _diagnosed(request, learned)
             except DivergedError as error:
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
-        study = Study(base, baseline_from(base, data.train), data, detection, causes, progress, unfitted)
-        return study.run(recordings, length, seed, began)
+        return _diagnosed(request, with_gauges_fixed(baseline_from(base, data.train), data.train), unfitted)
+
+
+def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:
+    """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
+    explanation = explain(request, start, unfitted)
+    judgement = judge(request, explanation)
+    return diagnosis_of(request, explanation, judgement)

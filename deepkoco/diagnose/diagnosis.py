@@ -39,6 +39,27 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Moved:
+    """One parameter of the simulation whose value differs from the one given.
+
+    Attributes:
+        name: The parameter.
+        given: Value before, of the simulation as given or as learned from healthy logs.
+        estimate: Value after, with its 95 % interval.
+        prior_sds: Distance in standard deviations of its prior.
+    """
+
+    name: str
+    given: float
+    estimate: Estimate
+    prior_sds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the parameter under the keys of report.json."""
+        return {"name": self.name, "given": self.given, "prior_sds": self.prior_sds, **vars(self.estimate)}
+
+
+@dataclass(frozen=True)
 class Finding:
     """One cause (or candidate) as the report shows it."""
 
@@ -49,6 +70,8 @@ class Finding:
     probability: float
     parameters: dict[str, Estimate]
     evidence: tuple[Evidence, ...] = ()
+    given: dict[str, float] = field(default_factory=dict)  # value before, of a parameter that changed
+    same_as: tuple[Moved, ...] = ()  # parameters of the simulation that would do exactly the same
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding under the keys of report.json."""
@@ -60,6 +83,8 @@ class Finding:
             "probability": self.probability,
             "parameters": {n: vars(e) for n, e in self.parameters.items()},
             "evidence": [vars(e) for e in self.evidence],
+            **({"given": self.given} if self.given else {}),
+            **({"same_as": [m.to_json() for m in self.same_as]} if self.same_as else {}),
         }
 
 
@@ -131,6 +156,8 @@ class Diagnosis:
         unexplained: Description of the remaining residuals, and combinations of parameters that are not identified.
         details: Arrays behind the figures; None when the data do not suffice.
         final: Baseline parameters of `model`, with intervals; a parameter kept as given has an interval of width 0.
+        moved: Where nothing is missing: parameters far from their given values with which the simulation explains the
+            log.
     """
 
     verdict: Verdict
@@ -154,6 +181,7 @@ class Diagnosis:
     unexplained: dict[str, Any] = field(default_factory=dict)
     details: Details | None = None
     final: dict[str, Estimate] = field(default_factory=dict)
+    moved: tuple[Moved, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -203,6 +231,7 @@ class Diagnosis:
                     "window_s": self.window_s,
                     "refit": {n: vars(e) for n, e in self.refit.items()},
                     "final": {n: vars(e) for n, e in self.final.items()},
+                    "moved": [m.to_json() for m in self.moved],
                 },
                 "localisation": [vars(place) for place in self.localisation],
                 "excitation_advice": list(self.advice),

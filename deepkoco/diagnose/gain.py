@@ -9,6 +9,10 @@ from itertools import pairwise
 import numpy as np
 import torch
 
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.event_windows import refit_elsewhere
+from deepkoco.diagnose.refitted import Refitted
 from deepkoco.fit.data.windows import Windows, halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
@@ -61,6 +65,56 @@ class Gain:
     replayed: Windows
     fits: dict[str, Fit]
     as_given: bool = False
+
+
+def gain_on_held_out(base: Refitted, final: Fit, accepted: Sequence[Cause], seed: int) -> Gain | None:
+    """Measure the selected causes on the held-out windows.
+
+    Args:
+        base: The refitted baseline.
+        final: Fit with the causes; the refit itself where there are none.
+        accepted: The causes.
+        seed: Seed of the bootstrap.
+
+    Returns:
+        The gain; None where there are no held-out windows, or where one of their simulations diverges.
+    """
+    if base.held is None:
+        return None
+    refit = base.reference
+    if final is not refit and any(c.effect == "event" for c in accepted):
+        refit = refit_elsewhere(base.start, base.train, refit, final)
+    return gain_of_fits(base.problem, base.start, base.held, refit, final, seed)
+
+
+def gain_of_fits(
+    problem: FitProblem, start: Baseline, held: Windows, refit: Fit, extended: Fit, seed: int
+) -> Gain | None:
+    """Measure two fits of the training windows, and the baseline before them, on the held-out windows.
+
+    Args:
+        problem: The fit of the training windows.
+        start: The baseline.
+        held: Held-out windows.
+        refit: The refitted baseline.
+        extended: The fit with causes or with a learned load.
+        seed: Seed of the bootstrap.
+
+    Returns:
+        The gain; None where one of the simulations diverges.
+    """
+    quiet = {"event.torque": 0.0}  # a push does not repeat
+    models = {
+        "baseline": start.values,
+        "refit": {**refit.values, **quiet},
+        "extended": {**extended.values, **quiet},
+    }
+    windows = {
+        "baseline": replace(held, varies={}),
+        "refit": problem.elsewhere(held, refit),
+        "extended": problem.elsewhere(held, extended),
+    }
+    return held_out_gain(start.system, windows, models, seed)
 
 
 def held_out_gain(

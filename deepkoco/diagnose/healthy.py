@@ -15,8 +15,9 @@ from deepkoco.diagnose.baseline import (
     Healthy,
     baseline_from,
     refit_sharply,
+    with_gauges_fixed,
 )
-from deepkoco.diagnose.causes import Cause, catalogue, kind_of
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
@@ -62,7 +63,7 @@ def learn_baseline(
     progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
-    start = baseline_from(system, windows)
+    start = with_gauges_fixed(baseline_from(system, windows), windows)
     windows, fit = refit_sharply(start, windows)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
     told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))
@@ -140,7 +141,7 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
         prior=learned,
         floor=max(1.0, floor),
         correlation=correlation,
-        effects=tuple(dict.fromkeys(c.effect for c in healthy.causes)),
+        effects=tuple(dict.fromkeys(c.effect for c in healthy.causes if not is_changed(c))),
         healthy=healthy,
         runs=runs,
     )

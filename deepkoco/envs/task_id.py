@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import sys
-from importlib import import_module
-
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
+
+from deepkoco.own_objects import OwnObjectError, import_named
 
 
 class TaskIdError(ValueError):
@@ -28,7 +26,10 @@ def find_spec(task_id: str) -> EnvSpec:
     """
     module, separator, name = task_id.rpartition(":")
     if separator:
-        _import(module, task_id)
+        try:
+            import_named(module, task_id)
+        except OwnObjectError as error:
+            raise TaskIdError(str(error)) from error
     try:
         return gymnasium.spec(name)
     except gymnasium.error.Error as error:
@@ -38,23 +39,3 @@ def find_spec(task_id: str) -> EnvSpec:
             else f"for an environment of your own give MODULE:{name}, and the module that registers it is imported"
         )
         raise TaskIdError(f'"{task_id}": {str(error).rstrip(".")}; {hint}') from error
-
-
-def _import(module: str, task_id: str) -> None:
-    here = os.getcwd()
-    # As with `python my_robot.py`; an installed command has the folder of the command there instead.
-    if not {"", here} & set(sys.path):
-        sys.path.insert(0, here)
-    try:
-        import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
-            raise TaskIdError(f'"{task_id}": {module} needs a module that is missing: {error}') from error
-        raise TaskIdError(
-            f'"{task_id}": there is no module {error.name}, neither in {here} nor installed'
-        ) from error
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        raise TaskIdError(
-            f'"{task_id}": importing {module} failed: {type(error).__name__}: {reason}'
-        ) from error

@@ -6,7 +6,7 @@ from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_lengt
 from deepkoco.fit.delays.hidden_delay import HiddenDelays, hidden_delays
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
-from deepkoco.fit.graph_fit import GraphFit, GraphMisfit, fit_graph, seen_by_supervisor
+from deepkoco.fit.graph_fit import GraphFit, GraphMisfit, fit_graph, fit_replay, seen_by_supervisor
 from deepkoco.fit.identification import Convergence, Estimate, Identification
 from deepkoco.fit.identify import fit
 from deepkoco.fit.request import FitError
@@ -47,6 +47,7 @@ __all__ = [
     "estimate_noise",
     "fit",
     "fit_graph",
+    "fit_replay",
     "hidden_delays",
     "moving",
     "seen_by_supervisor",

@@ -1,21 +1,21 @@
-"""Fit parameters of the nodes of a graph to an episode. A population is one batch of environments."""
+"""Fit parameters of the nodes of a graph to a recording. A population is one batch of environments."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from deepkoco.fit.graph_misfit import GraphMisfit, Misfit, NoiseSd, delay_names
 from deepkoco.fit.identification import Convergence, Estimate, interval
 from deepkoco.fit.request import FitError
 from deepkoco.fit.solve.cma import Search, cma_es
 from deepkoco.fit.solve.methods import Progress
-from deepkoco.graph import BatchedRuntime, Graph, replay_timing
-from deepkoco.graph.episodes.episode import Episode, windows_for
+from deepkoco.graph import Graph
+from deepkoco.graph.episodes.augmented import AugmentedReplay
+from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.execution.state import NodeParameters
 from deepkoco.graph.model.node import State
 
@@ -97,9 +97,85 @@ def fit_graph(
 
     Source: thesis sec. 4.3 and table 4.D.
     """
-    began = time.perf_counter()
     low, high = _bounds(graph, sought)
     misfit = GraphMisfit(graph, episode, parameters, sought, measured, noise_sd, initial, executor, threads)
+    if misfit.delays:
+        name = min(misfit.delays)
+        raise FitError(
+            f'"{name}" was measured: its delay is not fitted; replay_record adds nodes with delays of their own'
+        )
+    return _search(misfit, sought, low, high, population, generations, seed, progress)
+
+
+def fit_replay(
+    replay: AugmentedReplay,
+    parameters: NodeParameters,
+    sought: Mapping[str, tuple[float, float]],
+    noise_sd: Mapping[str, NoiseSd],
+    *,
+    initial: Mapping[str, State] | None = None,
+    population: int = 200,
+    generations: int = 100,
+    seed: int = 0,
+    executor: str = "fused",
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> GraphFit:
+    """Fit parameters of added nodes, and hidden delays, to a recording of real nodes.
+
+    Every message of a compared sensor is one sample: what was recorded, and what the simulated sensor puts out at the
+    measured time. The delay of an added node or connection is fitted like a parameter, under its name; each point of a
+    generation then has a timing of its own. A delay inside a node (`trainable_delay`) is a parameter of this node.
+
+    Args:
+        replay: From `deepkoco.graph.episodes.augmented.replay_record`.
+        parameters: Parameters of the nodes. They are the start values of those sought; else the middle of the bounds.
+        sought: ``node.parameter``, ``node.parameter[i]`` or an added node or connection (its delay [s]) -> lowest and
+            highest value.
+        noise_sd: Compared sensor -> standard deviation of its noise, of all channels or of each.
+        initial, population, generations, seed, executor, threads, progress: As for `fit_graph`.
+
+    Raises:
+        FitError: A name, shape or bound is wrong, nothing is compared, or the replay diverges at every point.
+    """
+    low, high = _bounds(replay.graph, sought)
+    if not replay.compared:
+        raise FitError("the replay compares nothing: add a node that runs in the place of a recorded sensor")
+    if unknown := [name for name in noise_sd if name not in replay.compared]:
+        raise FitError(f'noise_sd "{unknown[0]}": compared are {", ".join(replay.compared)}')
+    for name in delay_names(replay.graph, sought):
+        if name not in replay.added:
+            raise FitError(f'"{name}" was measured: only delays of what was added can be fitted')
+        if sought[name][0] < 0.0:
+            raise FitError(f"{name}: a delay is not below 0; raise the lower bound {sought[name][0]:g}")
+    misfit = Misfit(
+        replay.graph,
+        replay.timing,
+        replay.actions,
+        parameters,
+        sought,
+        {name: values for name, values in replay.compared.items() if name in noise_sd},
+        noise_sd,
+        initial,
+        executor,
+        threads,
+        replay.timing_of_each,
+    )
+    return _search(misfit, sought, low, high, population, generations, seed, progress)
+
+
+def _search(
+    misfit: Misfit,
+    sought: Mapping[str, tuple[float, float]],
+    low: np.ndarray,
+    high: np.ndarray,
+    population: int,
+    generations: int,
+    seed: int,
+    progress: Progress | None,
+) -> GraphFit:
+    """Minimise a misfit by CMA-ES, and work out intervals from the curvature at the optimum."""
+    began = time.perf_counter()
     start = misfit.start(low, high)
     search = cma_es(
         misfit.costs,
@@ -116,17 +192,15 @@ def fit_graph(
     if not np.isfinite(search.cost):
         raise FitError("the replay diverges at every point of the bounds; narrow them")
     speed = misfit.steps / (time.perf_counter() - began)
-    left, covariance = _curvature(misfit.residuals, search.best, low, high)
+    left, covariance = _curvature(misfit, search.best, low, high)
     estimates = {}
     for i, name in enumerate(sought):
         sd, bounds = float(np.sqrt(covariance[i, i])), (float(low[i]), float(high[i]))
+        unit = "s" if name in misfit.delays else ""
         value = float(search.best[i])
-        estimates[name] = Estimate(name, value, *interval(value, sd, bounds), sd, "", float(start[i]), bounds)
-    at, rms = 0, {}
-    for name, (target, weight) in misfit.targets.items():
-        own = left[at : at + target.numel()]
-        rms[name] = float(np.sqrt(np.mean(own[weight.flatten().numpy() > 0] ** 2))) * noise_sd[name]
-        at += target.numel()
+        estimates[name] = Estimate(
+            name, value, *interval(value, sd, bounds), sd, unit, float(start[i]), bounds
+        )
     convergence = Convergence(
         "cma",
         search.converged,
@@ -135,96 +209,17 @@ def fit_graph(
         search.evaluations,
         time.perf_counter() - began,
     )
-    return GraphFit(estimates, covariance, rms, convergence, search, speed)
-
-
-class GraphMisfit:
-    """Residuals of replays of an episode, one set of parameters per environment. Args as for `fit_graph`."""
-
-    def __init__(
-        self,
-        graph: Graph,
-        episode: Episode,
-        parameters: NodeParameters,
-        sought: Iterable[str],
-        measured: Mapping[str, np.ndarray],
-        noise_sd: Mapping[str, float],
-        initial: Mapping[str, State] | None = None,
-        executor: str = "fused",
-        threads: int = 1,
-    ) -> None:
-        timing = replay_timing(graph, episode.measured, windows=windows_for(graph, episode))
-        self.runtime = BatchedRuntime(graph, timing, executor=executor, threads=threads)
-        self.actions = torch.from_numpy(np.asarray(episode.outputs[graph.supervisor]))[:, None]
-        self.parameters, self.names, self.initial = parameters, tuple(sought), initial
-        self.steps = 0
-        for name, values in measured.items():
-            if name not in noise_sd:
-                raise FitError(f'noise_sd: give the standard deviation of the reading "{name}"')
-            if len(values) != len(self.actions):
-                raise FitError(f'measured "{name}" has {len(values)} rows for {len(self.actions)} actions')
-        self.targets: dict[str, tuple[Tensor, Tensor]] = {}  # values and weights (steps, n), 0 where missing
-        for name, values in measured.items():
-            target = torch.from_numpy(np.array(values, dtype=np.float64)).flatten(1)
-            there = ~torch.isnan(target)
-            self.targets[name] = target.nan_to_num(), there / noise_sd[name]
-
-    def start(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Start values (p,): the given ones, cut at the bounds, else the middle of the bounds."""
-        values = []
-        for name, a, b in zip(self.names, low, high, strict=True):
-            node, parameter = name.split(".", 1)
-            present = self.parameters.get(node, {}).get(parameter)
-            values.append(0.5 * (a + b) if present is None else float(np.clip(float(present), a, b)))
-        return np.array(values)
-
-    def residuals(self, points: np.ndarray) -> Tensor:
-        """Residuals (B, samples) of points (B, p), in noise standard deviations."""
-        return torch.cat([part.movedim(1, 0).flatten(1) for part in self._parts(points)], 1)
-
-    def costs(self, points: np.ndarray) -> np.ndarray:
-        """Sums of squared residuals (B,) of points (B, p)."""
-        return torch.stack([part.square_().sum((0, 2)) for part in self._parts(points)]).sum(0).numpy()
-
-    def _parts(self, points: np.ndarray) -> list[Tensor]:
-        """Residuals (steps, B, n) of each reading, in noise standard deviations."""
-        taken = self._replayed(points)
-        parts = []
-        for name, (target, weight) in self.targets.items():
-            miss = taken[name].flatten(2).to(torch.float64)
-            parts.append(miss.sub_(target[:, None]).mul_(weight[:, None]))
-        return parts
-
-    def _replayed(self, points: np.ndarray) -> dict[str, Tensor]:
-        """Readings (steps, B, ...) of points (B, p)."""
-        batch = len(points)
-        own = {node: dict(values) for node, values in self.parameters.items()}
-        for i, name in enumerate(self.names):
-            node, parameter = name.split(".", 1)
-            values = own.setdefault(node, {})
-            column = torch.from_numpy(np.ascontiguousarray(points[:, i]))
-            # A graph in single precision needs parameters in single precision.
-            values[parameter] = column.to(values[parameter].dtype) if parameter in values else column
-        initial = self.initial
-        if initial is not None:
-            initial = {
-                node: {k: v.expand(batch, *v.shape[1:]).contiguous() for k, v in state.items()}
-                for node, state in initial.items()
-            }
-        rows = np.zeros(batch, dtype=np.int64)
-        state, _ = self.runtime.reset(own, torch.Generator().manual_seed(0), initial, rows=rows)
-        _, taken = self.runtime.rollout(state, self.actions, len(self.actions), record=list(self.targets))
-        self.steps += batch * len(self.actions)
-        return taken
+    return GraphFit(estimates, covariance, misfit.rms(left), convergence, search, speed)
 
 
 def _bounds(graph: Graph, sought: Mapping[str, tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
     if not sought:
         raise FitError("no parameter to fit: give node.parameter with its bounds")
     known = {node.name for node in graph.nodes}
+    delays = delay_names(graph, sought)
     for name, (low, high) in sought.items():
         node, _, parameter = name.partition(".")
-        if node not in known or not parameter:
+        if name not in delays and (node not in known or not parameter):
             raise FitError(
                 f'"{name}" is not of the form node.parameter; the nodes are {", ".join(sorted(known))}'
             )
@@ -237,16 +232,18 @@ def _bounds(graph: Graph, sought: Mapping[str, tuple[float, float]]) -> tuple[np
 
 
 def _curvature(
-    residuals: Callable[[np.ndarray], Tensor], best: np.ndarray, low: np.ndarray, high: np.ndarray
+    misfit: Misfit, best: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals at the optimum, and covariance by central differences, times chi2 per sample where above 1."""
     step = DIFFERENCE * (high - low)
     up, down = np.minimum(best + step, high), np.maximum(best - step, low)
     points = np.concatenate([best[None], best + np.diag(up - best), best + np.diag(down - best)])
-    left = residuals(points).numpy()
+    left = misfit.residuals(points).numpy()
     count = len(best)
     slope = (left[1 : 1 + count] - left[1 + count :]) / (up - down)[:, None] * (high - low)[:, None]
     information = slope @ slope.T
     # Prior: a uniform law between the bounds has the variance (high - low)^2 / 12.
     covariance = np.linalg.inv(information + 12.0 * np.eye(count))
-    return left[0], covariance * np.outer(high - low, high - low) * max(1.0, float(np.mean(left[0] ** 2)))
+    return left[0], covariance * np.outer(high - low, high - low) * max(
+        1.0, float(np.sum(left[0] ** 2)) / misfit.samples
+    )

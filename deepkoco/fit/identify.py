@@ -170,6 +170,11 @@ def _inverted(request: FitRequest, found: Fit, deflation: float) -> tuple[np.nda
     before[:count, :count] = request.prior.precision(request.free)
     before[count:, count:] = np.diag(1.0 / request.nuisances.spread**2)
     weighed = before + (full - before) / deflation
+    if not np.isfinite(weighed * np.outer(sd, sd)).all():
+        raise FitError(
+            f"the curvature of the fit is not finite at the estimate, so {', '.join(request.free)} get no intervals; "
+            "give narrower bounds, a finite prior or shorter windows"
+        )
     values, vectors = np.linalg.eigh(weighed * np.outer(sd, sd))
     # The prior alone gives eigenvalues of at least about 1; smaller ones are rounding errors.
     inverse = (vectors / values.clip(1e-3)) @ vectors.T

@@ -19,6 +19,7 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, Parameter, System, any_system
 from deepkoco.systems.effects import effects_of
+from deepkoco.systems.effects.effect import ALL
 
 MIN_FITTED_WINDOWS = 2
 
@@ -81,7 +82,8 @@ def known_parameters(system: System) -> tuple[Parameter, ...]:
 def command_delays(system: System) -> tuple[str, ...]:
     """Names of the delays of a system's commands, one for each driven joint."""
     base = system.base if isinstance(system, ExtendedSystem) else system
-    return tuple(f"{name}.delay" for name in effects_of(base) if name.split("(")[0] == "actuation_delay")
+    placed = [p for p in effects_of(base).values() if p.effect.name == "actuation_delay"]
+    return tuple(f"{p.name}.delay" for p in placed if p.index != ALL)
 
 
 def make_request(
@@ -104,6 +106,8 @@ def make_request(
         raise FitError(f"no parameter to fit; {base.name} has: {', '.join(p.name for p in base.parameters)}")
     for what in (free, bounds or (), start or (), prior.names if prior else (), varies or ()):
         _check_names(what, known, base)
+    if prior is not None:
+        _check_prior(prior)
     _check_varying(varies or {}, known, base, len(recordings), free, prior)
     late = tuple(c.name for c in base.measurements if f"{c.name}.delay" in free)
     extended = _extended(base, (*free, *(start or ()), *(varies or ())), late)
@@ -129,6 +133,7 @@ def make_request(
     kept = _without_start(kept, late, base) if late else kept
     values |= {name: p.value for name, p in Push.declared(extended, kept).items()}
     found = {p.name: p for p in (*extended.parameters, *delays.values())}
+    _check_bounded([found[name] for name in free if prior is None or name not in prior.names])
     chosen = _completed(prior, [found[name] for name in free])
     return FitRequest(extended, kept, free, late, values, chosen, zero_sd, int((~moves).sum()))
 
@@ -165,6 +170,24 @@ def _check_names(names: Iterable[str], known: Mapping[str, Parameter], system: S
             raise FitError(
                 f'{system.name} has no parameter "{name}"{said} Its own are {own}; those of effects are '
                 'listed by "deepkoco systems --effects"'
+            )
+
+
+def _check_prior(prior: Prior) -> None:
+    for name, mean, variances in zip(prior.names, prior.centre, prior.covariance, strict=True):
+        if not (np.isfinite(mean) and np.isfinite(variances).all()):
+            raise FitError(
+                f"prior: {name}: its mean and its covariances must be finite; leave it out for a wide prior"
+            )
+
+
+def _check_bounded(parameters: Sequence[Parameter]) -> None:
+    """Check the parameters whose prior is as wide as their bounds."""
+    for parameter in parameters:
+        if not np.isfinite(parameter.high - parameter.low):
+            raise FitError(
+                f"{parameter.name}: bounds {parameter.low:g} to {parameter.high:g} {parameter.unit}: a fit needs "
+                "finite ones; give bounds, or a prior"
             )
 
 

@@ -58,21 +58,6 @@ class ShootingProblem:
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
-        nulls = self.null_values()
-        rubs = (theta[:, self._dry] != nulls[self._dry]).any(-1)
-        if not rubs.any() or rubs.all():
-            return self._predict(theta, initial, nuisance)
-        # Reversals under dry friction need many more steps, so lanes with and without it are simulated apart.
-        result: Tensor | None = None
-        for part in (rubs, ~rubs):
-            pick = torch.from_numpy(np.flatnonzero(part))
-            own = self._predict(theta[part], initial[pick], nuisance[pick])
-            result = own.new_empty(len(theta), *own.shape[1:]) if result is None else result
-            result[pick] = own
-        assert result is not None
-        return result
-
-    def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         own = len(self.system.parameters)
         nulls = self.null_values()
         values = theta[:, :own].copy()
@@ -129,9 +114,6 @@ class ShootingProblem:
             for j, p in enumerate(bare.parameters):
                 if "." in p.name:
                     self._columns.setdefault(p.name.split(".")[0], []).append(j)
-            finer = bare.base.reversal_steps
-            dry = {e.name for e in bare.effects if e.effect.dry and finer[e.index] > 1}
-            self._dry = [j for name in self._columns if name in dry for j in self._columns[name]]
         return self._nulls
 
     def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:

@@ -49,6 +49,15 @@ from .delay import (
 from .delay import (
     make_delay as make_delay,
 )
+from .episodes.augmented import (
+    AugmentedReplay as AugmentedReplay,
+)
+from .episodes.augmented import (
+    drop_nodes as drop_nodes,
+)
+from .episodes.augmented import (
+    replay_record as replay_record,
+)
 from .episodes.episode import (
     Episode as Episode,
 )

@@ -11,14 +11,18 @@ from deepkoco.systems.extended import (
     save_model,
 )
 from deepkoco.systems.joint import JointSystem
+from deepkoco.systems.loading import any_system, load_system
+from deepkoco.systems.origins import SystemLoadError
 from deepkoco.systems.registry import (
     JOINT_SYSTEMS,
     SYSTEMS,
     JointCountError,
+    TakenNameError,
     UnknownSystemError,
-    any_system,
     make_system,
     one_joint,
+    register_system,
+    system_names,
 )
 from deepkoco.systems.system import (
     Channel,
@@ -49,13 +53,18 @@ __all__ = [
     "Parameters",
     "QuadrotorHeight",
     "System",
+    "SystemLoadError",
+    "TakenNameError",
     "Timing",
     "TwoLinkArm",
     "UnknownSystemError",
     "any_system",
     "load_model",
+    "load_system",
     "make_system",
     "one_joint",
+    "register_system",
     "rk4_step",
     "save_model",
+    "system_names",
 ]

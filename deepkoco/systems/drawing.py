@@ -85,10 +85,41 @@ def draw_links(image: np.ndarray, points: Sequence[Point], reach: float, width: 
     _disk(image, at[-1], 0.6 * width * size, MASS)
 
 
+def draw_tree(
+    image: np.ndarray,
+    lines: Sequence[tuple[Point, Point]],
+    joints: Sequence[Point],
+    ends: Sequence[Point],
+    reach: float,
+    width: float = 0.03,
+) -> None:
+    """Draw links as lines, joints and the ends of branches as disks [m]; ``reach`` [m] about the centre is in the
+    picture."""
+    size = image.shape[0]
+    for start, end in lines:
+        _line(image, _place(size, start, reach), _place(size, end, reach), ROD, max(2, round(width * size)))
+    for joint in joints:
+        _disk(image, _place(size, joint, reach), 0.6 * width * size, INK)
+    for end in ends:
+        _disk(image, _place(size, end, reach), 0.7 * width * size, MASS)
+
+
 def draw_target(image: np.ndarray, point: Point, reach: float) -> None:
     """Draw a target at a place [m] in the picture of an arm."""
     size = image.shape[0]
     _disk(image, _place(size, point, reach), 0.055 * size, TARGET)
+
+
+def draw_bars(image: np.ndarray, measured: Sequence[float], commanded: Sequence[float] = ()) -> None:
+    """Draw a bar from the middle for each value in [-1, 1]: measurements, and commands below them."""
+    size, rows = image.shape[0], len(measured) + len(commanded)
+    for k, value in enumerate((*measured, *commanded)):
+        y, middle = size * (k + 1) / (rows + 1), size / 2
+        thickness = max(1, round(0.3 * size / (rows + 1)))
+        _line(image, (middle - REACH * size, y), (middle + REACH * size, y), (222, 224, 228), thickness)
+        colour = MASS if k < len(measured) else COMMAND
+        tip = middle + REACH * size * float(np.clip(value, -1.0, 1.0))
+        _line(image, (middle, y), (tip, y), colour, thickness)
 
 
 def draw_joint_commands(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,14 +14,18 @@ import yaml
 from torch import Tensor
 
 from deepkoco.output.whole_file import write_whole_text
+from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
-from deepkoco.systems.effects.effect import JointLanes, in_lanes
+from deepkoco.systems.effects.effect import COMMON, JointLanes, in_lanes, steady_level
 from deepkoco.systems.joint import JointSystem, TorqueLaw
-from deepkoco.systems.registry import make_system
+from deepkoco.systems.joint_memory import JointMemory, Remembering
+from deepkoco.systems.origins import find_stored, origin_of, stored_origin
+from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
     CommandTiming,
+    InverseInertia,
     Motion,
     ParameterError,
     Parameters,
@@ -58,6 +62,7 @@ class ExtendedSystem(System):
     """
 
     source: Path | None = None  # model.yaml that it was read from
+    wraps = True
 
     def __new__(cls, base: System | None = None, *_: Any, **__: Any) -> ExtendedSystem:
         return object.__new__(ExtendedJoint if isinstance(base, JointSystem) else cls)
@@ -71,10 +76,11 @@ class ExtendedSystem(System):
         if unknown:
             raise ParameterError(f"unknown effect {', '.join(unknown)}; known: {', '.join(known)}")
         self.base = base
-        self.name = base.name
+        self.name, self.origin = base.name, base.origin
         self.joints = base.joints
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
+        self.payload_sites, self.tip = base.payload_sites, base.tip
         self.effects: tuple[PlacedEffect, ...] = tuple(e for name, e in known.items() if name in effects)
         declared = list(base.parameters)
         for placed in self.effects:
@@ -113,16 +119,24 @@ class ExtendedSystem(System):
         return self.base.joint_names
 
     @property
+    def loaded_joints(self) -> tuple[int, ...]:
+        return self.base.loaded_joints
+
+    @property
+    def takes_payload(self) -> bool:
+        return self.base.takes_payload
+
+    @property
+    def has_equations(self) -> bool:
+        return self.base.has_equations
+
+    @property
     def smoothing_speeds(self) -> tuple[float, ...]:
         return self.base.smoothing_speeds
 
     @property
-    def reversal_steps(self) -> tuple[int, ...]:
-        return self.base.reversal_steps
-
-    @property
-    def rubbing_joints(self) -> tuple[int, ...]:
-        return tuple(sorted({*self.base.rubbing_joints, *(e.index for e in self.effects if e.effect.dry)}))
+    def longest_step(self) -> float:
+        return self.base.longest_step
 
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)
@@ -136,48 +150,84 @@ class ExtendedSystem(System):
                 not computed. None computes every effect everywhere.
         """
         law = self.base.accelerations(self._body(parameters))
+        return self._loaded(law, self._at("load"), parameters, lanes)
+
+    def free_accelerations(
+        self, parameters: Parameters, lanes: Mapping[str, slice] | None = None
+    ) -> Acceleration:
+        """As :meth:`accelerations`, without any dry friction."""
+        law = self.base.free_accelerations(self._body(parameters))
+        free = [placed for placed in self._at("load") if not placed.effect.dry]
+        return self._loaded(law, free, parameters, lanes)
+
+    def dry_friction_levels(
+        self, parameters: Parameters, lanes: Mapping[str, slice] | None = None
+    ) -> DryFriction:
+        """Levels of the base's dry friction and of the effects'; ``lanes`` as for :meth:`accelerations`."""
+        base = self.base.dry_friction_levels(self._body(parameters))
+        dry = [placed for placed in self._at("load") if placed.effect.dry]
+        if not dry:
+            return base
+        joints = sorted({*base.joints, *(placed.index for placed in dry)})
+        steady = list(base.steady)
+        for placed in (p for p in dry if p.effect.steady):
+            # At null values its level is 0, so it need not be cut to its lanes.
+            level = steady_level(placed.effect, _own(placed.name, parameters))
+            given = steady[placed.index]
+            steady[placed.index] = level if given is None else given + level
+        moving = [placed for placed in dry if not placed.effect.steady]
+        if not moving:
+            return replace(base, steady=tuple(steady), joints=tuple(joints))
+        levels = _SumOverJoints(self, parameters, moving, lanes, levels=True)
+
+        def varying(motion: Motion, given: Levels) -> Levels:
+            return levels(motion, given if base.varying is None else base.varying(motion, given))
+
+        return DryFriction(tuple(steady), tuple(joints), varying)
+
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
+        joints = range(self.joints)
+        zero = torch.zeros((), dtype=torch.float64)
+        still = Motion((zero,) * self.joints, (zero,) * self.joints, (zero,) * len(self.commands))
+        levels = self.dry_friction_levels(parameters).levels(still)
+        return tuple(None if (level := levels[j]) is None else level.clamp_min(0.0) for j in joints)
+
+    def joint_memory(self, parameters: Parameters) -> JointMemory:
+        """What effects remember of the ways of the joints; empty where none does."""
         parts = [
-            _Part.of(placed, parameters, None if lanes is None else lanes.get(placed.name))
-            for placed in self._at("load")
+            Remembering(placed.effect, placed.index, _own(placed.name, parameters))
+            for placed in self._at("memory")
         ]
-        if not parts:
+        return JointMemory(parts)
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        return self.base.inverse_inertia(self._body(parameters))
+
+    def _loaded(
+        self,
+        law: Acceleration,
+        effects: Sequence[PlacedEffect],
+        parameters: Parameters,
+        lanes: Mapping[str, slice] | None,
+    ) -> Acceleration:
+        """Equations of motion with the loads of some effects."""
+        if not effects:
             return law
-        driven = {joint: k for k, joint in enumerate(self.base.command_joints)}
-        deliver = self.base.delivery(self._body(parameters))
-        own_smoothing = self.smoothing_speeds
+        loads = _SumOverJoints(self, parameters, effects, lanes)
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
-            total: list[Tensor | None] = [None] * self.joints if motion.loads is None else list(motion.loads)
-            own: set[int] = set()
-            states: dict[int, JointState] = {}
-            delivered = motion.efforts if deliver is None else deliver(motion)
-            for part in parts:
-                j = part.joint
-                state = states.get(j)
-                if state is None:
-                    effort = delivered[driven[j]] if j in driven else torch.zeros_like(motion.speeds[j])
-                    smoothing = own_smoothing[j] if motion.smoothing is None else motion.smoothing[j]
-                    state = JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
-                    states[j] = state
-                given, lane = total[j], part.lanes
-                if lane is None:
-                    load = part.apply(state, part.values)
-                    total[j] = load if given is None else given + load
-                    continue
-                if given is None:
-                    given = torch.zeros_like(state.speed)
-                elif j not in own:
-                    # A load that the caller gave is not ours to change.
-                    given = given.clone()
-                own.add(j)
-                load = part.apply(JointLanes(state, lane), part.values)
-                given.narrow(-1, lane.start, lane.stop - lane.start).add_(load)
-                total[j] = given
-            return law(motion._replace(loads=tuple(total)))
+            given = (None,) * self.joints if motion.loads is None else motion.loads
+            return law(motion._replace(loads=loads(motion, given)))
 
         return acceleration
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        for placed in self._at("memory"):
+            if not self._at_null(placed, parameters):
+                raise MemoryEffectError(
+                    f"{placed.name} remembers the way of its joint: it acts along a log (diagnosis, identification) "
+                    "and cannot be simulated one state at a time"
+                )
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self.commands) == 1 else effort.unbind(-1)
@@ -200,19 +250,22 @@ class ExtendedSystem(System):
             if len(self.commands) == 1:
                 effort = placed.effect.apply(effort, own)
             else:
-                parts = list(effort.unbind(-1))
-                parts[placed.index] = placed.effect.apply(parts[placed.index], own)
+                parts = [
+                    placed.effect.apply(part, own) if placed.acts_on(k, self) else part
+                    for k, part in enumerate(effort.unbind(-1))
+                ]
                 effort = torch.stack(torch.broadcast_tensors(*parts), -1)
         return effort
 
     def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
         effort = self.base.shape_command(index, value, t, parameters)
         for placed in self.effects:
-            if placed.index != index or placed.effect.place not in ("command", "series"):
+            if placed.effect.place not in ("command", "series") or not placed.acts_on(index, self):
                 continue
             own = _own(placed.name, parameters)
             if placed.effect.place == "series":
-                effort = placed.effect.apply(effort, t, own)
+                if not self._at_null(placed, parameters):
+                    effort = placed.effect.apply(effort, t, own)
             else:
                 effort = placed.effect.apply(effort, own)
         return effort
@@ -227,21 +280,35 @@ class ExtendedSystem(System):
         lags = [parameters.get(f"{name}.time_constant", zero) for name in names]
         if any(not torch.equal(x, y) for each in (delays, lags) for x, y in pairwise(each)):
             raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
-        return Timing(base.actuation_delay + delays[0], sensing, base.lag + lags[0])
+        delay = parameters.get(f"actuation_delay({COMMON}).delay", zero) + delays[0]
+        lag = parameters.get(f"lag({COMMON}).time_constant", zero) + lags[0]
+        return Timing(base.actuation_delay + delay, sensing, base.lag + lag)
 
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         base = self.base.command_timing(index, parameters)
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
         delay = delay + parameters.get(f"{self._command_effect('actuation_delay', index)}.delay", zero)
-        lag = parameters.get(f"{self._command_effect('lag', index)}.time_constant")
+        names = [self._command_effect("lag", index)]
+        if index < len(self.command_joints):
+            delay = delay + parameters.get(f"actuation_delay({COMMON}).delay", zero)
+            names.append(f"lag({COMMON})")
+        lags = [parameters[f"{n}.time_constant"] for n in names if f"{n}.time_constant" in parameters]
         skew = base.skew + parameters.get("clock_skew.rate", zero)
-        return CommandTiming(delay, base.lag if lag is None else (*base.lag, lag), skew)
+        return CommandTiming(delay, (*base.lag, *lags), skew)
 
     def sensor_filter(self, parameters: Parameters) -> Tensor:
         return self.base.sensor_filter(parameters) + parameters.get(
             "low_pass.time_constant", torch.zeros((), dtype=torch.float64)
         )
+
+    def output_play(self, parameters: Parameters) -> Levels:
+        base, own = (
+            self.base.output_play(parameters),
+            (self.at_joint("gear_play", j) for j in range(self.joints)),
+        )
+        found = [parameters.get(f"{name}.width") for name in own]
+        return tuple(b if w is None else w if b is None else b + w for b, w in zip(base, found, strict=True))
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure(state, parameters), None, parameters)
@@ -249,8 +316,14 @@ class ExtendedSystem(System):
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure_at(state, time, parameters), time, parameters)
 
+    def ideal_measurement(self, state: Tensor) -> Tensor:
+        return self.base.ideal_measurement(state)
+
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
+
+    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+        return self.base.with_payload_at(site, mass, parameters)
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)
@@ -331,19 +404,85 @@ def _own(effect: str, parameters: Parameters) -> dict[str, Tensor]:
 
 
 class _Part(NamedTuple):
-    """A load of an effect on one joint, and the lanes that it concerns; None for all."""
+    """What an effect adds at one joint, and the lanes that it concerns; None for all."""
 
     apply: Callable[..., Tensor]
     joint: int
+    source: int  # joint whose effort it is shown
     values: Parameters
     lanes: slice | None
 
     @staticmethod
-    def of(placed: PlacedEffect, parameters: Parameters, lanes: slice | None) -> _Part:
+    def of(
+        placed: PlacedEffect, system: System, parameters: Parameters, lanes: slice | None, level: bool
+    ) -> _Part:
         own = placed.effect.acting(_own(placed.name, parameters))
         if lanes is not None:
             own = {n: in_lanes(v, lanes.start, lanes.stop) for n, v in own.items()}
-        return _Part(placed.effect.apply, placed.index, own, lanes)
+        apply = placed.effect.level if level else placed.effect.apply
+        assert apply is not None
+        return _Part(apply, placed.joint(system), placed.source(system), own, lanes)
+
+
+class _SumOverJoints:
+    """Sum of what effects add at each joint: their loads, or the levels of their dry friction.
+
+    Args:
+        system: The extended system.
+        parameters: Named values.
+        effects: Effects at joints.
+        lanes: As for :meth:`ExtendedSystem.accelerations`.
+        levels: Whether levels of dry friction are summed, not loads.
+    """
+
+    def __init__(
+        self,
+        system: ExtendedSystem,
+        parameters: Parameters,
+        effects: Sequence[PlacedEffect],
+        lanes: Mapping[str, slice] | None,
+        levels: bool = False,
+    ) -> None:
+        self._parts = [
+            _Part.of(placed, system, parameters, None if lanes is None else lanes.get(placed.name), levels)
+            for placed in effects
+        ]
+        self._driven = {joint: k for k, joint in enumerate(system.base.command_joints)}
+        self._deliver = system.base.delivery(system._body(parameters))
+        self._smoothing = system.smoothing_speeds
+
+    def __call__(self, motion: Motion, given: Levels) -> Levels:
+        """Add to what is given for each joint; None stands for 0."""
+        total = list(given)
+        own: set[int] = set()
+        states: dict[tuple[int, int], JointState] = {}
+        delivered = motion.efforts if self._deliver is None else self._deliver(motion)
+        for part in self._parts:
+            j = part.joint
+            state = states.get((j, part.source))
+            if state is None:
+                state = states[j, part.source] = self._state(motion, delivered, j, part.source)
+            before, lane = total[j], part.lanes
+            if lane is None:
+                value = part.apply(state, part.values)
+                total[j] = value if before is None else before + value
+                continue
+            if before is None:
+                before = torch.zeros_like(state.speed)
+            elif j not in own:
+                # What the caller gave is not ours to change, and may be one value for all lanes.
+                before = before + torch.zeros_like(state.speed)
+            own.add(j)
+            value = part.apply(JointLanes(state, lane), part.values)
+            before.narrow(-1, lane.start, lane.stop - lane.start).add_(value)
+            total[j] = before
+        return tuple(total)
+
+    def _state(self, motion: Motion, delivered: tuple[Tensor, ...], j: int, source: int) -> JointState:
+        k = self._driven.get(source)
+        effort = torch.zeros_like(motion.speeds[j]) if k is None else delivered[k]
+        smoothing = self._smoothing[j] if motion.smoothing is None else motion.smoothing[j]
+        return JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
 
 
 def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] | None = None) -> None:
@@ -364,9 +503,11 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
     base = system.base if isinstance(system, ExtendedSystem) else system
     effects = [e.name for e in system.effects] if isinstance(system, ExtendedSystem) else []
     learned = [e for e in effects if e.split("(")[0] == "learned"]
+    origin = origin_of(base)
     document = {
         "version": MODEL_VERSION,
         "system": base.name,
+        **({} if origin is None else {"origin": stored_origin(origin, path.parent)}),
         "effects": effects,
         # Fitted to data, without a mechanism behind it: for readers of the file.
         **({"learned": learned} if learned else {}),
@@ -378,6 +519,9 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
 
 def load_model(path: str | Path) -> ExtendedSystem:
     """Read a system from model.yaml.
+
+    The key ``origin`` names the class or file of a system that is not the package's: a relative path is looked for
+    from the folder of model.yaml, then from the current folder. A file of Python is imported, so its code runs.
 
     Raises:
         ModelFileError: The file is missing, is not YAML, or does not describe a known system.
@@ -391,10 +535,39 @@ def load_model(path: str | Path) -> ExtendedSystem:
         raise ModelFileError(f"{path}: not a model file of version {MODEL_VERSION}")
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
-        system = ExtendedSystem(make_system(document["system"]), tuple(document["effects"]), values)
+        base = _base_of(document, path)
+        system = ExtendedSystem(base, tuple(document["effects"]), values)
     except (KeyError, TypeError, AttributeError) as error:
         raise ModelFileError(f"{path}: misses or garbles the entry {error}") from error
     except ValueError as error:
         raise ModelFileError(f"{path}: {error}") from error
     system.source = path
     return system
+
+
+def _base_of(document: dict[str, Any], path: Path) -> System:
+    """The system that a model file extends: by its name, or where the file says that it comes from.
+
+    Raises:
+        ModelFileError: The system has another name now.
+        UnknownSystemError: It is not found.
+    """
+    name, origin = document["system"], document.get("origin")
+    registered = SYSTEMS.get(name)
+    if registered is not None and not registered.__module__.startswith("deepkoco."):
+        return make_system(name)
+    if origin is None:
+        try:
+            return make_system(name)
+        except UnknownSystemError as error:
+            raise UnknownSystemError(
+                f"{error}; one of your own: deepkoco.register_system(CLASS) first"
+            ) from error
+    if not isinstance(origin, str):
+        raise TypeError("origin")
+    base = find_stored(origin, path.parent)
+    if base.name != name:
+        raise ModelFileError(
+            f"{path}: is a model of {name}, and {origin} is called {base.name} now; give it its name back"
+        )
+    return base

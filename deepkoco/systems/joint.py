@@ -10,7 +10,15 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.system import Acceleration, Channel, Motion, Parameter, Parameters, System
+from deepkoco.systems.system import (
+    Acceleration,
+    Channel,
+    InverseInertia,
+    Motion,
+    Parameter,
+    Parameters,
+    System,
+)
 
 
 def angle_channel(noise_sd: float, zero_sd: float = 0.0) -> Channel:
@@ -45,7 +53,7 @@ class JointSystem(System):
     joints = 1
     state_names = ("theta", "omega")
     state_units = ("rad", "rad/s")
-    upright: float  # angle at which the tip points up [rad]
+    upright: float = 0.0  # angle at which the tip points up [rad]
     command: Channel
 
     @property
@@ -67,9 +75,9 @@ class JointSystem(System):
         """Sum of the modelled torques [N m]."""
         return self.torque_law(parameters)(theta, omega, effort, None)
 
-    @abstractmethod
     def draw_body(self, image: np.ndarray, angle_from_upright: float) -> None:
-        """Draw what turns onto a picture (size, size, 3)."""
+        """Draw what turns onto a picture (size, size, 3): by default a rod."""
+        drawing.draw_rod(image, angle_from_upright)
 
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
@@ -89,6 +97,10 @@ class JointSystem(System):
             return (torque / inertia,)
 
         return acceleration
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        inverse = 1.0 / self.inertia(parameters)
+        return lambda motion: ((inverse,),)
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         theta, omega = state.unbind(-1)

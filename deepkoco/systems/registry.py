@@ -1,7 +1,11 @@
-"""Names of the systems: a new system is one file and one line here."""
+"""Names of the systems: those of the package, those of installed packages, and those registered at run time."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
+from deepkoco.own_objects import OwnObjectError, entry_point, entry_point_names
 from deepkoco.suggestion import did_you_mean
 from deepkoco.systems.bodies.double_pendulum import DoublePendulum
 from deepkoco.systems.bodies.furuta_pendulum import FurutaPendulum
@@ -15,32 +19,83 @@ from deepkoco.systems.joint import JointSystem
 from deepkoco.systems.system import System
 
 JOINT_SYSTEMS: dict[str, type[JointSystem]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
-SYSTEMS: dict[str, type[System]] = {
+SYSTEMS: dict[str, Callable[[], System]] = {
     **JOINT_SYSTEMS,
     **{s.name: s for s in (TwoLinkArm, QuadrotorHeight, DoublePendulum, FurutaPendulum, ServoPendulum)},
 }
+ENTRY_POINTS = "deepkoco.systems"  # group in which an installed package declares systems
+
+Maker = TypeVar("Maker", bound=Callable[[], System])
 
 
 class UnknownSystemError(ValueError):
     """A name does not belong to any system."""
 
 
+class TakenNameError(ValueError):
+    """A name is registered for something else already."""
+
+
 class JointCountError(ValueError):
     """A system has more joints than what it is asked for can deal with."""
+
+
+def register_system(maker: Maker, name: str | None = None) -> Maker:
+    """Give a system a name for this process; usable as a decorator of the class.
+
+    Args:
+        maker: A subclass of `System`, or a function without arguments that makes a system.
+        name: Its name; None takes the attribute ``name`` of the class.
+
+    Returns:
+        ``maker``.
+
+    Raises:
+        TakenNameError: Another system has the name.
+        ValueError: Neither the argument nor the class gives a name.
+    """
+    given = name or getattr(maker, "name", None)
+    if not isinstance(given, str):
+        raise ValueError(f'{maker!r} has no name; give one: register_system(maker, "my_robot")')
+    if given in SYSTEMS and _place(SYSTEMS[given]) != _place(maker):
+        raise TakenNameError(f'there is a system "{given}" already; give another name')
+    SYSTEMS[given] = maker
+    return maker
+
+
+def _place(maker: Callable[[], System]) -> tuple[str, str]:
+    """Module and name: a class that is defined anew, as in a notebook, takes the place of its former self."""
+    return getattr(maker, "__module__", ""), getattr(maker, "__qualname__", repr(maker))
+
+
+def system_names() -> tuple[str, ...]:
+    """Names that `make_system` takes."""
+    return tuple(sorted({*SYSTEMS, *entry_point_names(ENTRY_POINTS)}))
 
 
 def make_system(name: str) -> System:
     """System of the given name, with nominal parameters.
 
     Raises:
-        UnknownSystemError: There is no such system; the message lists those there are.
+        UnknownSystemError: There is no such system, and the message lists those there are; or the package that
+            declares it cannot be imported.
     """
-    if name not in SYSTEMS:
-        suggestion = did_you_mean(name, SYSTEMS)
+    if name in SYSTEMS:
+        return SYSTEMS[name]()
+    try:
+        declared = entry_point(ENTRY_POINTS, name)
+    except KeyError:
+        names = system_names()
+        suggestion = did_you_mean(name, names)
         raise UnknownSystemError(
-            f'unknown system "{name}"{suggestion or ";"} known systems: {", ".join(sorted(SYSTEMS))}'
-        )
-    return SYSTEMS[name]()
+            f'unknown system "{name}"{suggestion or ";"} known systems: {", ".join(names)}'
+        ) from None
+    except OwnObjectError as error:
+        raise UnknownSystemError(str(error)) from error
+    system = declared if isinstance(declared, System) else declared()
+    if not isinstance(system, System):
+        raise UnknownSystemError(f'"{name}": the entry point makes a {type(system).__name__}, not a System')
+    return system
 
 
 def one_joint(system: str | System) -> JointSystem:
@@ -53,7 +108,7 @@ def one_joint(system: str | System) -> JointSystem:
         UnknownSystemError: There is no system of that name.
         JointCountError: It has more joints, or one that does not turn.
     """
-    found = any_system(system)
+    found = make_system(system) if isinstance(system, str) else system
     if not isinstance(found, JointSystem) or found.name not in JOINT_SYSTEMS:
         turns = "a joint behind a servo" if found.state_units[0] == "rad" else "a joint that does not turn"
         what = f"{found.joints} joints" if found.joints > 1 else turns
@@ -61,12 +116,3 @@ def one_joint(system: str | System) -> JointSystem:
             f"{found.name} has {what}; this takes one that turns: choose one of {', '.join(sorted(JOINT_SYSTEMS))}"
         )
     return found
-
-
-def any_system(system: str | System) -> System:
-    """The system itself, or the one of that name.
-
-    Raises:
-        UnknownSystemError: There is no system of that name.
-    """
-    return make_system(system) if isinstance(system, str) else system

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import CAUSES, diagnose
-from deepkoco.diagnose.causes import catalogue, kind_of
+from deepkoco.diagnose.causes import catalogue, is_changed, kind_of
 from deepkoco.systems import make_system
 from deepkoco.systems.effects import effects_of
 from tests.oracle.unit import hidden_log
@@ -38,12 +38,16 @@ HIDDEN = {
 }
 
 
-def test_every_cause_has_an_effect_or_is_an_event():
+def test_every_cause_has_an_effect_or_a_parameter_or_is_an_event():
     for system in ("rod_pendulum", "two_link_arm", "quadrotor_height"):
         base = make_system(system)
         known = effects_of(base)
         for name, cause in catalogue(base).items():
             assert kind_of(name) in CAUSES
+            if is_changed(cause):
+                assert name == f"changed({cause.free[0]})"
+                assert base.parameter(cause.free[0])
+                continue
             assert cause.effect == "event" or cause.effect in known
             declared = (
                 {f"{cause.effect}.{p.name}" for p in known[name].parameters(base)} if name in known else set()

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from deepkoco.cli.command_line import main
+from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.experiment_design import DesignError, InseparableError, design_experiment, write_design
 from deepkoco.diagnose.experiment_design import choose as choosing
@@ -22,6 +23,8 @@ from deepkoco.diagnose.experiment_design.rehearsal import rehearse
 from deepkoco.diagnose.experiment_design.search import judge, scan, sequences
 from deepkoco.diagnose.experiment_design.separation import smallest_pair
 from deepkoco.systems import make_system
+from deepkoco.systems.bodies.rod_pendulum import RodPendulum
+from experiments.studies.diagnosis.hidden.recorded import unit_log
 
 QUICK = {"scanned": 5, "generations": 1, "seconds": 7.0}
 
@@ -233,3 +236,45 @@ def test_described_design_has_null_for_missing_families_and_open_limits(design):
     said = json.loads(json.dumps(said, allow_nan=False))
     assert said["to_first_order"]["usual_sequences"]["chirp"] is None
     assert said["limits"]["theta"] == [None, 3.0]
+
+
+class UndefinedAtRest(RodPendulum):
+    """A rod with a term that is 0 / 0 where it hangs."""
+
+    def torque_law(self, parameters):
+        law = super().torque_law(parameters)
+
+        def torque(theta, omega, effort, smoothing):
+            away = theta - np.pi
+            return law(theta, omega, effort, smoothing) + 0.0 * away / away
+
+        return torque
+
+
+class UndefinedBelowRest(RodPendulum):
+    """A rod with a term that exists on one side of where it hangs."""
+
+    def torque_law(self, parameters):
+        law = super().torque_law(parameters)
+        return lambda theta, *rest: law(theta, *rest) + 0.0 * (theta - np.pi).sqrt()
+
+
+def test_an_acceleration_that_is_not_finite_at_rest_is_a_design_error():
+    with pytest.raises(
+        DesignError, match=r"acceleration of joint 1 is not finite at theta = 3.14159, omega = 0"
+    ):
+        make_stage(UndefinedAtRest(), 8.0)
+
+
+def test_an_acceleration_that_is_not_finite_beside_rest_is_a_design_error():
+    with pytest.raises(
+        DesignError, match=r"acceleration of joint 1 is not finite beside .* 1e-06 away in theta"
+    ):
+        make_stage(UndefinedBelowRest(), 8.0)
+
+
+def test_too_short_a_log_of_a_system_undefined_at_rest_is_insufficient_and_says_why():
+    result = diagnose([unit_log("rod_pendulum", {}, "steps", 71, 2.0)], UndefinedAtRest())
+    assert result.verdict == "insufficient"
+    assert "Record at least" in result.advice[0]
+    assert "is not finite at theta" in result.advice[0]

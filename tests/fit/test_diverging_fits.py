@@ -9,9 +9,12 @@ import torch
 from deepkoco.fit import FitError, fit
 from deepkoco.fit.fit_types import Trial
 from deepkoco.fit.request import make_request
+from deepkoco.fit.solve.methods import LevenbergMarquardt
+from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import LogError
-from tests.fit.identify_logs import TRUE, arm_log
+from deepkoco.systems.bodies.rod_pendulum import RodPendulum
+from tests.fit.identify_logs import TRUE, arm_log, rod_log
 
 # With a light forearm, the time constant of the joint friction is shorter than the integration step.
 LIGHT = {"mass_2": 0.05, "length_2": 0.25}
@@ -95,3 +98,43 @@ def test_fit_names_the_channel_of_samples_that_are_not_finite(channel, wrong):
     broken = replace(log, channels={**log.channels, channel: replace(log.channels[channel], value=values)})
     with pytest.raises(LogError, match=f'"{channel}" has 2 of {len(values)} samples'):
         fit([broken], "two_link_arm", ["mass_2"])
+
+
+class UnboundedMass(RodPendulum):
+    """A rod whose mass has no upper bound."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.parameters = tuple(replace(p, high=np.inf) if p.name == "mass" else p for p in self.parameters)
+
+
+def test_a_parameter_without_finite_bounds_needs_bounds_or_a_prior():
+    log = rod_log(4.0, 0)
+    with pytest.raises(FitError, match=r"mass: bounds 0.1 to inf kg: a fit needs finite ones"):
+        fit([log], UnboundedMass(), ["mass"])
+    found = fit([log], UnboundedMass(), ["mass"], prior=Prior(("mass",), np.ones(1), np.full((1, 1), 0.25)))
+    assert found.estimates["mass"].value == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_prior_that_is_not_finite_is_refused(bad):
+    with pytest.raises(FitError, match="prior: mass: its mean and its covariances must be finite"):
+        fit(
+            [rod_log(4.0, 0)],
+            "rod_pendulum",
+            ["mass"],
+            prior=Prior(("mass",), np.ones(1), np.full((1, 1), bad)),
+        )
+
+
+class Overflowing(LevenbergMarquardt):
+    """A method of a user's own, whose curvature overflows."""
+
+    def solve(self, request, generator, progress):
+        found = super().solve(request, generator, progress)
+        return replace(found, fit=replace(found.fit, curvature=found.fit.curvature * np.inf))
+
+
+def test_a_curvature_that_is_not_finite_is_a_fit_error():
+    with pytest.raises(FitError, match=r"curvature of the fit is not finite .* mass get no intervals"):
+        fit([rod_log(4.0, 0)], "rod_pendulum", ["mass"], method=Overflowing())

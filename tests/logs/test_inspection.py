@@ -20,6 +20,7 @@ from deepkoco.unit import make_unit
 
 sys.path.append(str(Path(__file__).parents[1] / "graph"))
 from tests.logs.log_writers import WRITERS
+from tests.oracle.own_robots import CartPoleUnit
 
 
 @pytest.fixture(scope="module")
@@ -285,3 +286,23 @@ def test_doubts_accept_units_of_joints_that_move_together(tmp_path):
     survey, fitting, choices = proposed(tmp_path / "log.csv", frame, "double_pendulum")
     assert {c.column.name for c in choices.values()} == set(frame.columns) - {"t"}
     assert not [d for d in doubts_of(survey, fitting) if "times the integral" in d]
+
+
+def test_a_log_of_a_robot_that_is_not_known_fits_none_of_the_systems(tmp_path, capsys):
+    log = CartPoleUnit().log(tmp_path, seconds=10.0)
+    log.with_suffix(".yaml").unlink()
+    assert main(["inspect", str(log)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "none of the" in said
+    assert "--system my_robot.py:CLASS" in said
+    assert "proposed for" not in said
+    example = Path(__file__).parents[2] / "docs" / "examples" / "cart_pole.py"
+    out = tmp_path / "mapping.yaml"
+    assert main(["inspect", str(log), "--system", f"{example}:CartPole", "--out", str(out)]) == 0
+    mapping = yaml.safe_load(out.read_text())
+    assert mapping["system"] == "cart_pole"
+    assert {name: c["column"] for name, c in mapping["channels"].items()} == {
+        "position": "position",
+        "angle": "angle",
+        "force": "force",
+    }

@@ -183,6 +183,30 @@ def test_condensed_plans_are_precise_whatever_the_condition(
     np.testing.assert_allclose(planned.ravel(), expected, atol=1e-4 * 2.0 * LIMIT)
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    SEEDS,
+    st.floats(0.0, 4.0),
+    st.integers(1, 2),
+    st.integers(1, 10),
+    st.sampled_from([name for name in ("osqp", "piqp", "daqp") if name in solver_names("condensed")]),
+)
+@example(1, 2.0, 2, 8, "osqp")
+def test_condensed_plans_without_weights_have_the_lowest_cost(
+    random_model, random_state, seed, magnitude, actions, horizon, solver
+):
+    # With two actions and one row of cost, many plans are optimal.
+    model = random_model(seed, actions=actions)
+    problem = replace(make_problem(model, horizon, action_weight=0.0), increment_weight=0.0)
+    rows, factor, action = random_state(model, seed)
+    rows[1:] *= 10.0**magnitude
+    program = CondensedProgram(problem, solver, 1e-3)  # osqp and piqp stop early
+    matrix, free = program.response(rows, factor, action)
+    lowest = 2.0 * lsq_linear(matrix, -free, (-LIMIT, LIMIT), method="bvls", tol=1e-14, max_iter=1000).cost
+    planned = program.solve(rows, factor, action)
+    assert program.planned_cost(planned) - lowest <= 1.01e-6 * float(free @ free)
+
+
 @pytest.mark.parametrize("solver", ["osqp", "daqp"])
 def test_ill_conditioned_plans_are_refined_and_tell_so(random_model, random_state, solver):
     refined = {}

@@ -64,3 +64,37 @@ def test_a_gradient_that_pushes_against_a_limit_is_no_error():
     assert refinement.is_close(np.array([-1.0]), *rest)
     assert not refinement.is_close(np.array([1.0]), *rest)
     assert refinement.solve(np.array([1.0]), *rest) == pytest.approx(-1.0)
+
+
+def unweighted(low, high, horizon=1):
+    limits = np.full(1, low), np.full(1, high)
+    problem = PlanningProblem(JordanBlocks(np.ones(1, complex)), *limits, 0.0, 0.0, horizon)
+    return BoxProgram(problem, "daqp", 1e-6)._refinement
+
+
+def test_without_weights_a_plan_is_let_pass_by_its_cost():
+    # R = R~ = 0, D = 1, y_0 = 0.5 in [-1, 1]: f = (x + 0.5)^2, x* = -0.5. At x = -0.5 + e the slope is 2 e > 0, so the
+    # excess is bounded by 2 e (0.5 + e); 1e-6 |y_0|^2 = 2.5e-7 may pass.
+    refinement = unweighted(-1.0, 1.0)
+    rest = np.ones((1, 1)), np.array([0.5]), np.zeros(1)
+    assert refinement.is_close(np.array([-0.5 + 2.4e-7]), *rest)
+    assert not refinement.is_close(np.array([-0.5 + 2.6e-7]), *rest)
+    assert not refinement.is_close(np.array([1.1]), *rest)
+    assert refinement.solve(np.array([1.0]), *rest) == pytest.approx(-0.5)
+
+
+def test_without_weights_and_limits_only_an_optimum_is_let_pass():
+    refinement = unweighted(-np.inf, np.inf)
+    rest = np.ones((1, 1)), np.array([0.5]), np.zeros(1)
+    assert refinement.is_close(np.array([-0.5]), *rest)
+    assert not refinement.is_close(np.array([-0.5 + 1e-9]), *rest)
+
+
+def test_without_weights_one_of_several_optima_is_found():
+    # f = (x_1 + x_2 - 1)^2 is lowest on a line.
+    refinement = unweighted(-1.0, 1.0, horizon=2)
+    rest = np.ones((1, 2)), np.array([-1.0]), np.zeros(1)
+    assert refinement.is_close(np.array([0.3, 0.7]), *rest)
+    assert refinement.is_close(np.array([1.0, 0.0]), *rest)
+    assert not refinement.is_close(np.array([0.3, 0.5]), *rest)
+    assert refinement.solve(np.array([0.3, 0.5]), *rest).sum() == pytest.approx(1.0)

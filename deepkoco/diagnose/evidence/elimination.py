@@ -152,6 +152,7 @@ def without(problem: FitProblem, start: Baseline, kept: Sequence[Cause], cause: 
     if cause.effect == "event":
         values["event.torque"] = start.values["event.torque"]
     else:
-        values |= {n: v for n, v in start.values.items() if n.startswith(f"{cause.effect}.")}
+        own = {n for n in start.values if n.startswith(f"{cause.effect}.")}
+        values |= {n: start.values[n] for n in own.union(cause.free)}
     prior = prior_with(problem, start, others, values)
     return Trial(cause.name, prior.names, prior, values, fit.state, fit.nuisance)

@@ -12,7 +12,6 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
-from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import (
     BENDING,
     FLEXIBLE_CAUSES,
@@ -24,7 +23,7 @@ from deepkoco.diagnose.evidence.elimination import (
 )
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Ranking
-from deepkoco.diagnose.evidence.refine_ranking import front_settled, with_fit
+from deepkoco.diagnose.evidence.refine_ranking import classed, front_settled, with_fit
 from deepkoco.diagnose.evidence.sanity_checks import at_bound
 from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
 from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic
@@ -121,7 +120,8 @@ class Selection:
                 break
             self.progress(f"class of {ranking.best.cause.name}{in_company_of(names)}")
             ranking = self._refined(problem, ranking, accepted, hints)
-            steps.append((ranking, equivalent(problem, start, ranking, tuple(accepted))))
+            ranking, members = classed(problem, start, ranking, accepted)
+            steps.append((ranking, members))
             accepted.append(ranking.best.cause)
             final, ranking = ranking.best.fit, None
         return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge)
@@ -185,7 +185,8 @@ class Selection:
             rivals = [cause] if cause.effect == "event" else lasting
             ranking = rank(problem, start, less, others, hints, rivals)
             ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
-            steps[k] = (ranking, equivalent(problem, start, ranking, tuple(others)))
+            ranking, members = classed(problem, start, ranking, others)
+            steps[k] = (ranking, members)
             if ranking.best.cause.name != cause.name:
                 accepted[k] = ranking.best.cause
             final = ranking.best.fit

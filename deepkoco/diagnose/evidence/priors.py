@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.causes.parameter import widened
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.prior import Prior
@@ -28,6 +29,7 @@ def prior_with(
 
     The standard deviation of a cause's parameter is at least its distance from null. The declared one is meant for
     small effects and would bias a large estimate towards null; the remaining misfit would look like a further cause.
+    A changed parameter is the baseline's value plus a change of wide prior, so the two variances add up.
     """
     prior = start.prior
     for cause in causes:
@@ -36,7 +38,7 @@ def prior_with(
         centre = {n: values[n] if n in shapes else start.values[n] for n in cause.free}
         own = [
             replace(p, prior_sd=max(p.prior_sd, abs(values[p.name] - centre[p.name])))
-            for p in declared(problem, cause.free)
+            for p in (widened(p) if is_changed(cause) else p for p in declared(problem, cause.free))
         ]
         prior = prior.widened(own, centre)
     return prior

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.evidence.classes import NEAR
+from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.evidence.classes import APART, NEAR, equivalent
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
@@ -49,6 +49,30 @@ def _overpaid(ranking: Ranking, other: Candidate) -> float:
     if ranking.best.cause.free:
         return 0.0
     return max(other.fit.penalty - ranking.best.fit.penalty, 0.0) / ranking.deflation
+
+
+def classed(
+    problem: FitProblem, start: Baseline, ranking: Ranking, accepted: Sequence[Cause]
+) -> tuple[Ranking, tuple[str, ...]]:
+    """Return the ranking and the names of its winner's class, a mechanism before a changed parameter.
+
+    Almost every mechanism can be written as another value of some parameter. Where the data cannot distinguish the
+    two, the mechanism leads the class.
+    """
+    members = equivalent(problem, start, ranking, tuple(accepted))
+    best = ranking.best
+    if not is_changed(best.cause):
+        return ranking, members
+    near = [
+        c
+        for c in ranking.candidates[1:]
+        if c.cause.name in members and not is_changed(c.cause) and best.delta_bic - c.delta_bic < APART
+    ]
+    if not near:
+        return ranking, members
+    others = [c for c in ranking.candidates if c is not near[0]]
+    ranking = replace(ranking, candidates=(near[0], *others))
+    return ranking, equivalent(problem, start, ranking, tuple(accepted))
 
 
 def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> Ranking:

@@ -41,7 +41,7 @@ def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
         j = problem.names.index(name)
         low, high, value = float(problem.low[j]), float(problem.high[j]), fit.values[name]
         near = EDGE * (high - low)
-        if name.rsplit(".", 1)[1] in SHAPES or abs(value - nulls[j]) <= near:
+        if name.rpartition(".")[2] in SHAPES or abs(value - nulls[j]) <= near:
             continue
         if value <= low + near or value >= high - near:
             found.append(name)

@@ -17,7 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.causes.parameter import widened
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP, state_steps
@@ -27,6 +28,7 @@ from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 
 LANES = 160  # simulations in one batch
 RIDGE = 1e-8  # relative; two doses may move the measurements in the same direction
+SAME = 1e-2  # relative difference of two responses up to which they are one quantity
 
 
 class StartPoint(NamedTuple):
@@ -43,9 +45,13 @@ def screen(
     """Return the promise of every start on top of a reference fit.
 
     A start at null is tested along the slopes of its free parameters. A start away from null is tested along the
-    secant from null to the start, because some effects have zero slope at null.
+    secant from null to the start, because some effects have zero slope at null. A changed parameter of the system
+    needs no simulation: the linearised problem contains it, and only its prior becomes wider. It is left out where
+    another cause adds to the same quantity.
     """
     tangent = _Tangent(problem, reference, prior)
+    changed = [pair for pair in starts if is_changed(pair[0])]
+    starts = [pair for pair in starts if not is_changed(pair[0])]
     doses, owner, forward = [], [], []
     for k, (cause, place) in enumerate(starts):
         own = _doses(problem, reference, cause, place)
@@ -54,7 +60,28 @@ def screen(
         forward.append(len(own) == 1 and _one_way(problem, reference, cause, place))
     moved = tangent.respond(doses)
     promises = tangent.promises(moved, np.array(owner, dtype=int), forward)
-    return [StartPoint(c, place, float(p)) for (c, place), p in zip(starts, promises, strict=True)]
+    points = [StartPoint(c, place, float(p)) for (c, place), p in zip(starts, promises, strict=True)]
+    for cause, place in changed:
+        (name,) = cause.free
+        slope = tangent.slope_of(name)
+        # Both respond to 1 unit alike, as an addition to the friction does to friction itself.
+        unit = problem.system.parameter(name).unit
+        rivals = ((dose, moved[d]) for d, dose in enumerate(doses) if starts[owner[d]][0].effect != "event")
+        if not any(_same_quantity(problem, reference, dose, way, unit, slope) for dose, way in rivals):
+            points.append(StartPoint(cause, place, tangent.promise_of_change(name, prior)))
+    return points
+
+
+def _same_quantity(
+    problem: FitProblem, reference: Fit, dose: Mapping[str, float], moved: Tensor, unit: str, slope: Tensor
+) -> bool:
+    """Return whether a dose moves one parameter of this unit, and the measurements move as along this slope."""
+    given = [n for n, v in dose.items() if v != reference.values[n]]
+    if len(given) != 1 or problem.system.parameter(given[0]).unit != unit:
+        return False
+    (name,) = given
+    response = moved.reshape(-1) / (dose[name] - reference.values[name])
+    return bool((response - slope).norm() <= SAME * slope.norm())
 
 
 def _doses(
@@ -73,8 +100,8 @@ def _doses(
         if silent and name in place:
             continue
         step = PARAMETER_STEP * problem.scale[j]
-        if name.endswith(".frequency"):
-            continue  # a frequency changes nothing while the amplitude is zero
+        if name.endswith((".frequency", ".centre")):
+            continue  # it changes nothing while the amplitude or the stiffness is zero
         step = -step if at[name] + step > problem.high[j] else step
         result.append({**at, name: at[name] + step})
     return result
@@ -89,7 +116,7 @@ def _one_way(problem: FitProblem, reference: Fit, cause: Cause, place: Mapping[s
 
 def _linear(cause: Cause, place: Mapping[str, float]) -> bool:
     """Return whether a start only chooses a shape (a frequency, a Stribeck speed) and leaves the size at null."""
-    return cause.kind in ("cogging", "periodic") or (cause.kind == "stribeck" and len(place) == 1)
+    return cause.kind in ("cogging", "periodic", "spring") or (cause.kind == "stribeck" and len(place) == 1)
 
 
 class _Tangent:
@@ -128,6 +155,32 @@ class _Tangent:
             problem.nuisances.precision,
         )
         self.slopes = torch.cat([slopes[:p], own])
+
+    def slope_of(self, name: str) -> Tensor:
+        """Return the whitened derivative (W * NM,) of the measurements by a free parameter."""
+        return self.slopes[self.reference.free.index(name)].reshape(-1)
+
+    def promise_of_change(self, name: str, prior: Prior) -> float:
+        """Return the fall of the cost if one of the baseline's parameters has a wide prior.
+
+        With the curvature M, the gradient r and the offset o from the prior P, another prior P' gives
+        M' = M - P + P' and r' = r + (P - P') o. The cost then falls by o'(P - P')o + r'' M'^-1 r' - r' M^-1 r.
+        """
+        free = self.reference.free
+        wide = prior.widened([widened(self.problem.system.parameter(name))], self.reference.values)
+        narrow = torch.from_numpy(prior.precision(free) - wide.precision(free))
+        values = np.array([self.reference.values[n] for n in free])
+        offset = torch.from_numpy(values - prior.mean(free))
+        matrix, right, _ = self.normal.reduced(0.0)
+        p, falls = len(free), []
+        for relief in (torch.zeros_like(narrow), narrow):
+            curvature, gradient = matrix.clone(), right.clone()
+            curvature[:p, :p] -= relief
+            gradient[:p] += relief @ offset
+            solved = torch.from_numpy(scaled_inverse(curvature.numpy()))
+            falls.append(float(offset @ relief @ offset + gradient @ (solved @ gradient)))
+        promise = falls[1] - falls[0]
+        return promise if np.isfinite(promise) else 0.0
 
     def respond(self, doses: Sequence[Mapping[str, float]]) -> Tensor:
         """Return the whitened change (D, W, NM) of the measurements by each dose."""

@@ -12,7 +12,7 @@ import scipy.stats
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
 from deepkoco.diagnose.run_to_run import within_bounds
@@ -79,9 +79,11 @@ def _healthy_estimates(
     for cause, _, fit in hypotheses:
         values = {**base, **{n: fit.values[n] for n in cause.free}}
         for causes in (learned, (*learned, cause)):
-            trials.append(
-                replace(freed(problem, before, causes, healthy.fit, values), state=state, nuisance=nuisance)
-            )
+            trial = freed(problem, before, causes, healthy.fit, values)
+            if is_changed(cause) and causes is learned:
+                # Every fit frees the simulation's own parameters; here the changed one keeps its new value.
+                trial = replace(trial, free=tuple(n for n in trial.free if n not in cause.free))
+            trials.append(replace(trial, state=state, nuisance=nuisance))
     fits = problem.fit(trials, PATIENCE, CLOSE)
     return [
         # If the simulation of the cause diverges on a healthy log, this log says nothing about the cause.

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
@@ -66,7 +66,7 @@ def rank(
     promising += [
         StartPoint(c, {}, WORTH)
         for c in tried
-        if c.free and known.intersection(c.free) and c.name not in found
+        if c.free and known.intersection(c.free) and c.name not in found and not is_changed(c)
     ]
     trials = [
         _trial(

@@ -14,6 +14,8 @@ SHAPES = {
     "stribeck": ("coulomb", "speed"),
     "cogging": ("cycles", "cosine"),
     "periodic": ("frequency", "cosine"),
+    "spring": ("centre",),
+    "bristle": ("distance",),
 }
 
 
@@ -73,5 +75,7 @@ def is_shape(cause: Cause, name: str) -> bool:
 
 def null_value(system: ExtendedSystem, name: str) -> float:
     """Return the value at which an effect's parameter changes nothing."""
+    if "." not in name:
+        return system.base.parameter(name).value
     bare = ExtendedSystem(system.base, (name.rsplit(".", 1)[0],))
     return bare.parameter(name).value

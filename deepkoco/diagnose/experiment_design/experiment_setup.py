@@ -14,6 +14,7 @@ from deepkoco.diagnose.experiment_design.families import Frame
 from deepkoco.diagnose.experiment_design.stabiliser import Hold, find_hold
 from deepkoco.fit.data.noise import Noise
 from deepkoco.fit.data.windows import CommandSeries, Windows, period, window_length
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import JOINT_SYSTEMS, ExtendedSystem, JointSystem, Motion, System
 
 COMMAND_RATE, SENSOR_RATE = 50.0, 100.0  # [Hz]
@@ -149,7 +150,7 @@ def make_stage(
         values: Baseline parameters fitted to a log; None takes the system's.
 
     Raises:
-        DesignError: The length, a rate or a limit is not allowed.
+        DesignError: The length, a rate or a limit is not allowed, or an acceleration at rest is not finite.
     """
     window = window_length(system)
     if not SHORTEST * window <= seconds <= LONGEST:
@@ -171,6 +172,10 @@ def make_stage(
         initial[0] = base.upright + math.pi
     bounds = Limits.of(base, limits)
     rest = rest_command(system, initial)
+    try:
+        hold = find_hold(system, initial, rest, bounds.command, period(base))
+    except DivergedError as error:
+        raise DesignError(f"{system.name}: {error}") from error
     frame = Frame(round(seconds * command_rate), command_rate, len(base.commands), period(base))
     return Stage(
         start,
@@ -181,12 +186,16 @@ def make_stage(
         window,
         initial,
         rest,
-        find_hold(system, initial, rest, bounds.command, frame.period),
+        hold,
     )
 
 
 def rest_command(system: System, initial: np.ndarray) -> np.ndarray:
-    """Return the commands (M,) with the smallest accelerations of the nominal system at a state (S,)."""
+    """Return the commands (M,) with the smallest accelerations of the nominal system at a state (S,).
+
+    Raises:
+        DesignError: An acceleration is not finite there.
+    """
     parameters = system.default_parameters()
     law, joints, count = system.accelerations(parameters), system.joints, len(system.commands)
     state = torch.from_numpy(initial)
@@ -199,6 +208,13 @@ def rest_command(system: System, initial: np.ndarray) -> np.ndarray:
         time=torch.zeros(width, dtype=torch.float64),
     )
     found = torch.stack(torch.broadcast_tensors(*law(motion)), -1).numpy()
+    if not np.isfinite(found).all():
+        joint = int(np.argwhere(~np.isfinite(found))[0, 1])
+        at = ", ".join(f"{n} = {v:g}" for n, v in zip(system.state_names, initial, strict=True))
+        raise DesignError(
+            f"{system.name}: the acceleration of {system.joint_names[joint]} is not finite at {at}, the state in which "
+            "an experiment begins; make accelerations() finite there"
+        )
     return np.linalg.lstsq((found[1:] - found[0]).T, -found[0], rcond=None)[0]
 
 

@@ -9,6 +9,7 @@ import torch
 from scipy.linalg import LinAlgError, solve_continuous_are
 from torch import Tensor
 
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import Motion, System
 
 STEP = 1e-6  # step of the finite differences
@@ -40,8 +41,19 @@ def find_hold(
         rest: (M,) commands at this state.
         limits: (M, 2) limits of the commands.
         period: Time scale [s] that weighs speeds against displacements.
+
+    Raises:
+        DivergedError: The accelerations have no finite slope about the state.
     """
     a, b = linearised(system, place, rest)
+    slope = np.concatenate([a, b], axis=1)
+    if not np.isfinite(slope).all():
+        row, column = np.argwhere(~np.isfinite(slope))[0]
+        names = (*system.state_names, *(c.name for c in system.commands))
+        raise DivergedError(
+            f"the acceleration of {system.joint_names[row - system.joints]} is not finite beside the state to hold, "
+            f"{STEP:g} away in {names[column]}; make accelerations() finite there"
+        )
     roots = np.linalg.eigvals(a)
     if not bool(((roots.real > -DRIFT) & (np.abs(roots.imag) < 1e-6)).any()):
         return None

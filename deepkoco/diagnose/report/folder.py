@@ -17,9 +17,13 @@ from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE
 from deepkoco.diagnose.report.page import render
 from deepkoco.output.new_folder import new_folder
 from deepkoco.output.picture import Picture
+from deepkoco.output.whole_file import write_whole_text
 from deepkoco.pages.figures import show_both
 from deepkoco.pages.links import Link
-from deepkoco.systems import save_model
+from deepkoco.systems import System, save_model
+from deepkoco.systems.trees.robot_files import CHANGES_FILE, write_robot
+from deepkoco.systems.trees.tree import TreeError
+from deepkoco.systems.trees.write_back import tree_of
 
 DPI = 130  # of the picture files in the folder of the page
 COLOURS_OF_A_PICTURE = 128  # enough for lines and text; the file is a third as large
@@ -68,9 +72,21 @@ def write_report(
                 "deepkoco": diagnosis.versions["deepkoco"],
             }
             save_model(partial / "model.yaml", diagnosis.model, provenance)
+            _write_robot(diagnosis.model, partial, out)
         page = render(diagnosis, shown, shown_as or Path(out_dir).as_posix(), links, made)
         (partial / "report.html").write_text(page, encoding="utf-8")
     return out / "report.html"
+
+
+def _write_robot(model: System, partial: Path, out: Path) -> None:
+    """Write the mended file of a robot that was read from MJCF or URDF; nothing for other systems."""
+    if tree_of(model) is None:
+        return
+    try:
+        write_robot(model, partial, out)
+    except TreeError as error:
+        # The diagnosis is complete without it: the given file may have gone in the meantime.
+        write_whole_text(partial / CHANGES_FILE, f"The robot could not be written back: {error}.\n")
 
 
 def _png(picture: Picture, dpi: int) -> bytes:

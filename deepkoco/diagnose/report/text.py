@@ -2,27 +2,80 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from rich.table import Table
 
-from deepkoco.diagnose.causes import CAUSES, kind_of
-from deepkoco.diagnose.diagnosis import Diagnosis, Finding
+from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
+from deepkoco.diagnose.causes.parameter import SCALED
+from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding
+from deepkoco.pages.units import in_one_unit
+from deepkoco.systems.effects.effect import COMMON
 
 
 def spoken(name: str) -> str:
     """Return the name of a cause in the form for a sentence."""
+    changed = changed_parameter(name)
+    if changed is not None:
+        return f"another value of {spoken(changed)}"
+    kind, _, where = name.partition("(")
+    if kind == SCALED.name:
+        return f"common factor of all {spoken(where.rstrip(')'))}"
+    if where == f"{COMMON})":
+        return f"{spoken(kind)} (all actuators)"
     return name.replace("_", " ").replace("(", " (")
 
 
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in one line."""
-    names = " and ".join(spoken(n) for n in diagnosis.names)
+    named = _named(diagnosis.causes)
+    explained = "The simulation explains this log up to noise"
+    if diagnosis.moved:
+        values = " and ".join(new_value(m.name, m.given, m.estimate) for m in diagnosis.moved)
+        explained = f"{values}. With this, the simulation explains the log up to noise"
     return {
-        "cause": f"The simulation lacks: {names}",
-        "ambiguous": f"The simulation lacks: {names} (or an equivalent)",
-        "nothing": "The simulation explains this log up to noise",
+        "cause": named,
+        "ambiguous": f"{named} (or an equivalent)",
+        "nothing": explained,
         "unknown": "The simulation differs from this log, and no cause of the catalogue explains the difference",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
+
+
+def _named(causes: Sequence[Finding]) -> str:
+    """Return the named causes in one line, the strongest first."""
+    changed = [
+        new_value(n, given, c.parameters[n]) for c in causes for n, given in c.given.items() if c.given
+    ]
+    lacking = [c for c in causes if not c.given]
+    lacks = "he simulation lacks: " + " and ".join(_with_same(c) for c in lacking)
+    if not changed:
+        return f"T{lacks}"
+    values = " and ".join(changed)
+    if not lacking:
+        return values
+    return f"{values}, and t{lacks}" if causes[0].given else f"T{lacks}; and {values}"
+
+
+def _with_same(cause: Finding) -> str:
+    if not cause.same_as:
+        return spoken(cause.name)
+    same = " or ".join(new_value(m.name, m.given, m.estimate) for m in cause.same_as)
+    return f"{spoken(cause.name)} (the same as: {same})"
+
+
+def new_value(name: str, given: float, estimate: Estimate) -> str:
+    """Return a changed parameter as a clause: "servo gain is 200, not 100 (x 2.00 [1.97, 2.03])"."""
+    (now, before), unit = in_one_unit([estimate.value, given], estimate.unit)
+    text = f"{spoken(name)} is {now} {unit}".rstrip() + f", not {before} {unit}".rstrip()
+    if given == 0.0:
+        return text
+    factor, *ends = (v / given for v in (estimate.value, estimate.low, estimate.high))
+    low, high = sorted(ends)
+    # As many digits as the interval needs.
+    digits = min(max(2, -math.floor(math.log10(high - low))) if high > low else 2, 4)
+    return f"{text} (x {factor:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}])"
 
 
 def lead(diagnosis: Diagnosis) -> str:
@@ -64,6 +117,13 @@ def noise_of(diagnosis: Diagnosis) -> str:
     return f"the error that remains in {logs} ({healthy['chi2_per_sample']:.3g} times the variance of the sensor noise)"
 
 
+def rival_of(diagnosis: Diagnosis) -> str:
+    """Return with what the gain compares: a refit, in which changed parameters keep their values."""
+    changed = [spoken(n) for c in diagnosis.causes for n in c.given]
+    kept = f" with {' and '.join(changed)} as given" if changed else ""
+    return f"the refitted simulation{kept}"
+
+
 def beside_causes(diagnosis: Diagnosis) -> str:
     """Return a sentence if structure remains after the named causes; else, or if no cause is named, an empty text."""
     left = diagnosis.unexplained
@@ -96,7 +156,7 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
             table.add_row(f"held-out error of {c.name}", text)
         if diagnosis.verdict in ("cause", "ambiguous"):
             text = f"{100 * gain.reduction:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f})"
-            table.add_row("gain", f"{text} less error than the refitted simulation. {diagnosis.gain_note}")
+            table.add_row("gain", f"{text} less error than {rival_of(diagnosis)}. {diagnosis.gain_note}")
         elif gain.as_given:
             table.add_row("gain", f"None. {diagnosis.gain_note}")
     if diagnosis.verdict != "insufficient":

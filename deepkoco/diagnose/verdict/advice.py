@@ -14,7 +14,13 @@ from deepkoco.diagnose.causes import CAUSES
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.experiment_design.design import ALIKE, SETTLED, TRAINED, chance_of, smallest_pair
 from deepkoco.diagnose.experiment_design.doses import Dose
-from deepkoco.diagnose.experiment_design.experiment_setup import SHORTEST, Stage, feasible_seconds, make_stage
+from deepkoco.diagnose.experiment_design.experiment_setup import (
+    SHORTEST,
+    DesignError,
+    Stage,
+    feasible_seconds,
+    make_stage,
+)
 from deepkoco.diagnose.experiment_design.log_at_hand import LogAtHand
 from deepkoco.diagnose.experiment_design.search import Scan, scan
 from deepkoco.fit.data.windows import Windows
@@ -110,9 +116,12 @@ def _advise(
     if len(compared) < 2:
         return result
     listed = list(doses.values())
-    stage = make_stage(
-        system, feasible_seconds(system, max(SECONDS, SHORTEST * windows.length)), noise=windows.noise
-    )
+    seconds = feasible_seconds(system, max(SECONDS, SHORTEST * windows.length))
+    try:
+        stage = make_stage(system, seconds, noise=windows.noise)
+    except DesignError as error:
+        text = f"No command sequence can be simulated to distinguish {_listed(compared)}: {error}."
+        return [*result, f"{text} {_catalogue_advice(compared)}"]
     stage = replace(
         stage, start=replace(start, values={**reference.values, "event.torque": 0.0}), window=windows.length
     )

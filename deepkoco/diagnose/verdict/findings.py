@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.causes import Cause, Motion
+from deepkoco.diagnose.causes import Cause, Motion, is_changed
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
@@ -40,8 +40,9 @@ def finding(
     ranking: Ranking,
     members: tuple[str, ...] = (),
     evidence: tuple[Evidence, ...] = (),
+    before: Mapping[str, float] | None = None,
 ) -> Finding:
-    """Return a candidate in the form in which the report shows it."""
+    """Return a candidate in the form in which the report shows it; ``before`` has the baseline's values."""
     cause = candidate.cause
     return Finding(
         cause.name,
@@ -51,12 +52,13 @@ def finding(
         ranking.probabilities()[cause.name],
         estimates(problem, candidate.fit, _shown(problem, cause), ranking.deflation),
         evidence,
+        {n: before[n] for n in cause.free} if before is not None and is_changed(cause) else {},
     )
 
 
 def _shown(problem: FitProblem, cause: Cause) -> tuple[str, ...]:
     """Parameters of a cause, including those that were chosen and not fitted (a frequency)."""
-    if cause.effect == "event":
+    if cause.effect == "event" or is_changed(cause):
         return cause.free
     return tuple(p.name for p in problem.system.parameters if p.name.startswith(f"{cause.effect}."))
 

@@ -6,7 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.experiment_design.experiment_setup import SHORTEST, feasible_seconds, make_stage
+from deepkoco.diagnose.experiment_design.experiment_setup import (
+    SHORTEST,
+    DesignError,
+    feasible_seconds,
+    make_stage,
+)
 from deepkoco.diagnose.experiment_design.families import FAMILIES
 from deepkoco.diagnose.experiment_design.rehearsal import rehearse
 from deepkoco.diagnose.experiment_design.search import sequences
@@ -92,7 +97,11 @@ def _unmoved(recordings: Sequence[Recording], system: System, noise: Sequence[No
 def _remedy(system: System, length: float, needed: int) -> str:
     """Return the smallest tried steps that move the simulated nominal system in enough windows."""
     seconds = feasible_seconds(system, _good_length(length, needed))
-    stage = make_stage(system, seconds)
+    anything = f"Record at least {seconds:.0f} s of steps, prbs or a chirp over the whole range of commands."
+    try:
+        stage = make_stage(system, seconds)
+    except DesignError as error:
+        return f"{anything} Smaller commands cannot be simulated: {error}."
     points = np.full((1, FAMILIES["steps"].dimension(stage.frame)), 0.0)
     points[:] = np.random.default_rng(0).random(points.shape)
     points[:, -1] = 0.0
@@ -108,4 +117,4 @@ def _remedy(system: System, length: float, needed: int) -> str:
                 f"{middle:.2g} {channel.unit}, for example: deepkoco record --excitation steps "
                 f"--seconds {seconds:.0f} --amplitude {size:.2g}"
             )
-    return f"Record at least {seconds:.0f} s of steps, prbs or a chirp over the whole range of commands."
+    return anything

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, kind_of
+from deepkoco.diagnose.causes.parameter import FAMILY as PARAMETER
 from deepkoco.diagnose.diagnosis import Verdict
 from deepkoco.diagnose.evidence.elimination import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.event_windows import touched
@@ -84,7 +85,11 @@ def verdict_of(
             return "unknown"
     if not causes:
         return "cause"
-    families = {CAUSES[kind_of(name)].family for name in found.steps[0][1]}
+    families = [CAUSES[kind_of(name)].family for name in found.steps[0][1]]
+    if families[0] != PARAMETER:
+        # Almost every mechanism can also be written as another value of a parameter; that is no rival mechanism.
+        families = [f for f in families if f != PARAMETER]
+    families = set(families)
     return "ambiguous" if len(families) > 1 else "cause"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -12,18 +12,22 @@ from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.command_effort import command_efforts
 from deepkoco.fit.simulate.nodes import Nodes
+from deepkoco.fit.simulate.play import behind_play
 from deepkoco.fit.simulate.sensor_filter import filtered
 from deepkoco.fit.simulate.step import (
     Drive,
-    divided,
+    Equations,
+    Step,
+    corrected,
+    directions,
     replaced,
-    reversing,
-    sharpest_widths,
+    rows_of,
     step_of,
-    widths,
+    turning,
 )
 from deepkoco.systems import ExtendedSystem, System
-from deepkoco.systems.system import Acceleration
+from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.system import Motion
 
 
 def trajectories(
@@ -71,13 +75,7 @@ def integrate(
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
-
-    def law_of(values: Mapping[str, Tensor]) -> Acceleration:
-        if isinstance(system, ExtendedSystem):
-            return system.accelerations(values, lanes)
-        return system.accelerations(values)
-
-    law = law_of(own)
+    equations = _equations(system, own, lanes)
     start, slope = zip(
         *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
         strict=True,
@@ -87,9 +85,7 @@ def integrate(
     angle, speed = parts[:joints], parts[joints:]
     angles, speeds = [angle], [speed]
     firsts, lasts = [], []
-    sharpest, rub = sharpest_widths(system.smoothing_speeds), system.rubbing_joints
-    finer = tuple(n if j in rub else 1 for j, n in enumerate(system.reversal_steps))
-    width: tuple[Tensor, ...] = tuple(torch.full((), s, dtype=torch.float64) for s in sharpest)
+    rest: Levels = (None,) * joints
     half = 0.5 * h
     time = torch.from_numpy(windows.t0)[:, None]
     # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
@@ -97,28 +93,83 @@ def integrate(
     at = [(time + offsets + later).unbind(0) for later in (0.0, half, h)]
     efforts = [_over_steps(start, slope, later) for later in (0.0, half, h)]
     loads = [None] * windows.steps if pushes is None else [p.unbind(0) for p in pushes.unbind(0)]
+    remembered = _first_memory(equations, angle, speed, efforts, loads, time)
     for i in range(windows.steps):
         begin, middle, end = (effort[i] for effort in efforts)
         t1, t2, t4 = (t[i] for t in at)
-        drive = Drive((begin, middle, end), (t1, t2, t4), loads[i])
-        step = step_of(law, angle, speed, drive, width, h)
-        rows = reversing(speed, step.speed, width, finer)
-        if len(rows):
-            # Parameters that differ from log to log belong to the windows of their log.
-            own_law = law_of(of_windows(parameters, apart, windows.log[rows.numpy()])) if apart else law
-            part = divided(own_law, angle, speed, drive, width, sharpest, h, rows, max(finer))
-            step = replaced(step, rows, part)
+        drive = Drive((begin, middle, end), (t1, t2, t4), loads[i], remembered)
+        direction = directions(speed, rest, equations.friction)
+        step = step_of(equations, angle, speed, drive, direction, h)
+        rows = turning(speed, step.speed, equations.friction)
+        if len(rows) == len(windows) or (len(rows) and apart):
+            # Parameters that differ from log to log have one value per window.
+            step = corrected(equations, step, angle, speed, drive, direction, h)
+        elif len(rows):
+            step = _corrected_in(rows, equations, step, angle, speed, drive, direction, h)
+        if remembered:
+            now = Motion(step.angle, step.speed, end, None, t4, equations.smoothing)
+            remembered = equations.memory.advanced(remembered, angle, now)
         angle, speed = step.angle, step.speed
         angles.append(angle)
         speeds.append(speed)
         firsts.append(step.first)
         lasts.append(step.last)
-        width = widths(step.last, sharpest, h)
+        rest = step.rest
     value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
     first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
     last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
     fast = value[joints:]
     return Nodes(value, (*(v[:-1] for v in fast), *first), (*(v[1:] for v in fast), *last))
+
+
+def _equations(
+    system: System, parameters: Mapping[str, Tensor], lanes: Mapping[str, slice] | None
+) -> Equations:
+    smoothing = tuple(torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds)
+    inverse = system.inverse_inertia(parameters)
+    if not isinstance(system, ExtendedSystem):
+        free, friction = system.free_accelerations(parameters), system.dry_friction_levels(parameters)
+        return Equations(free, friction, inverse, smoothing)
+    free, friction = (
+        system.free_accelerations(parameters, lanes),
+        system.dry_friction_levels(parameters, lanes),
+    )
+    return Equations(free, friction, inverse, smoothing, system.joint_memory(parameters))
+
+
+def _first_memory(
+    equations: Equations,
+    angle: tuple[Tensor, ...],
+    speed: tuple[Tensor, ...],
+    efforts: list[list[tuple[Tensor, ...]]],
+    loads: Sequence[tuple[Tensor, ...] | None],
+    time: Tensor,
+) -> tuple[Tensor, ...]:
+    """What effects remember at the start of the windows; nothing where none does."""
+    if not equations.memory.parts or not loads:
+        return ()
+    motion = Motion(angle, speed, efforts[0][0], loads[0], time, equations.smoothing)
+    inverse = equations.inverse(motion)
+    needed = tuple(-a / inverse[j][j] for j, a in enumerate(equations.free(motion)))
+    return equations.memory.start(motion, needed)
+
+
+def _corrected_in(
+    rows: Tensor,
+    equations: Equations,
+    step: Step,
+    angle: tuple[Tensor, ...],
+    speed: tuple[Tensor, ...],
+    drive: Drive,
+    direction: Levels,
+    h: float,
+) -> Step:
+    """As :func:`corrected`, in some windows only."""
+    first, last = rows_of(step.first, rows), rows_of(step.last, rows)
+    own = Step(rows_of(step.angle, rows), rows_of(step.speed, rows), first, last, step.rest)
+    share = tuple(None if x is None else x.index_select(0, rows) for x in direction)
+    part = corrected(equations, own, rows_of(angle, rows), rows_of(speed, rows), drive.rows(rows), share, h)
+    return replaced(step, rows, part)
 
 
 def _over_steps(
@@ -151,6 +202,9 @@ def predict(
         lanes, differ: As for :func:`integrate`.
     """
     nodes = integrate(system, windows, parameters, initial, push, lanes, differ)
+    play = system.output_play(parameters)
+    if any(width is not None for width in play):
+        nodes = behind_play(nodes, play)
     slow = system.sensor_filter(parameters)
     nodes = nodes if not bool((slow > 0.0).any()) else filtered(nodes, slow, windows.step)
     count, channels, samples = len(windows), windows.t.shape[1], windows.t.shape[2]

@@ -1,21 +1,15 @@
-"""One integration step of a batch of windows and lanes; windows in which a joint reverses get shorter steps."""
+"""One integration step of a batch of windows and lanes, with joints that dry friction holds or slows down."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from deepkoco.systems.system import Acceleration, Motion
-
-# The sign of dry friction is smoothed over at least SHARPEST of the joint's own smoothing speed, and over the change
-# of speed in CROSSING steps. A reversal within one step would otherwise sample the sign at four stages only. The
-# impulse of the smoothed sign is right if the speed changes evenly across the reversal.
-SHARPEST = 0.6
-CROSSING = 0.3
-SATURATED = 2.0  # speed above which the smoothed sign hardly changes [smoothing speeds]
+from deepkoco.systems.dry_friction import DryFriction, Levels, rubbed
+from deepkoco.systems.joint_memory import JointMemory
+from deepkoco.systems.system import Acceleration, InverseInertia, Motion
 
 Values = tuple[Tensor, ...]
 
@@ -27,127 +21,211 @@ class Drive(NamedTuple):
         efforts: Effort of each command (W, L) at start, middle and end of the step.
         times: (W, 1) log time at start, middle and end [s].
         load: Per joint (W, L), outside load over the step; None for none.
+        memory: What effects remember at the start of the step, one (W, L) for each.
     """
 
     efforts: tuple[Values, Values, Values]
     times: tuple[Tensor, Tensor, Tensor]
     load: Values | None
+    memory: Values = ()
 
-    def part(self, rows: Tensor, k: int, parts: int) -> Drive:
-        """Drive of the windows ``rows`` over the k-th of ``parts`` parts of the step; efforts are linear in time."""
-        shares = (k / parts, (k + 0.5) / parts, (k + 1.0) / parts)
-        start, end = _rows(self.efforts[0], rows), _rows(self.efforts[2], rows)
-        efforts = [tuple(torch.lerp(a, b, s) for a, b in zip(start, end, strict=True)) for s in shares]
-        first, last = self.times[0][rows], self.times[2][rows]
-        times = [torch.lerp(first, last, s) for s in shares]
-        load = None if self.load is None else _rows(self.load, rows)
-        return Drive((efforts[0], efforts[1], efforts[2]), (times[0], times[1], times[2]), load)
+    def rows(self, rows: Tensor) -> Drive:
+        """Drive of some windows."""
+        begin, middle, end = (rows_of(e, rows) for e in self.efforts)
+        t1, t2, t4 = (t[rows] for t in self.times)
+        load = None if self.load is None else rows_of(self.load, rows)
+        return Drive((begin, middle, end), (t1, t2, t4), load, rows_of(self.memory, rows))
+
+
+class Equations(NamedTuple):
+    """Equations of motion in the form that a step needs.
+
+    Attributes:
+        free: Accelerations without dry friction.
+        friction: Levels of the dry friction.
+        inverse: Inverse inertia.
+        smoothing: Per joint, speed over which equations smooth a dry friction that they do not declare, per second.
+        memory: Effects that remember the way of a joint.
+    """
+
+    free: Acceleration
+    friction: DryFriction
+    inverse: InverseInertia
+    smoothing: Values
+    memory: JointMemory = JointMemory(())
 
 
 class Step(NamedTuple):
-    """State after a step, and the accelerations at its start and end; per joint (W, L)."""
+    """State after a step, and the accelerations at its start and end; per joint (W, L).
+
+    ``rest`` is the share of its level with which dry friction holds a joint at rest; None where no joint rests.
+    """
 
     angle: Values
     speed: Values
     first: Values
     last: Values
+    rest: Levels
 
 
-def sharpest_widths(smoothing: Sequence[float]) -> tuple[float, ...]:
-    """Smallest speed of each joint over which the sign of dry friction is smoothed, per second."""
-    return tuple(SHARPEST * speed for speed in smoothing)
-
-
-def widths(last: Values, sharpest: Sequence[float], h: float) -> Values:
-    """Speed of each joint over which the sign of dry friction is smoothed in the next step of ``h`` seconds."""
-    return tuple((CROSSING * h * a.abs()).clamp_min(s) for a, s in zip(last, sharpest, strict=True))
-
-
-def step_of(law: Acceleration, angle: Values, speed: Values, drive: Drive, width: Values, h: float) -> Step:
-    """One step of the classical Runge-Kutta method, under efforts that are linear in time.
+def directions(speed: Values, rest: Levels, friction: DryFriction) -> Levels:
+    """Share of its level with which dry friction acts against each joint: the sign of its speed, or what holds it.
 
     Args:
-        law: Equations of motion.
+        speed: Per joint (W, L).
+        rest: Per joint, share of the level at rest, 0 for a joint that moves; None for 0.
+        friction: Levels of the dry friction.
+    """
+    result: list[Tensor | None] = [None] * len(speed)
+    for j in friction.joints:
+        held, sign = rest[j], torch.sign(speed[j])
+        result[j] = sign if held is None else sign + held
+    return tuple(result)
+
+
+def step_of(
+    equations: Equations, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
+) -> Step:
+    """One step of the classical Runge-Kutta method, under efforts that are linear in time.
+
+    The direction of dry friction stays during the step. Where a joint comes to rest, turns or leaves,
+    :func:`corrected` mends the result.
+
+    Args:
+        equations: Equations of motion.
         angle: Per joint (W, L).
         speed: Per joint (W, L).
         drive: Efforts, times and loads of the step.
-        width: Per joint, speed over which the sign of dry friction is smoothed.
+        direction: Per joint, as from :func:`directions`.
         h: Step [s].
     """
     half = 0.5 * h
-    (begin, middle, end), (t1, t2, t4), load = drive
-    a1 = law(Motion(angle, speed, begin, load, t1, width))
+    (begin, middle, end), (t1, t2, t4), load, before = drive
+    free, friction, _, smoothing, memory = equations
+
+    def under(motion: Motion) -> Values:
+        loads = _with_friction(load, friction.levels(motion), direction) if steady is None else steady
+        if before:
+            loads = memory.loads(memory.advanced(before, angle, motion), motion, loads)
+        return free(motion._replace(loads=loads))
+
+    steady = None if friction.varying else _with_friction(load, friction.steady, direction)
+    a1 = under(Motion(angle, speed, begin, None, t1, smoothing))
     q2, v2 = _moved(angle, speed, half), _moved(speed, a1, half)
-    a2 = law(Motion(q2, v2, middle, load, t2, width))
+    a2 = under(Motion(q2, v2, middle, None, t2, smoothing))
     q3, v3 = _moved(angle, v2, half), _moved(speed, a2, half)
-    a3 = law(Motion(q3, v3, middle, load, t2, width))
+    a3 = under(Motion(q3, v3, middle, None, t2, smoothing))
     q4, v4 = _moved(angle, v3, h), _moved(speed, a3, h)
-    a4 = law(Motion(q4, v4, end, load, t4, width))
-    return Step(_mean(angle, speed, v2, v3, v4, h), _mean(speed, a1, a2, a3, a4, h), a1, a4)
+    a4 = under(Motion(q4, v4, end, None, t4, smoothing))
+    none = (None,) * len(speed)
+    return Step(_mean(angle, speed, v2, v3, v4, h), _mean(speed, a1, a2, a3, a4, h), a1, a4, none)
 
 
-def reversing(before: Values, after: Values, width: Values, parts: Sequence[int]) -> Tensor:
-    """Find windows in which a joint with divided reversals reverses, stops or starts.
+def _with_friction(load: Values | None, levels: Levels, direction: Levels) -> Levels:
+    """Loads on the joints together with dry friction; None for a joint without any."""
+    total: list[Tensor | None] = [None] * len(levels) if load is None else list(load)
+    for j, (level, share) in enumerate(zip(levels, direction, strict=True)):
+        if level is not None and share is not None:
+            given = total[j]
+            total[j] = -level * share if given is None else torch.addcmul(given, level, share, value=-1.0)
+    return tuple(total)
+
+
+def turning(before: Values, after: Values, friction: DryFriction) -> Tensor:
+    """Windows in which a joint with dry friction turns, comes to rest or is at rest.
 
     Args:
         before, after: Per joint (W, L), speeds at the ends of the step.
-        width: Per joint, speed over which the sign of dry friction is smoothed.
-        parts: Per joint, number of parts of a step with a reversal.
+        friction: Levels of the dry friction.
     """
     found: Tensor | None = None
-    for v0, v1, w, n in zip(before, after, width, parts, strict=True):
-        if n > 1:
-            slowest = torch.minimum(v0.abs(), v1.abs())
-            near = ((v0 * v1 <= 0.0) | (slowest < SATURATED * w)).any(-1)
-            found = near if found is None else found | near
+    for j in friction.joints:
+        near = (before[j] * after[j] <= 0.0).any(-1)
+        found = near if found is None else found | near
     return torch.zeros(0, dtype=torch.long) if found is None else found.nonzero()[:, 0]
 
 
-def divided(
-    law: Acceleration,
-    angle: Values,
-    speed: Values,
-    drive: Drive,
-    width: Values,
-    sharpest: Sequence[float],
-    h: float,
-    rows: Tensor,
-    parts: int,
+def corrected(
+    equations: Equations, step: Step, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
 ) -> Step:
-    """Integrate the step of some windows in shorter parts.
+    """Let joints come to rest, stick and turn within a step: see :mod:`deepkoco.systems.dry_friction`.
+
+    The step is integrated once more with the mean friction that is found. Without it the state after the step would
+    jump where the speed at its start changes its sign, and differences of two simulations would show the jump.
 
     Args:
-        law: Equations of motion of the windows ``rows``.
-        angle, speed, drive, width, h: As for :func:`step_of`, of all windows.
-        sharpest: Smallest width of each joint.
-        rows: Windows to integrate.
-        parts: Number of parts.
+        equations, angle, speed, drive, direction, h: As for :func:`step_of`.
+        step: Its result.
     """
-    fine, angle, speed = h / parts, _rows(angle, rows), _rows(speed, rows)
-    width = tuple((w / parts).clamp_min(s) for w, s in zip(_rows(width, rows), sharpest, strict=True))
-    first: Values = ()
-    last: Values = ()
-    for k in range(parts):
-        part = step_of(law, angle, speed, drive.part(rows, k, parts), width, fine)
-        angle, speed, last = part.angle, part.speed, part.last
-        first, width = first or part.first, widths(part.last, sharpest, fine)
-    return Step(angle, speed, first, last)
+    friction = equations.friction
+    halfway = Motion(angle, speed, drive.efforts[1], None, drive.times[1], equations.smoothing)
+    inverse = equations.inverse(halfway)
+    slide = stick = friction.steady
+    if friction.varying:
+        slide = friction.levels(halfway._replace(speeds=tuple(0.5 * v for v in speed)))
+        stick = friction.levels(halfway._replace(speeds=tuple(torch.zeros_like(v) for v in speed)))
+    found = rubbed(speed, step.speed, _loads(slide, direction), slide, stick, inverse, h)
+    direction = _shares(found.load, slide, direction)
+    again = step_of(equations, angle, speed, drive, direction, h)
+    found = rubbed(speed, again.speed, _loads(slide, direction), slide, stick, inverse, h)
+    angles, firsts, lasts, rest = list(again.angle), list(again.first), list(again.last), list(again.rest)
+    for j, own in enumerate(found.speed):
+        # The part of the way that a constant acceleration does not explain stays, but not for a joint at rest.
+        way = again.angle[j] + (found.moved[j] - 0.5 * h * (speed[j] + again.speed[j]))
+        angles[j] = way
+        if direction[j] is None:
+            continue
+        stays = own == 0.0
+        angles[j] = torch.where(stays & (speed[j] == 0.0), angle[j], way)
+        turns = speed[j] * own <= 0.0
+        mean = (own - speed[j]) / h
+        firsts[j], lasts[j] = (
+            torch.where(turns, mean, again.first[j]),
+            torch.where(turns, mean, again.last[j]),
+        )
+        share = _shares(found.hold, stick, direction)[j]
+        assert share is not None
+        rest[j] = torch.where(stays, share, torch.zeros((), dtype=share.dtype))
+    return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), tuple(rest))
+
+
+def _loads(levels: Levels, direction: Levels) -> Levels:
+    """Friction loads; a level below 0 drives the joint and is part of its free motion."""
+    return tuple(
+        None if level is None or share is None else -level.clamp_min(0.0) * share
+        for level, share in zip(levels, direction, strict=True)
+    )
+
+
+def _shares(loads: Levels, levels: Levels, direction: Levels) -> Levels:
+    """Friction loads as shares of their levels, against them; ``direction`` where the level is not above 0."""
+    result: list[Tensor | None] = []
+    for load, level, share in zip(loads, levels, direction, strict=True):
+        if load is None or level is None or share is None:
+            result.append(share)
+        else:
+            safe = torch.where(level > 0.0, level, torch.ones((), dtype=level.dtype))
+            result.append(torch.where(level > 0.0, -load / safe, share))
+    return tuple(result)
 
 
 def replaced(step: Step, rows: Tensor, part: Step) -> Step:
     """Replace the result of a step in the windows ``rows``."""
-    return Step(
-        *(
-            tuple(
-                a.index_copy(0, rows, b.expand(len(rows), a.shape[1]))
-                for a, b in zip(whole, own, strict=True)
-            )
-            for whole, own in zip(step, part, strict=True)
-        )
+
+    def mixed(whole: Values, own: Values) -> Values:
+        pairs = zip(whole, own, strict=True)
+        return tuple(a.index_copy(0, rows, b.expand(len(rows), a.shape[1])) for a, b in pairs)
+
+    rest = tuple(
+        None if own is None else torch.zeros_like(v).index_copy(0, rows, own.expand(len(rows), v.shape[1]))
+        for v, own in zip(step.speed, part.rest, strict=True)
     )
+    angle, speed, first, last = (mixed(whole, own) for whole, own in zip(step[:4], part[:4], strict=True))
+    return Step(angle, speed, first, last, rest)
 
 
-def _rows(values: Values, rows: Tensor) -> Values:
+def rows_of(values: Values, rows: Tensor) -> Values:
+    """Some windows of what has one value per window, and anything else as it is."""
     return tuple(v if v.ndim < 2 else v.index_select(0, rows) for v in values)
 
 

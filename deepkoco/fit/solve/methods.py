@@ -151,7 +151,11 @@ METHODS: dict[str, type[LevenbergMarquardt] | type[CmaEs]] = {"lm": LevenbergMar
 
 
 class _ProfileCost:
-    """Profile cost: cost of each point of a population, minimised over the initial states of the windows."""
+    """Profile cost: cost of each point of a population, minimised over the initial states of the windows.
+
+    A joint that sticks gives the initial states several minima, so they start from the measured states as well as
+    from those of the best point so far.
+    """
 
     def __init__(self, problem: FitProblem, request: FitRequest) -> None:
         self.problem, self.request = problem, request
@@ -171,9 +175,15 @@ class _ProfileCost:
         pairs = [self.split(point) for point in points]
         nuisance = np.array([z for _, z in pairs])
         given = torch.from_numpy(nuisance) if nuisance.shape[1] else None
-        start = self.state.expand(len(points), *self.state.shape)
-        states, costs = self.problem.fit_states_each([v for v, _ in pairs], start, STATE_STEPS, given)
-        self.simulations += STATE_STEPS * len(points) * (1 + self.state.shape[1])
+        starts = torch.stack([self.state, self.problem.windows.state])
+        start = starts.repeat_interleave(len(points), 0)
+        twice = None if given is None else given.repeat(2, 1)
+        states, costs = self.problem.fit_states_each([v for v, _ in pairs] * 2, start, STATE_STEPS, twice)
+        states, costs = states.unflatten(0, (2, -1)), costs.unflatten(0, (2, -1))
+        better = torch.where(costs.isfinite(), costs, torch.inf).argmin(0)  # (K, W)
+        costs = costs.gather(0, better[None])[0]
+        states = states.gather(0, better[None, ..., None].expand(-1, -1, -1, states.shape[-1]))[0]
+        self.simulations += 2 * STATE_STEPS * len(points) * (1 + self.state.shape[1])
         offset = points[:, : len(self.centre)] - self.centre
         total = costs.sum(-1).numpy() + np.einsum("li,ij,lj->l", offset, self.precision, offset)
         if nuisance.shape[1]:

@@ -15,15 +15,15 @@ from deepkoco.graph.delay import DelayError, RankCorrelation, RecordedDelays, St
 from deepkoco.graph.model.graph import Graph, check_coupling
 from deepkoco.graph.timing.computation_graph import ComputationGraph
 from deepkoco.graph.timing.drawn import DrawnDelays
-from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, Draws, Times, run_rows
+from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, Draws, Measured, Times, run_rows
 from deepkoco.graph.timing.origin import Origin
-from deepkoco.graph.timing.overrides import Delays, TimingError, read_overrides
+from deepkoco.graph.timing.overrides import ChannelLaws, Delays, TimingError, read_overrides
 from deepkoco.graph.timing.plan import plan_of
 from deepkoco.graph.timing.waiting import Waiting
 
 __all__ = ["Delays", "TimingError", "draw_timing", "extend_timing"]
 _AT_ONCE = 100_000  # steps of nodes that are worked out between two looks at the clock
-_MOST_STRETCH = 64  # an episode that takes this many times its nominal steps is not going to end
+MOST_STRETCH = 64  # an episode that takes this many times its nominal steps is not going to end
 
 
 def draw_timing(
@@ -66,10 +66,7 @@ def draw_timing(
     """
     if steps < 1 or batch < 1 or (rows is not None and rows < 1):
         raise TimingError(f"steps {steps}, batch {batch} and rows {rows} must be at least 1")
-    plan = plan_of(graph)
-    own = dict(zip(plan.channels, plan.laws, strict=True))
-    nodes = plan.channels[: len(graph.nodes)]
-    laws = read_overrides(own, nodes, delays or {}, rows or batch, traces)
+    laws = laws_of(graph, delays or {}, rows or batch, traces)
     coupled = graph.correlations, graph.stalls
     if correlations is not None or stalls is not None:
         try:
@@ -82,16 +79,7 @@ def draw_timing(
             raise TimingError(str(error)) from error
     if rows is None:
         rows = 1 if laws.constant and not coupled[1] else batch
-    if isinstance(generator, torch.Generator):
-        seed = int(torch.randint(2**62, (), generator=generator))
-    elif isinstance(generator, np.random.Generator):
-        seed = int(generator.integers(2**62))
-    else:
-        raise TimingError(
-            f"generator {generator!r} is no generator; give np.random.default_rng(SEED) or "
-            "torch.Generator().manual_seed(SEED)"
-        )
-    origin = Origin(graph, seed, laws, *coupled, rows, None)
+    origin = Origin(graph, draw_seed(generator), laws, *coupled, rows, None)
     return _work_out(origin, steps, np.arange(batch, dtype=np.int64) % rows)
 
 
@@ -108,9 +96,42 @@ def extend_timing(timing: ComputationGraph, steps: int) -> ComputationGraph:
     return _work_out(timing.origin, steps, timing.row)
 
 
+def laws_of(graph: Graph, delays: Delays, rows: int, traces: RecordedDelays | None = None) -> ChannelLaws:
+    """Return where the delays of a graph's channels come from, `delays` in the place of its own laws.
+
+    Raises:
+        TimingError: an override names nothing in the graph, or is no delay.
+    """
+    plan = plan_of(graph)
+    own = dict(zip(plan.channels, plan.laws, strict=True))
+    return read_overrides(own, plan.channels[: len(graph.nodes)], delays, rows, traces)
+
+
+def draw_seed(generator: np.random.Generator | torch.Generator) -> int:
+    """Draw the number from which all delays of a timing follow.
+
+    Raises:
+        TimingError: it is no generator.
+    """
+    if isinstance(generator, torch.Generator):
+        return int(torch.randint(2**62, (), generator=generator))
+    if isinstance(generator, np.random.Generator):
+        return int(generator.integers(2**62))
+    raise TimingError(
+        f"generator {generator!r} is no generator; give np.random.default_rng(SEED) or "
+        "torch.Generator().manual_seed(SEED)"
+    )
+
+
+def resolution_of(origin: Origin) -> int:
+    """Return the ticks per second of a timing with these delays."""
+    plan = plan_of(origin.graph)
+    return plan.resolution(law for key, law in origin.laws.same.items() if law is not _own(plan, key))
+
+
 def _work_out(origin: Origin, steps: int, row: np.ndarray) -> ComputationGraph:
     graph, plan = origin.graph, plan_of(origin.graph)
-    resolution = plan.resolution(law for key, law in origin.laws.same.items() if law is not _own(plan, key))
+    resolution = resolution_of(origin)
     rules = plan.rules(resolution)
     capacity = planned = plan.capacity(steps)
     drawn = DrawnDelays(graph, origin, resolution)
@@ -127,7 +148,7 @@ def _work_out(origin: Origin, steps: int, row: np.ndarray) -> ComputationGraph:
         if status != FULL:
             raise TimingError("no node can take its next step: blocking inputs wait for each other")
         capacity = capacity * 2
-        if capacity.max() > _MOST_STRETCH * planned.max():
+        if capacity.max() > MOST_STRETCH * planned.max():
             raise TimingError(
                 f'supervisor "{graph.supervisor}" does not come to its step {steps}: delays hold it up, or '
                 "nodes with advance=True and only blocking inputs drive each other without any tick"
@@ -136,6 +157,8 @@ def _work_out(origin: Origin, steps: int, row: np.ndarray) -> ComputationGraph:
 
 def _run(steps: int, rules: Any, columns: Any, draws: Draws, times: Times) -> int:
     """Fill the times of all schedules, a part of them at a time so that who waits can see how far it is."""
+    flags = np.zeros(len(rules.rank), dtype=np.bool_), np.zeros(len(rules.sender), dtype=np.bool_)
+    nothing = Measured(np.zeros(0, dtype=np.int64), *flags)
     rows, size = len(draws.values), max(1, _AT_ONCE // max(1, times.t_start.shape[1]))
     with Waiting("drawing schedules", rows) as waiting:
         for first in range(0, rows, size):
@@ -145,7 +168,6 @@ def _run(steps: int, rules: Any, columns: Any, draws: Draws, times: Times) -> in
                 stall_begin=draws.stall_begin[part],
                 stall_end=draws.stall_end[part],
             )
-            nothing = np.zeros((len(own.values), 0), dtype=np.int64)
             status = run_rows(steps, rules, columns, own, nothing, Times(*(t[part] for t in times)))
             if status != DONE:
                 return status

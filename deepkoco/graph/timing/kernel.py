@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 DONE, FULL, STUCK, UNSTALLED = 0, 1, 2, 3
+_INCOMPLETE, _COMPLETE, _HELD = 0, 1, 2
 LOST = np.iinfo(np.int64).max // 4
 """Ticks: the arrival of a message that never arrives; everything from here on is never."""
 
@@ -72,6 +73,21 @@ class Draws(NamedTuple):
     stalled: np.ndarray
 
 
+class Measured(NamedTuple):
+    """What was measured and is not worked out; the same in all schedules.
+
+    Attributes:
+        start: (steps of all nodes) measured starts [ticks]; `LOST` from where the record of a node ends. Empty:
+            nothing was measured.
+        node: (N,) bool, which nodes start when they were measured to start.
+        edge: (E,) bool, of which connections the arrivals were measured.
+    """
+
+    start: np.ndarray
+    node: np.ndarray
+    edge: np.ndarray
+
+
 class Times(NamedTuple):
     """What the rules give, as in `ComputationGraph`."""
 
@@ -83,8 +99,8 @@ class Times(NamedTuple):
 
 
 @njit(cache=True)
-def run_rows(steps, rules, columns, draws, recorded, times):
-    """Fill `times`; `recorded` has measured starts (R, steps of all nodes), or no columns at all.
+def run_rows(steps, rules, columns, draws, measured, times):
+    """Fill `times` by the rules; what was measured (see `Measured`) comes when it came.
 
     Returns:
         DONE, FULL (a node ran out of columns), STUCK, or UNSTALLED (the drawn stalls end before the episode).
@@ -104,21 +120,21 @@ def run_rows(steps, rules, columns, draws, recorded, times):
         for e in range(edges):
             for i in range(rules.window[e]):
                 seen[e, i] = i - rules.window[e]
-        status = _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, seen, picked)
+        status = _run_row(row, steps, rules, columns, draws, measured, times, count, taken, seen, picked)
         if status != DONE:
             return status
     return DONE
 
 
 @njit(cache=True)
-def _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, seen, picked):
-    replay = recorded.shape[1] > 0
+def _run_row(row, steps, rules, columns, draws, measured, times, count, taken, seen, picked):
     nodes, edges = len(rules.rank), len(rules.sender)
     supervisor = rules.supervisor
     shift = np.zeros(nodes, np.int64)
     ready = np.zeros(nodes, np.int64)
     known = np.zeros(nodes, np.bool_)
     stale = np.ones(nodes, np.bool_)
+    held = np.zeros(nodes, np.bool_)
     unknown = nodes
     last_arrival = np.zeros(edges, np.int64)
     stall = np.zeros(draws.stalled.shape[0], np.int64)
@@ -129,12 +145,15 @@ def _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, s
             stale[n] = False
             if count[n] >= columns.step_base[n + 1] - columns.step_base[n]:
                 return FULL
-            start, complete = _next_start(
-                n, row, rules, columns, draws, recorded, times, count, taken, picked, shift
+            start, state = _next_start(
+                n, row, rules, columns, draws, measured, times, count, taken, shift, ready, known
             )
             if start < 0:
                 return FULL
-            if complete:
+            held[n] = state == _HELD
+            if held[n]:
+                ready[n], stale[n] = start, True
+            elif state == _COMPLETE:
                 ready[n], known[n] = start, True
                 unknown -= 1
         # The next step is the earliest; at one instant senders come first.
@@ -146,14 +165,16 @@ def _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, s
                 n = m
             elif ready[m] > ready[n]:
                 continue
-            elif replay and n == supervisor and count[n] == steps:
-                n = m  # whatever was measured came before the end
-            elif replay and m == supervisor and count[m] == steps:
-                continue
             elif _comes_first(m, n, rules, known, unknown):
                 n = m
+        n = _let_go(n, rules, ready, known, held)
         if n < 0:
             return STUCK
+        if not known[n]:
+            held[n], known[n] = False, True
+            unknown -= 1
+        if n == supervisor and count[n] == steps and measured.node[n]:
+            n = _measured_before_end(n, rules, measured, ready, known, unknown)
         k, now = count[n], ready[n]
         column = columns.step_base[n] + k
         for j in range(rules.into_base[n], rules.into_base[n + 1]):
@@ -161,7 +182,7 @@ def _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, s
             if rules.blocking[e]:
                 _take_awaited(e, k, row, now, rules, columns, times, count, taken, seen, picked)
             else:
-                _take_arrived(e, row, now, replay, rules, columns, times, count, taken, seen, picked)
+                _take_arrived(e, row, now, measured, rules, columns, times, count, taken, seen, picked)
             size = rules.window[e]
             for i in range(size):
                 times.windows[row, columns.window_base[e] + k * size + i] = seen[e, i]
@@ -191,7 +212,7 @@ def _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, s
                 if arrival < 0:
                     return UNSTALLED
                 # Measured messages come in the order in which they came; a lost one holds nothing back.
-                if rules.fifo[e] and not replay:
+                if rules.fifo[e] and not measured.edge[e]:
                     arrival = max(arrival, last_arrival[e])
                     last_arrival[e] = arrival
             times.t_received[row, columns.message_base[e] + k] = arrival
@@ -206,9 +227,43 @@ def _run_row(row, steps, rules, columns, draws, recorded, times, count, taken, s
 
 
 @njit(cache=True)
-def _next_start(n, row, rules, columns, draws, recorded, times, count, taken, picked, shift):
-    """Rules 2 and 3: start of a node's next step, and whether all messages that it awaits have been sent."""
-    replay = recorded.shape[1] > 0
+def _let_go(n, rules, ready, known, held):
+    """The step to run: node n's, the earliest known one, or one that is held and starts before it.
+
+    Whoever is still unknown waits for a known step, so nothing that could arrive by then is to come.
+    """
+    first = -1
+    for m in range(len(held)):
+        if not held[m] or (n >= 0 and ready[m] >= ready[n]):
+            continue
+        if first < 0 or ready[m] < ready[first]:
+            first = m
+        elif ready[m] > ready[first]:
+            continue
+        elif rules.rank[m] < rules.rank[first]:
+            first = m
+    return n if first < 0 else first
+
+
+@njit(cache=True)
+def _measured_before_end(supervisor, rules, measured, ready, known, unknown):
+    """The measured step that runs next at the instant of the end: all that were measured came before it."""
+    n = supervisor
+    for m in range(len(known)):
+        if m == supervisor or not known[m] or not measured.node[m] or ready[m] != ready[supervisor]:
+            continue
+        if n == supervisor or _comes_first(m, n, rules, known, unknown):
+            n = m
+    return n
+
+
+@njit(cache=True)
+def _next_start(n, row, rules, columns, draws, measured, times, count, taken, shift, ready, known):
+    """Rules 2 and 3: start of a node's next step, and whether all messages that it awaits have been sent.
+
+    A step whose start was measured is held while a node that was not measured may still send what it awaited.
+    """
+    mine = measured.node[n]
     k = count[n]
     column = columns.step_base[n] + k
     tick = columns.ticks[columns.tick_base[n] + k]
@@ -228,15 +283,20 @@ def _next_start(n, row, rules, columns, draws, recorded, times, count, taken, pi
             if begun > tick or (rules.skip[e] and begun == tick):
                 break
             if i >= count[s]:
-                if not replay:
-                    return start, False
+                if not mine:
+                    return start, _INCOMPLETE
                 # A measured start did not wait for what arrived, or if lost was sent, after it.
-                work = draws.values[row, draws.first[s] + i]
-                way = draws.values[row, draws.first[len(rules.rank) + e] + i]
-                if way < LOST:
-                    work += way
-                if recorded[row, columns.step_base[s] + i] + work <= recorded[row, column]:
-                    return start, False
+                if measured.node[s]:
+                    sent = measured.start[columns.step_base[s] + i]
+                elif known[s]:
+                    sent = ready[s]
+                else:
+                    return measured.start[column], _HELD
+                sent += draws.values[row, draws.first[s] + i * draws.stride[s]]
+                channel = len(rules.rank) + e
+                way = draws.values[row, draws.first[channel] + i * draws.stride[channel]]
+                if (sent + way if way < LOST else sent) <= measured.start[column]:
+                    return measured.start[column], (_INCOMPLETE if measured.node[s] else _HELD)
                 break
             # A lost message is waited for until it was sent: then nothing is to come, as far as is known.
             known_at = times.t_received[row, base + i]
@@ -244,9 +304,9 @@ def _next_start(n, row, rules, columns, draws, recorded, times, count, taken, pi
                 known_at = times.t_end[row, columns.step_base[s] + i]
             start = max(start, known_at)
             i += 1
-        if i >= size and not replay:
-            return -1, False
-    return (recorded[row, column] if replay else start), True
+        if i >= size and not measured.node[s]:
+            return -1, _INCOMPLETE
+    return (measured.start[column] if mine else start), _COMPLETE
 
 
 @njit(cache=True)
@@ -309,10 +369,10 @@ def _take_awaited(e, k, row, now, rules, columns, times, count, taken, seen, pic
 
 
 @njit(cache=True)
-def _take_arrived(e, row, now, replay, rules, columns, times, count, taken, seen, picked):
+def _take_arrived(e, row, now, measured, rules, columns, times, count, taken, seen, picked):
     """Rule 5: take everything that has arrived, in the order of arrival."""
     s, base, nominal = rules.sender[e], columns.message_base[e], rules.nominal[e]
-    in_order = rules.fifo[e] and not replay
+    in_order = rules.fifo[e] and not measured.edge[e]
     while True:
         best = -1
         for i in range(taken[e], count[s]):

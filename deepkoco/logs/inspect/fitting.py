@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 from deepkoco.logs.inspect.evidence import samples_of
@@ -10,7 +11,7 @@ from deepkoco.logs.inspect.joints import has_named_joints, propose_joints
 from deepkoco.logs.inspect.misfit import misfit
 from deepkoco.logs.inspect.proposal import Proposal, Proposer
 from deepkoco.logs.inspect.survey import Survey
-from deepkoco.systems import SYSTEMS, System, any_system, make_system
+from deepkoco.systems import System, UnknownSystemError, any_system, make_system, system_names
 
 ALIKE = 1.0  # difference of evidence per channel below which two systems fit equally well [nats]
 
@@ -38,7 +39,7 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
 
     Args:
         survey: survey of the log.
-        system: the system, or its name; None takes the system that fits best.
+        system: the system, or what `load_system` takes; None takes the known system that fits best.
         others: further logs with the same columns, as evidence of directions and zeros.
 
     Raises:
@@ -47,7 +48,7 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
     """
     samples = samples_of(survey)
     proposer: Proposer | None = None
-    systems = [make_system(name) for name in SYSTEMS] if system is None else [any_system(system)]
+    systems = _known() if system is None else [any_system(system)]
     proposals: dict[str, tuple[System, Proposal]] = {}
     for found in systems:
         if has_named_joints(found):
@@ -89,6 +90,15 @@ def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError
         f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; write the sidecar by "
         'hand, or choose another system ("deepkoco systems" lists them)'
     )
+
+
+def _known() -> list[System]:
+    """Every system with a name, without those whose package is broken: another system may be the right one."""
+    found = []
+    for name in system_names():
+        with suppress(UnknownSystemError):
+            found.append(make_system(name))
+    return found
 
 
 def _fit(proposal: Proposal) -> float:

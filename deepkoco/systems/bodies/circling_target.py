@@ -21,6 +21,8 @@ class CirclingTarget(System):
         arm: The arm; parameters, commands and delays are its own.
     """
 
+    wraps = True
+
     def __init__(self, arm: TwoLinkArm) -> None:
         self.arm = arm
         self.name, self.joints, self.parameters = arm.name, arm.joints, arm.parameters

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.joint import TILT, JointSystem, TorqueLaw, angle_channel, speed_channel
 from deepkoco.systems.system import Channel, Parameter, Parameters
 
@@ -19,7 +20,8 @@ COULOMB_SMOOTHING = 0.1
 class Pendulum(JointSystem):
     """J theta'' = u K/R + m g l sin(theta) - b theta' - theta' K^2/R - c sign(theta'), theta = 0 upright.
 
-    The sign is smoothed; a parameter ``coulomb_smoothing`` [rad/s], where a caller gives it, sets the width.
+    In `derivative` the sign is smoothed; a parameter ``coulomb_smoothing`` [rad/s], where a caller gives it, sets the
+    width. In simulations along a log the joint sticks.
 
     Source: thesis app. 4.C.1; nominal values as published with the disk pendulum of REX and EAGERx,
         rounded.
@@ -46,6 +48,9 @@ class Pendulum(JointSystem):
     def load_scale(self) -> float:
         mass, length = self.parameter("mass").value, self.parameter("length").value
         return mass * GRAVITY * length
+
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
+        return (parameters["coulomb"],)
 
     def inertia(self, parameters: Parameters) -> Tensor:
         return parameters["inertia"]

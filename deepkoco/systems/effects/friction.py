@@ -37,6 +37,10 @@ def _coulomb(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     return (declared,) if system.dry_friction else ()
 
 
+def _coulomb_level(joint: JointState, p: Parameters) -> Tensor:
+    return p["torque"]
+
+
 def _coulomb_load(joint: JointState, p: Parameters) -> Tensor:
     return -p["torque"] * smooth_sign(joint)
 
@@ -54,9 +58,12 @@ def _stribeck(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     )
 
 
+def _stribeck_level(joint: JointState, p: Parameters) -> Tensor:
+    return p["coulomb"] + p["breakaway"] * torch.exp(-(joint.speed / p["speed"]).square())
+
+
 def _stribeck_load(joint: JointState, p: Parameters) -> Tensor:
-    level = p["coulomb"] + p["breakaway"] * torch.exp(-(joint.speed / p["speed"]).square())
-    return -level * smooth_sign(joint)
+    return -_stribeck_level(joint, p) * smooth_sign(joint)
 
 
 def _quadratic(system: System, joint: int = 0) -> tuple[Parameter, ...]:
@@ -78,15 +85,26 @@ def _load_friction(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("coefficient", 0.0, unit, -0.5 * scale, 0.5 * scale, 0.1 * scale, text),)
 
 
+def _load_friction_level(joint: JointState, p: Parameters) -> Tensor:
+    return p["coefficient"] * joint.effort.abs()
+
+
 def _load_friction_load(joint: JointState, p: Parameters) -> Tensor:
-    return -p["coefficient"] * joint.effort.abs() * smooth_sign(joint)
+    return -_load_friction_level(joint, p) * smooth_sign(joint)
 
 
 VISCOUS = Effect(
     "viscous", "friction", "load", _viscous, "friction in proportion to the speed", _viscous_load
 )
 COULOMB = Effect(
-    "coulomb", "friction", "load", _coulomb, "dry friction of constant size", _coulomb_load, dry=True
+    "coulomb",
+    "friction",
+    "load",
+    _coulomb,
+    "dry friction of constant size",
+    _coulomb_load,
+    level=_coulomb_level,
+    steady=True,
 )
 STRIBECK = Effect(
     "stribeck",
@@ -95,7 +113,7 @@ STRIBECK = Effect(
     _stribeck,
     "dry friction that is larger near standstill",
     _stribeck_load,
-    dry=True,
+    level=_stribeck_level,
 )
 QUADRATIC = Effect(
     "quadratic", "friction", "load", _quadratic, "drag in proportion to the speed squared", _quadratic_load
@@ -107,5 +125,5 @@ LOAD_FRICTION = Effect(
     _load_friction,
     "dry friction that grows with what the actuator delivers",
     _load_friction_load,
-    dry=True,
+    level=_load_friction_level,
 )

@@ -164,3 +164,58 @@ def test_replaying_an_episode_with_losses_and_stalls_gives_the_same_windows(grap
     again = replay_timing(graph, measured)
     for e in range(len(graph.connections)):
         np.testing.assert_array_equal(again.windows_of(e), timing.windows_of(e))
+
+
+def measured_times(graph: Graph, timing, without=()) -> MeasuredTiming:
+    """The times of schedule 0 of a timing, without those of some nodes and of the connections at them."""
+    kept = [(n, node.name) for n, node in enumerate(graph.nodes) if node.name not in without]
+    steps = {name: [in_seconds(t, timing.resolution) for t in timing.steps_of(n)] for n, name in kept}
+    arrivals = {
+        c.key: in_seconds(timing.messages_of(e)[1], timing.resolution)
+        for e, c in enumerate(graph.connections)
+        if c.sender not in without and c.receiver not in without
+    }
+    starts, ends = ({name: times[i] for name, times in steps.items()} for i in (0, 1))
+    return MeasuredTiming(starts, ends, arrivals)
+
+
+def assert_same_schedule(graph: Graph, timing, again, added=()) -> None:
+    """The same steps, messages and windows; an added node may take a step more or less at the instant of the end."""
+    assert again.resolution == timing.resolution
+    end = timing.steps_of(graph.index["agent"])[0][-1]
+    for n, node in enumerate(graph.nodes):
+        both = [t.steps_of(n) for t in (timing, again)]
+        common = min(len(start) for start, _ in both)
+        for there, here in zip(*both, strict=True):
+            np.testing.assert_array_equal(here[:common], there[:common])
+        rest = [start[common:] for start, _ in both]
+        assert node.name in added or not any(len(r) for r in rest)
+        assert all((r == end).all() for r in rest)
+    for e in range(len(graph.connections)):
+        arrivals, windows = (
+            [part(t, e) for t in (timing, again)]
+            for part in (lambda t, e: t.messages_of(e)[1], lambda t, e: t.windows_of(e))
+        )
+        for there, here in (arrivals, windows):
+            common = min(len(there), len(here))
+            np.testing.assert_array_equal(here[:common], there[:common])
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    graph=graphs(),
+    steps=st.integers(1, 6),
+    which=st.integers(0, 2**10),
+    lossy=st.booleans(),
+    seed=st.integers(0, 2**32),
+)
+def test_nodes_taken_out_of_a_recording_and_added_again_run_as_they_did(graph, steps, which, lossy, seed):
+    if lossy:
+        graph = random_graph(Random(seed), lossy=True)
+    timing = draw_timing(graph, np.random.default_rng(3), steps, 1)
+    others = [node.name for node in graph.nodes if node.name != "agent"]
+    added = [name for i, name in enumerate(others) if which >> i & 1]
+    again = replay_timing(
+        graph, measured_times(graph, timing, added), added=added, generator=np.random.default_rng(3)
+    )
+    assert_same_schedule(graph, timing, again, added)

@@ -5,6 +5,7 @@ from deepkoco.graph.episodes.storage.description import RecordedNode, describe_g
 from deepkoco.graph.episodes.storage.episode_writer import EpisodeWriter
 from deepkoco.graph.episodes.storage.read import RecordedRun, read_episodes
 from deepkoco.graph.episodes.storage.write import write_episodes
+from deepkoco.old_names import moved_names
 
 __all__ = [
     "EpisodeFileError",
@@ -16,3 +17,5 @@ __all__ = [
     "read_episodes",
     "write_episodes",
 ]
+
+__getattr__ = moved_names(__name__)

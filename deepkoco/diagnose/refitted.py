@@ -1,0 +1,88 @@
+"""The baseline refitted to the logs: every later stage of a diagnosis compares with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from deepkoco.diagnose.baseline import Baseline, prior_of_mean, refit_sharply, with_floor_as_noise
+from deepkoco.diagnose.data import Data
+from deepkoco.diagnose.evidence.event_windows import train_on_pushed
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+
+PATIENCE = 40  # iterations of a refit in which some parameters are kept
+
+
+@dataclass(frozen=True)
+class Refitted:
+    """A baseline and its refit to the training windows.
+
+    Attributes:
+        learned: The baseline before the refit; its prior is that of one log.
+        start: The baseline of this fit; with run-to-run variance, its prior is that of the mean of the logs.
+        data: The windows with the noise that the refit leaves.
+        problem: The fit of the training windows.
+        reference: The refit.
+    """
+
+    learned: Baseline
+    start: Baseline
+    data: Data
+    problem: FitProblem
+    reference: Fit
+
+    @property
+    def train(self) -> Windows:
+        """The training windows."""
+        return self.data.train
+
+    @property
+    def held(self) -> Windows | None:
+        """The held-out windows; None where there are none."""
+        return self.data.held if self.data.held is not None and len(self.data.held) > 0 else None
+
+
+def with_parameters_kept(base: Refitted, names: Sequence[str]) -> Refitted:
+    """Return the baseline with a refit in which some parameters keep the values given.
+
+    The refit itself may move a changed parameter as far as the cause that names it. It could then not show what this
+    cause explains.
+
+    Args:
+        base: The refitted baseline.
+        names: The parameters; with none, or where this simulation diverges, ``base`` is returned.
+    """
+    if not names:
+        return base
+    problem, refit = base.problem, base.reference
+    values = {**refit.values, **{n: base.start.values[n] for n in names}}
+    state, _ = problem.fit_states(values, refit.state)
+    free = tuple(n for n in refit.free if n not in names)
+    fit = problem.fit([Trial("refit", free, base.start.prior, values, state, refit.nuisance)], PATIENCE)[0]
+    return base if fit.diverged else replace(base, reference=problem.recentred(fit))
+
+
+def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
+    """Refit a baseline to the training windows.
+
+    Args:
+        learned: The baseline, as given or as learned from healthy logs.
+        data: The windows of the logs to explain.
+    """
+    start = learned
+    if start.runs is not None and not (data.own and len(data.train.commands) == 1):
+        # With run-to-run variance, each log to explain has its own parameters, as each healthy log had.
+        start, varies = prior_of_mean(start)
+        data = data.varying(varies)
+    train, reference = refit_sharply(start, data.train)
+    if start.least_deflation > 1.0:
+        # The floor of the healthy unit counts as noise; otherwise the refit would leave its prior to fit it.
+        start, train, reference = with_floor_as_noise(start, train)
+    varies = train.varies if data.held is not None and data.held.varies else {}
+    held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
+    if held is not None and data.own:
+        train, held, reference = train_on_pushed(start, train, held, reference)
+    return Refitted(
+        learned, start, replace(data, train=train, held=held), FitProblem(start.system, train), reference
+    )

@@ -1,0 +1,39 @@
+"""What a diagnosis is asked: the logs to explain, the system as given, and how to search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.data import Data
+from deepkoco.diagnose.progress import Progress
+from deepkoco.logs.recording import Recording
+from deepkoco.systems import System
+
+
+@dataclass(frozen=True)
+class DiagnosisRequest:
+    """Input of every stage of a diagnosis; no stage changes it.
+
+    Attributes:
+        recordings: Logs to explain.
+        system: The system as given.
+        data: Windows of the logs.
+        length: Length of a window [s].
+        seed: Seed of the bootstrap.
+        detection: Fall of the BIC from which a cause is named.
+        causes: Causes to try; None tries the whole catalogue.
+        progress: Called with the name of each step.
+        began: When the diagnosis began, by ``time.perf_counter`` [s].
+    """
+
+    recordings: Sequence[Recording]
+    system: System
+    data: Data
+    length: float
+    seed: int
+    detection: float
+    causes: Sequence[Cause] | None
+    progress: Progress
+    began: float

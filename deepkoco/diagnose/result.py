@@ -1,0 +1,226 @@
+"""The result of a diagnosis, built from the explanation of the logs and the judgement of it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from deepkoco.diagnose.causes import is_changed
+from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, describe_data
+from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding, Moved
+from deepkoco.diagnose.evidence.selection import DETECTION
+from deepkoco.diagnose.explanation import Explanation
+from deepkoco.diagnose.healthy import describe_healthy
+from deepkoco.diagnose.lost_commands.search import why_not_searched
+from deepkoco.diagnose.refitted import Refitted
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, missing_torque, white_limit
+from deepkoco.diagnose.residuals.signatures import signatures
+from deepkoco.diagnose.residuals.spectrum import spectrum_of
+from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
+from deepkoco.diagnose.verdict.findings import estimates, finding, localise
+from deepkoco.diagnose.verdict.judgement import Judgement
+from deepkoco.diagnose.verdict.moved import moved_parameters
+from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
+from deepkoco.diagnose.verdict.unknown import describe
+from deepkoco.fit.fit import Fit
+from deepkoco.fit.solve.identifiability import Direction, unidentified
+from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
+from deepkoco.output.versions import versions
+from deepkoco.systems import ExtendedSystem
+
+
+def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement: Judgement) -> Diagnosis:
+    """Return what the report, its page and the extended simulation show.
+
+    Args:
+        request: The logs and the system as given.
+        explanation: The refitted baseline and the selected causes.
+        judgement: The verdict on them.
+    """
+    base, train, first = explanation.base, explanation.base.train, explanation.first
+    at_end = judgement.final if judgement.load is None else judgement.load.fit
+    return Diagnosis(
+        verdict=judgement.verdict,
+        causes=judgement.causes,
+        candidates=_candidates(explanation, judgement),
+        gain=judgement.gain,
+        chi2_before=judgement.before.chi2 / train.samples,
+        chi2_after=at_end.chi2 / train.samples,
+        strength=float(np.sqrt(max(judgement.before.chi2 - at_end.chi2, 0.0) / train.samples)),
+        windows=len(train),
+        window_s=request.length,
+        localisation=localise(judgement.missing),
+        advice=_advice(request, explanation, judgement),
+        data={
+            **describe_data(request.recordings, base.data),
+            "healthy": describe_healthy(base.learned),
+        },
+        refit=estimates(base.problem, base.reference, base.reference.free, first.deflation),
+        model=_model(request, explanation, judgement),
+        seed=request.seed,
+        versions=versions(),
+        seconds=time.perf_counter() - request.began,
+        unexplained=_unexplained(request, explanation, judgement),
+        detection=request.detection,
+        details=_details(request, base, judgement),
+        final=_written(base, judgement),
+        moved=_moved(base) if judgement.verdict == "nothing" else (),
+    )
+
+
+def insufficient(request: DiagnosisRequest) -> Diagnosis:
+    """Return the result for logs with too few windows: what they lack, and what to record.
+
+    Args:
+        request: The logs and the system as given.
+    """
+    data, system, found = request.data, request.system, len(request.data.train)
+    advice = missing_for_diagnosis(
+        request.recordings, system, data.train.noise, request.length, found, MIN_TRAINING_WINDOWS
+    )
+    return Diagnosis(
+        verdict="insufficient",
+        causes=(),
+        candidates=(),
+        gain=None,
+        chi2_before=float("nan"),
+        chi2_after=float("nan"),
+        strength=0.0,
+        windows=found,
+        window_s=request.length,
+        localisation=(),
+        advice=advice,
+        data=describe_data(request.recordings, data),
+        refit={},
+        model=system,
+        seed=request.seed,
+        versions=versions(),
+        seconds=time.perf_counter() - request.began,
+        detection=DETECTION,
+    )
+
+
+def _candidates(explanation: Explanation, judgement: Judgement) -> tuple[Finding, ...]:
+    """Return everything that was tried, the largest fall of the BIC first."""
+    problem, lost = explanation.base.problem, explanation.found.lost
+    given = explanation.base.start.values
+    ranked = [finding(problem, c, explanation.first, before=given) for c in explanation.first.candidates]
+    traced = (*judgement.scattered, *([lost] if lost else []))
+    return tuple(sorted((*ranked, *traced), key=lambda c: -c.delta_bic))
+
+
+def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement: Judgement) -> dict:
+    """Return what remains in the residuals, what the data cannot tell apart, and what was not fitted."""
+    base, final, left = explanation.base, judgement.final, judgement.left
+    train = base.train
+    limit, alike = white_limit(train) * base.start.floor, coloured_from(train)
+    refitted = final is base.reference
+    remaining = judgement.missing if refitted else missing_torque(explanation.found.acting, final)
+    learned = judgement.learned
+    return {
+        **describe(remaining, left),
+        "not_identified": [vars(d) for d in _unidentified(base)],
+        "scale_gauges": [g.to_json() for g in base.start.gauges],
+        "limits": {"chi2_per_sample": limit, "lag_one": alike},
+        "white": final.chi2 / train.samples <= limit and left.lag_one <= alike,
+        "spectrum": spectrum_of(remaining),
+        "doubts": list(judgement.doubts),
+        "allowed_by_healthy_logs": list(explanation.joined),
+        "not_fitted": list(judgement.unfitted),
+        "lost_commands_not_searched": why_not_searched(train, base.start.losing),
+        "signatures": [vars(e) for e in signatures(request.system, train, final)],
+        **({} if learned is None else {"residual_model": learned.to_json()}),
+    }
+
+
+def _moved(base: Refitted) -> tuple[Moved, ...]:
+    return moved_parameters(base.problem, base.start, base.reference)
+
+
+def _unidentified(base: Refitted) -> tuple[Direction, ...]:
+    reference, prior = base.reference, base.start.prior
+    if base.train.varies:
+        # The mean of these logs has the prior of one log; the information of the data is the rest.
+        prior = base.learned.prior
+        order = [reference.free.index(n) for n in prior.names]
+        known = scaled_inverse(reference.covariance[np.ix_(order, order)]) - prior.precision(prior.names)
+        back = np.argsort(order)
+        reference = replace(reference, information=known[np.ix_(back, back)])
+    return unidentified(reference, prior)
+
+
+def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judgement) -> tuple[str, ...]:
+    base, classes = explanation.base, ()
+    logs = [str(r.path) for r in request.recordings if r.path is not None]
+    if any(len(found.members) > 1 for found in judgement.causes):
+        start = replace(base.start, prior=base.learned.prior)
+        classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
+    return (
+        *not_fitted(judgement.unfitted),
+        *(f"{g.text} Until then, {g.fixed} keeps its value as given." for g in base.start.gauges),
+        *always_there(explanation.joined),
+        *classes,
+        *level_advice(base.train, request.system),
+    )
+
+
+def _details(request: DiagnosisRequest, base: Refitted, judgement: Judgement) -> Details:
+    prior = base.learned.prior
+    spread = np.sqrt(np.diag(prior.covariance))
+    return Details(
+        system=base.start.system,
+        channels=tuple((c.name, c.unit) for c in request.system.measurements),
+        command_units=tuple(c.unit for c in request.system.commands),
+        priors={n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)},
+        windows=base.train,
+        nominal=_as_given(base) if base.held is None else None,
+        refit=base.reference,
+        final=judgement.final,
+        missing=tuple(judgement.missing),
+        inflation=dispersion(judgement.final, base.train).deflation,
+    )
+
+
+def _as_given(base: Refitted) -> Fit | None:
+    """Return the simulation before the refit; None where it diverges."""
+    try:
+        return base.problem.evaluate(base.start.values, "baseline", base.reference.state)
+    except DivergedError:
+        return None
+
+
+def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judgement) -> ExtendedSystem:
+    """Return the system as given, with the named causes (or the learned load) and the fitted values."""
+    base, load, given = explanation.base, judgement.load, request.system
+    start, final = base.start, judgement.final
+    had = tuple(e.name for e in given.effects) if isinstance(given, ExtendedSystem) else ()
+    named = () if final is base.reference else explanation.found.accepted
+    found = tuple(c.effect for c in named if c.effect != "event" and not is_changed(c))
+    if load is not None:
+        final, found = base.problem.recentred(load.fit), (*found, *load.effects)
+    effects = tuple(dict.fromkeys((*had, *start.effects, *found)))
+    values = start.values if _kept_as_given(judgement) else final.values
+    kept = {
+        p.name: values[p.name]
+        for p in start.system.parameters
+        if "." not in p.name or p.name.split(".")[0] in effects
+    }
+    return ExtendedSystem(given.base if isinstance(given, ExtendedSystem) else given, effects, kept)
+
+
+def _written(base: Refitted, judgement: Judgement) -> dict[str, Estimate]:
+    """Return the system's own parameters as `_model` writes them; parameters kept as given have no interval."""
+    load = judgement.load
+    fit = judgement.final if load is None else base.problem.recentred(load.fit)
+    own = estimates(base.problem, fit, base.reference.free, judgement.left.deflation)
+    if not _kept_as_given(judgement):
+        return own
+    given = {name: base.start.values[name] for name in own}
+    return {name: Estimate(given[name], given[name], given[name], e.unit) for name, e in own.items()}
+
+
+def _kept_as_given(judgement: Judgement) -> bool:
+    return judgement.gain is not None and judgement.gain.as_given

@@ -1,0 +1,188 @@
+"""Judgement of an explanation: which causes are named, with which fit, and what it gains on held-out windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.diagnosis import Finding, Verdict
+from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
+from deepkoco.diagnose.evidence.sanity_checks import (
+    doubts_of_bending,
+    doubts_of_commands,
+    doubts_of_estimates,
+    doubts_of_friction,
+    doubts_of_names,
+)
+from deepkoco.diagnose.evidence.selected import learned_instead
+from deepkoco.diagnose.evidence.selection import FURTHER
+from deepkoco.diagnose.explanation import Explanation
+from deepkoco.diagnose.gain import Gain, gain_on_held_out, kept_as_given
+from deepkoco.diagnose.refitted import Refitted, with_parameters_kept
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.residuals import (
+    SLOTS,
+    Dispersion,
+    MissingTorque,
+    coloured_from,
+    dispersion,
+    missing_torque,
+)
+from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of
+from deepkoco.diagnose.verdict.noise_causes import scatter_findings
+from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
+from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of
+from deepkoco.fit.fit import Fit
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.systems import System
+
+NO_GAIN = "the held-out windows, so there is no gain"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdict on an explanation.
+
+    Attributes:
+        verdict: The verdict.
+        causes: Named causes; empty where the verdict names none.
+        final: Fit with the named causes; the refit itself where none is named.
+        before: What this fit is compared with: the refit, in which parameters that are named as changed are kept.
+        left: Dispersion of its residuals.
+        missing: Missing load of the refit on each joint, under that dispersion.
+        scattered: Causes of noise larger than declared, named or not.
+        learned: The learned load that was tried; None without one.
+        gain: Held-out errors; None without held-out windows.
+        doubts: Reasons for naming no cause, one sentence each.
+        unfitted: What could not be fitted, in words.
+    """
+
+    verdict: Verdict
+    causes: tuple[Finding, ...]
+    final: Fit
+    before: Fit
+    left: Dispersion
+    missing: Sequence[MissingTorque]
+    scattered: tuple[Finding, ...]
+    learned: ResidualModel | None
+    gain: Gain | None
+    doubts: tuple[str, ...]
+    unfitted: tuple[str, ...]
+
+    @property
+    def load(self) -> ResidualModel | None:
+        """The learned load that is part of the extended simulation; None without one."""
+        return self.learned if self.learned is not None and self.learned.accepted else None
+
+
+def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
+    """Name the selected causes, or none where they only imitate the true one, and measure the gain.
+
+    Args:
+        request: The system as given and the seed.
+        explanation: The selected causes.
+    """
+    base, found = explanation.base, explanation.found
+    reference, final, seed = base.reference, found.final, request.seed
+    scattered = tuple(scatter_findings(base.start.system, base.train, final, request.detection))
+    left = dispersion(final, base.train)
+    without = with_parameters_kept(base, [n for c in found.accepted if is_changed(c) for n in c.free])
+    missing = missing_torque(base.problem, without.reference, left.deflation)
+    gain = gain_on_held_out(without, final, found.accepted, seed)
+    unfitted = _with_gain(explanation.unfitted, base, gain)
+    white = left.lag_one <= coloured_from(base.train)
+    doubts = _doubts(explanation, request.system, missing, left)
+    verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
+    learned = None
+    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train)
+    if verdict == "unknown" or rival:
+        request.progress("a learned load")
+        learned, failed = _learned_load(base, missing, seed)
+        unfitted = (*unfitted, *failed)
+    if rival and learned is not None:
+        least = -FURTHER if only_flexible(found) else FURTHER
+        if learned_instead(found, reference, learned, base.start, base.train, least):
+            verdict = "unknown"
+            doubts = (*doubts, *doubts_of_names(found.accepted, found.lost))
+        else:
+            learned = None
+    named = _named(explanation, request.system, missing) if verdict in ("cause", "ambiguous") else ()
+    if scattered and (verdict != "unknown" or (white and not found.accepted and found.lost is None)):
+        # White residuals that are larger than the noise need a noise cause; no other cause is missing.
+        verdict, named = (verdict if found.accepted else "cause"), (*named, *scattered)
+    if verdict not in ("cause", "ambiguous") and final is not reference:
+        # The causes are not named, so the rest of the report must not use their fit.
+        final, gain, left, without = reference, None, dispersion(reference, base.train), base
+        missing = missing_torque(base.problem, reference, left.deflation)
+    if verdict == "unknown":
+        named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
+    judgement = Judgement(
+        verdict, named, final, without.reference, left, missing, scattered, learned, gain, doubts, unfitted
+    )
+    return _with_final_gain(judgement, without, found.accepted, seed)
+
+
+def _doubts(
+    explanation: Explanation, system: System, missing: Sequence[MissingTorque], left: Dispersion
+) -> tuple[str, ...]:
+    base, found = explanation.base, explanation.found
+    return (
+        *doubts_of_commands(base.train, system),
+        *doubts_of_estimates(base.problem, found.accepted, found.final),
+        *doubts_of_friction(base.start.system, found.accepted, found.final, missing, left.deflation),
+        *doubts_of_bending(base.start, found.accepted, found.lost, base.train, found.final),
+    )
+
+
+def _learned_load(
+    base: Refitted, missing: Sequence[MissingTorque], seed: int
+) -> tuple[ResidualModel | None, tuple[str, ...]]:
+    """Return a learned load on top of the refit, and what could not be fitted."""
+    try:
+        return learn_residual(base.start, base.train, base.data.held, base.reference, missing, seed), ()
+    except DivergedError as error:
+        return None, (f"a learned load ({error})",)
+
+
+def _named(explanation: Explanation, system: System, missing: Sequence[MissingTorque]) -> tuple[Finding, ...]:
+    base, found = explanation.base, explanation.found
+    places = SLOTS * len(base.train)
+    prior, healthy, given = base.learned.prior, base.learned.healthy is not None, base.start.values
+    spread = np.sqrt(prior.covariance.diagonal())
+    priors = {n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)}
+    result = []
+    for ranking, members in found.steps:
+        # The reported values are fitted together with the causes accepted later.
+        best = replace(ranking.best, fit=found.final)
+        own = missing[best.cause.joint or 0]
+        motion = motion_of(base.train, own, system)
+        evidence = evidence_for(best.cause, best, ranking, motion, own, places)
+        if not is_changed(best.cause):
+            evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)
+        named = finding(base.problem, best, ranking, members, evidence, given)
+        same = same_parameter(found.acting, best.cause, found.final, given, ranking.deflation)
+        result.append(replace(named, same_as=same))
+    return (*result, *([found.lost] if found.lost else []))
+
+
+def _with_final_gain(judgement: Judgement, base: Refitted, accepted: Sequence[Cause], seed: int) -> Judgement:
+    """Measure the gain of the simulation that is reported, if it is not measured yet."""
+    gain, unfitted = judgement.gain, judgement.unfitted
+    if judgement.load is not None:
+        gain = judgement.load.gain
+    if gain is None:
+        gain = gain_on_held_out(base, judgement.final, accepted, seed)
+        unfitted = _with_gain(unfitted, base, gain)
+    if judgement.load is None and judgement.final is base.reference and gain is not None:
+        gain = kept_as_given(gain, base.start.system, seed) or gain
+    return replace(judgement, gain=gain, unfitted=unfitted)
+
+
+def _with_gain(unfitted: tuple[str, ...], base: Refitted, gain: Gain | None) -> tuple[str, ...]:
+    """Add the held-out windows to what could not be fitted, if their simulations diverge."""
+    if gain is not None or base.held is None or NO_GAIN in unfitted:
+        return unfitted
+    return (*unfitted, NO_GAIN)

@@ -1,0 +1,75 @@
+"""Parameters that a refit moved far: the fewest with which the simulation explains a log as well as the whole refit."""
+
+from __future__ import annotations
+
+import math
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes.parameter import widened
+from deepkoco.diagnose.diagnosis import Moved
+from deepkoco.diagnose.evidence.selection import CLOSE, DETECTION, ITERATIONS
+from deepkoco.diagnose.residuals.residuals import dispersion
+from deepkoco.diagnose.verdict.findings import estimates
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+
+MOST = 3  # parameters that are named
+FAR = 2.0  # standard deviations of the prior from which a moved parameter is news
+
+
+def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[Moved, ...]:
+    """Return the fewest parameters whose new values explain the windows as well as the refit of all of them.
+
+    Args:
+        problem: Training windows.
+        start: The baseline.
+        refit: Refit of all parameters.
+
+    Returns:
+        The parameters, the one that explains most first. Empty if the simulation as given explains the windows too, if
+        more than three parameters are needed, or if none of them is far from its prior.
+    """
+    sd = {n: math.sqrt(v) for n, v in zip(start.prior.names, start.prior.covariance.diagonal(), strict=True)}
+    if all(abs(refit.values[n] - start.values[n]) < FAR * sd[n] for n in sd):
+        return ()
+    spread = dispersion(refit, problem.windows)
+    deflation = max(spread.deflation, start.least_deflation)
+    # Chance alone lowers chi2 by one for each further parameter.
+    enough = refit.chi2 + deflation * (DETECTION + len(refit.free))
+    names = [n for n in start.prior.names if "." not in n]
+    chosen: list[str] = []
+    try:
+        best = problem.evaluate(start.values, "as given", refit.state)
+    except DivergedError:
+        best = None
+    while best is None or best.chi2 > enough:
+        if len(chosen) == MOST:
+            return ()
+        further = [n for n in names if n not in chosen]
+        fits = _fits(problem, start, best, refit, [(*chosen, n) for n in further])
+        if not fits:
+            return ()
+        best = min(fits, key=lambda fit: fit.chi2)
+        chosen = list(best.free)
+    if best is None or not chosen:
+        return ()
+    found = estimates(problem, best, chosen, deflation)
+    away = {n: abs(best.values[n] - start.values[n]) / sd[n] for n in chosen}
+    if max(away.values()) < FAR:
+        return ()
+    return tuple(Moved(n, start.values[n], found[n], away[n]) for n in chosen)
+
+
+def _fits(
+    problem: FitProblem, start: Baseline, best: Fit | None, refit: Fit, sets: list[tuple[str, ...]]
+) -> list[Fit]:
+    """Fit each set of parameters alone, under wide priors; the others keep the values given."""
+    trials = []
+    for names in sets:
+        declared = [widened(problem.system.parameter(n)) for n in names]
+        base = start.values if best is None else best.values
+        # From the value of the refit, whose initial states are at hand; a large step from the value given may diverge.
+        values = {**base, names[-1]: refit.values[names[-1]]}
+        trials.append(Trial(",".join(names), names, Prior.of(declared), values, refit.state, refit.nuisance))
+    return [fit for fit in problem.fit(trials, ITERATIONS, CLOSE) if not fit.diverged]

@@ -1,0 +1,91 @@
+"""What a named cause amounts to in the simulation's own parameters, and what speaks for it besides their priors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.diagnosis import Estimate, Evidence, Moved
+from deepkoco.diagnose.evidence.screening import SAME
+from deepkoco.fit.fit import Fit, FitProblem
+
+MOST_LISTED = 3  # parameters of the refit that a sentence lists
+NOTABLE = 2.0  # standard deviations of the prior from which it lists one
+
+
+def same_parameter(
+    problem: FitProblem, cause: Cause, fit: Fit, given: Mapping[str, float], deflation: float
+) -> tuple[Moved, ...]:
+    """Return the parameters of the simulation that would do exactly the same as a cause; usually none.
+
+    A payload at the tip is the same as a heavier tip. Such a parameter has the unit of the cause's own, and the
+    simulation with their sum, without the cause, gives the same measurements.
+
+    Args:
+        problem: The windows.
+        cause: The cause.
+        fit: Fit with it.
+        given: Values of the baseline.
+        deflation: Factor on the covariance of the fit.
+    """
+    if is_changed(cause) or cause.effect == "event" or len(cause.free) != 1 or cause.free[0] not in fit.free:
+        return ()
+    (own,) = cause.free
+    system = problem.system
+    size = fit.values[own] - given[own]
+    found = []
+    for p in system.base.parameters:
+        value = fit.values[p.name] + size
+        if p.unit != system.parameter(own).unit or not p.low <= value <= p.high or p.name not in fit.free:
+            continue
+        without = {**fit.values, own: given[own]}
+        lanes = [fit.values, without, {**without, p.name: value}]
+        theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
+        shape = (len(lanes), 1, 1)
+        shown = problem.predict(theta, fit.state.repeat(shape), fit.nuisance.repeat(len(lanes), 1))
+        shown = shown * problem.weight
+        if not (shown[2] - shown[0]).norm() <= SAME * (shown[1] - shown[0]).norm():
+            continue
+        i, j = fit.free.index(own), fit.free.index(p.name)
+        c = fit.covariance
+        reach = 1.96 * float(np.sqrt(max(c[i, i] + c[j, j] + 2.0 * c[i, j], 0.0) * deflation))
+        before = given[p.name]
+        found.append(
+            Moved(
+                p.name,
+                before,
+                Estimate(value, max(value - reach, p.low), min(value + reach, p.high), p.unit),
+                abs(value - before) / p.prior_sd,
+            )
+        )
+    return tuple(found)
+
+
+def evidence_of_priors(
+    reference: Fit, fit: Fit, priors: Mapping[str, tuple[float, float]], learned: bool
+) -> tuple[Evidence, ...]:
+    """Return a sentence if the refit explains the log as well as the cause does, by parameters far from their priors.
+
+    Args:
+        reference: The refit.
+        fit: Fit with the cause.
+        priors: Parameter -> (mean, standard deviation).
+        learned: Whether the priors were learned from healthy logs.
+    """
+    saved = reference.cost - fit.cost
+    share = (reference.chi2 - fit.chi2) / saved if saved > 0.0 else 1.0
+    if share >= 0.5:
+        return ()
+    away = {n: abs(reference.values[n] - m) / s for n, (m, s) in priors.items() if n in reference.values}
+    far = sorted((n for n, sds in away.items() if sds > NOTABLE), key=lambda n: -away[n])[:MOST_LISTED]
+    if not far:
+        return ()
+    listed = ", ".join(f"{n} = {reference.values[n]:.4g} instead of {priors[n][0]:.4g}" for n in far)
+    why = "values that the healthy logs gave" if learned else "spread that is declared for these parameters"
+    text = (
+        f"A refit explains the log as well without this cause, with {listed}. Only the {why} "
+        f"{'speak' if learned else 'speaks'} for the cause."
+    )
+    return (Evidence("prior_share", 1.0 - share, 0.5, text),)

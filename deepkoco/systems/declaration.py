@@ -1,0 +1,176 @@
+"""What a user's system has to declare: completed where a default makes sense, checked when the system is made."""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABCMeta
+from collections.abc import Sequence
+from typing import Any
+
+COORDINATES = ("rad", "m")
+EXAMPLES = {
+    "parameters": 'parameters = (Parameter("mass", 0.6, "kg", 0.1, 5.0, 0.02, "m"),)',
+    "commands": 'commands = (Channel("force", "N", "command", -10.0, 10.0),)',
+    "measurements": 'measurements = (Channel("position", "m", "measurement", noise_sd=1e-4),)',
+    "inertia": "def inertia(self, parameters)",
+    "torque_law": "def torque_law(self, parameters)",
+    "command": 'command = Channel("torque", "N m", "command", -2.0, 2.0)',
+}
+
+
+class DeclarationError(ValueError):
+    """A system declares too little, or what it declares does not go together; the message says what to write."""
+
+
+class Declared(ABCMeta):
+    """Class of the classes of systems: a system is completed and checked as soon as it is made."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        """Make a system.
+
+        Raises:
+            DeclarationError: It declares too little, or what does not go together.
+        """
+        missing = [name for name in sorted(cls.__abstractmethods__) if name in EXAMPLES]
+        if missing:
+            raise DeclarationError(_lacks(cls.__name__, missing[0]))
+        system = super().__call__(*args, **kwargs)
+        if not system.wraps:
+            complete(system)
+            check_declaration(system)
+        return system
+
+
+def complete(system: Any) -> None:
+    """Derive number of joints, states and name from what a system declares."""
+    if not isinstance(getattr(system, "name", None), str):
+        system.name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(system).__name__).lower()
+    given = getattr(system, "joint_units", None)
+    units = (given,) if isinstance(given, str) else tuple(given or ())
+    named = vars(type(system)).get("joint_names")
+    if not hasattr(system, "joints"):
+        if units:
+            system.joints = len(units)
+        elif hasattr(system, "state_units"):
+            system.joints = len(system.state_units) // 2
+        elif isinstance(named, tuple):
+            system.joints = len(named)
+    if units and not hasattr(system, "state_units"):
+        system.state_units = (*units, *(f"{unit}/s" for unit in units))
+    if hasattr(system, "state_units") and not hasattr(system, "state_names"):
+        names = system.joint_names
+        if len(system.state_units) == 2 * len(names):
+            system.state_names = (*names, *(f"{name} speed" for name in names))
+
+
+def check_declaration(system: Any) -> None:
+    """Check that what a system declares goes together, and that its equations run.
+
+    Raises:
+        DeclarationError: They do not; the message names class, joint, channel or parameter, and what to write.
+    """
+    from deepkoco.systems.equations_check import check_equations
+    from deepkoco.systems.system import Channel, Parameter
+
+    who = type(system).__name__
+    if not isinstance(getattr(system, "joints", None), int) or not hasattr(system, "state_units"):
+        raise DeclarationError(
+            f'{who}: say which joints it has: joint_units = ("m", "rad") for one that slides, one that turns'
+        )
+    for name, kind in (("parameters", Parameter), ("commands", Channel), ("measurements", Channel)):
+        _check_tuple(who, name, getattr(system, name, None), kind)
+    _check_states(who, system)
+    _check_names(who, "parameters", system.parameters)
+    _check_names(who, "channels", (*system.commands, *system.measurements))
+    _check_commands(who, system)
+    _check_measurements(who, system)
+    check_equations(system)
+
+
+def _lacks(who: str, name: str) -> str:
+    return f"{who} lacks {name}: write {EXAMPLES[name]}"
+
+
+def _check_tuple(who: str, name: str, given: Any, kind: type) -> None:
+    if given is None:
+        raise DeclarationError(_lacks(who, name))
+    if isinstance(given, kind):
+        raise DeclarationError(f"{who}: {name} is one {kind.__name__}, not a tuple: put a comma behind it")
+    if not isinstance(given, Sequence) or not all(isinstance(each, kind) for each in given):
+        raise DeclarationError(f"{who}: {name} = {given!r:.80}; give a tuple: {EXAMPLES[name]}")
+    if not given and name == "measurements":
+        raise DeclarationError(_lacks(who, name))
+
+
+def _check_states(who: str, system: Any) -> None:
+    joints, names, units = system.joints, getattr(system, "state_names", ()), system.state_units
+    if isinstance(system.joint_names, str) or len(system.joint_names) != joints:
+        raise DeclarationError(
+            f"{who}: joint_names = {system.joint_names!r}: give a tuple with a name for each of {joints} joints"
+        )
+    if joints < 1 or len(names) != len(units) or len(units) != 2 * joints:
+        raise DeclarationError(
+            f"{who}: {joints} joints, {len(names)} state_names and {len(units)} state_units: a state holds "
+            "the position of each joint, then the speed of each"
+        )
+    system.at_joint("name", 0)
+    for joint, (position, speed) in enumerate(zip(units[:joints], units[joints : 2 * joints], strict=True)):
+        if position not in COORDINATES or speed != f"{position}/s":
+            raise DeclarationError(
+                f"{who}: {system.joint_names[joint]} has the units {position} and {speed}; a joint that "
+                "turns has rad and rad/s, one that slides m and m/s"
+            )
+
+
+def _check_names(who: str, what: str, entries: Sequence[Any]) -> None:
+    names = [entry.name for entry in entries]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise DeclarationError(f'{who}: two {what} are called "{twice[0]}"; give each a name of its own')
+
+
+def _check_commands(who: str, system: Any) -> None:
+    for command in system.commands:
+        if command.kind != "command":
+            raise DeclarationError(
+                f'{who}: {command.name} is among the commands, and its kind is "{command.kind}"; write "command"'
+            )
+        if not (math.isfinite(command.low) and math.isfinite(command.high) and command.low < command.high):
+            raise DeclarationError(
+                f"{who}: {command.name} goes from {command.low:g} to {command.high:g} {command.unit}; give the "
+                f'limits of the actuator: Channel("{command.name}", "{command.unit}", "command", LOW, HIGH)'
+            )
+    driven = system.command_joints
+    if len(driven) > len(system.commands) or any(not 0 <= joint < system.joints for joint in driven):
+        raise DeclarationError(
+            f"{who}: {len(system.commands)} commands on {system.joints} joints, command_joints = {driven}: give "
+            "the index of the joint that each command drives"
+        )
+
+
+def _check_measurements(who: str, system: Any) -> None:
+    for channel in system.measurements:
+        if channel.kind != "measurement":
+            raise DeclarationError(
+                f'{who}: {channel.name} is a measurement, and its kind is "{channel.kind}"; write "measurement"'
+            )
+        if not channel.noise_sd > 0:
+            raise DeclarationError(
+                f"{who}: {channel.name} has no noise; give the sensor's typical one: noise_sd=0.001 [{channel.unit}]"
+            )
+    if not system.shows_states:
+        return  # its sensors show something of its own
+    shown = system.measured_states
+    if len(shown) != len(system.measurements) or any(not 0 <= s < len(system.state_units) for s in shown):
+        raise DeclarationError(
+            f"{who}: {len(system.measurements)} measurements, measured_states = {shown}, {len(system.state_units)} "
+            "states: give the index of the state that each measurement shows"
+        )
+    for channel, state in zip(system.measurements, shown, strict=True):
+        if channel.unit != system.state_units[state]:
+            raise DeclarationError(
+                f"{who}: {channel.name} is in {channel.unit}, and the state that it shows, "
+                f"{system.state_names[state]}, in {system.state_units[state]}; give the unit in SI "
+                "(a log may use another), or measured_states"
+            )

@@ -1,0 +1,195 @@
+r"""Dry friction as a constraint: a joint that rests stays at rest while its friction can hold it.
+
+Over a step h the free motion has a mean acceleration a, without the joint's own dry friction. The inverse inertia W
+turns a level F [N m or N] into a deceleration f = W_jj F. A joint that moves with v > 0 follows v' = a - f until it
+rests. A joint at rest stays there while |a| <= f; else it leaves with a - sign(a) f. Speed and way after the step are
+continuous in v, a and F. Joints that W couples are solved one after the other until nothing changes (projected
+Gauss-Seidel); each one's share of the problem is convex, so the sweeps converge.
+
+Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988); Stewart, Trinkle, An implicit
+    time-stepping scheme for rigid body dynamics with inelastic collisions and Coulomb friction (1996).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems.plain import is_plain
+
+if TYPE_CHECKING:
+    from deepkoco.systems.system import Motion
+
+Values = tuple[Tensor, ...]
+Levels = tuple[Tensor | None, ...]
+
+SWEEPS = 60  # at most; two joints need about five
+CLOSE = 1e-7  # change of an acceleration in a sweep, as a share of it, at which the sweeps end
+
+
+@dataclass(frozen=True)
+class DryFriction:
+    """Levels of the dry friction of every joint.
+
+    Attributes:
+        steady: J levels that depend on parameters alone [N m or N]; None for a joint that has none. A level below 0
+            drives the joint; a fit may pass through such values.
+        joints: Joints that can have any, those of ``varying`` included.
+        varying: (motion, J levels) -> J levels with those added that depend on the motion; None for none.
+    """
+
+    steady: Levels
+    joints: tuple[int, ...]
+    varying: Callable[[Motion, Levels], Levels] | None = None
+
+    def levels(self, motion: Motion) -> Levels:
+        """J levels in a state of motion [N m or N]; None for a joint without dry friction."""
+        return self.steady if self.varying is None else self.varying(motion, self.steady)
+
+
+class Rubbed(NamedTuple):
+    """Motion after a step with dry friction.
+
+    Attributes:
+        speed: J speeds at its end.
+        moved: J ways over the step, for joints with a constant acceleration before and after they rest.
+        load: J mean friction loads over the step [N m or N]; None for a joint without dry friction.
+        hold: J loads with which friction holds the joint at the end [N m or N], within the level at rest.
+    """
+
+    speed: Values
+    moved: Values
+    load: Levels
+    hold: Levels
+
+
+def slide_and_rest(
+    speed: Tensor, free: Tensor, slide: Tensor, stick: Tensor, h: float
+) -> tuple[Tensor, Tensor]:
+    """Speed after a step, and way over it, of one joint under a constant acceleration and dry friction.
+
+    Args:
+        speed: At the start of the step, per second.
+        free: Acceleration without dry friction, per second squared.
+        slide: Deceleration by dry friction until the joint rests, not negative.
+        stick: Largest acceleration at which dry friction holds the joint, not negative.
+        h: Step [s].
+    """
+    pace, sign = speed.abs(), torch.sign(speed)
+    brake = slide - sign * free
+    left_over = pace - brake * h
+    goes_on = left_over > 0.0
+    # A joint with pace 0 rests at once; the small bound only avoids 0 / 0.
+    until = torch.where(goes_on, h, pace / torch.maximum(brake, pace / h).clamp_min(1e-30))
+    first = sign * left_over.clamp_min(0.0)
+    rest = h - until
+    leaves = torch.sign(free) * (free.abs() - stick).clamp_min(0.0)
+    after = first + leaves * rest
+    return after, 0.5 * (speed + first) * until + 0.5 * leaves * rest**2
+
+
+def rubbed(
+    before: Values,
+    after: Values,
+    applied: Levels,
+    slide: Levels,
+    stick: Levels,
+    inverse: tuple[Values, ...],
+    h: float,
+) -> Rubbed:
+    """Find the friction loads of all joints over a step, and correct the speeds after it.
+
+    Args:
+        before: J speeds at the start of the step.
+        after: J speeds after the step under the friction loads ``applied``.
+        applied: J constant friction loads [N m or N]; None for a joint without dry friction.
+        slide: J levels of dry friction of joints that move.
+        stick: J levels of dry friction of joints at rest.
+        inverse: J rows of the inverse inertia.
+        h: Step [s].
+    """
+    joints = range(len(before))
+    if is_plain([*before, *after, *applied, *slide, *stick, *(w for row in inverse for w in row)]):
+        return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, h)
+    load = {j: value for j, value in enumerate(applied) if value is not None}
+    mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
+    speed, moved, hold = list(after), [0.5 * h * (a + b) for a, b in zip(before, after, strict=True)], {}
+    levels = {j: (_given(slide[j]).clamp_min(0.0), _given(stick[j]).clamp_min(0.0)) for j in load}
+    for _ in range(1 if len(load) == 1 else SWEEPS):
+        settled = True
+        for j in load:
+            own = inverse[j][j]
+            others = mean[j] - own * load[j]
+            speed[j], moved[j] = slide_and_rest(before[j], others, own * levels[j][0], own * levels[j][1], h)
+            new = ((speed[j] - before[j]) / h - others) / own
+            hold[j] = torch.minimum(torch.maximum(-others / own, -levels[j][1]), levels[j][1])
+            change = new - load[j]
+            load[j] = new
+            size = others.abs() + own * levels[j][1]
+            settled = settled and not bool(((own * change).abs() > CLOSE * size).any())
+            for k in joints:
+                mean[k] = mean[k] + inverse[k][j] * change
+        if settled:
+            break
+    for k in joints:
+        if k not in load:
+            speed[k] = before[k] + h * mean[k]
+            moved[k] = 0.5 * h * (before[k] + speed[k])
+    return Rubbed(
+        tuple(speed),
+        tuple(moved),
+        tuple(load.get(j) for j in joints),
+        tuple(hold.get(j) for j in joints),
+    )
+
+
+def _rubbed_in_a_loop(
+    before: Values,
+    after: Values,
+    applied: Levels,
+    slide: Levels,
+    stick: Levels,
+    inverse: tuple[Values, ...],
+    h: float,
+) -> Rubbed:
+    """As :func:`rubbed`, compiled: the sweeps in torch cost several times as much as all other equations."""
+    from deepkoco.systems.dry_friction_loop import rub
+
+    joints, rubbing = len(before), [j for j, load in enumerate(applied) if load is not None]
+    shape = np.broadcast_shapes(
+        *(x.shape for x in (*before, *after, *(w for row in inverse for w in row))),
+        *(_given(level).shape for j in rubbing for level in (applied[j], slide[j], stick[j])),
+    )
+
+    def rows(values: Sequence[Tensor]) -> np.ndarray:
+        table = np.empty((len(values), *shape))
+        for row, value in enumerate(values):
+            table[row] = value.numpy()
+        return table.reshape(len(values), -1)
+
+    start, ends = rows(before), rows(after)
+    load, moving, resting = (rows([_given(levels[j]) for j in rubbing]) for levels in (applied, slide, stick))
+    np.maximum(moving, 0.0, out=moving)
+    np.maximum(resting, 0.0, out=resting)
+    masses = rows([w for row in inverse for w in row]).reshape(joints, joints, -1)
+    speed, moved, hold = np.empty_like(start), np.empty_like(start), np.empty_like(load)
+    sweeps = 1 if len(rubbing) == 1 else SWEEPS
+    rub(
+        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), h, sweeps, CLOSE, speed, moved, hold
+    )  # fmt: skip
+    loads: list[Tensor | None] = [None] * joints
+    holds: list[Tensor | None] = [None] * joints
+    for r, j in enumerate(rubbing):
+        loads[j], holds[j] = (torch.from_numpy(x[r]).view(shape) for x in (load, hold))
+    whole = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
+    return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
+
+
+def _given(value: Tensor | None) -> Tensor:
+    assert value is not None
+    return value

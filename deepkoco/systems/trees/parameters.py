@@ -1,0 +1,278 @@
+"""Parameters of a tree: names, bounds and priors by kind, and what the equations of motion make of their values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from deepkoco.systems.system import Parameter, Parameters
+from deepkoco.systems.trees.dynamics import NONE, Inertia, rotated, shifted
+from deepkoco.systems.trees.scalars import ZERO, Scalar, Triple, add, mul, outward, plus
+from deepkoco.systems.trees.tree import Actuator, Body, Joint, Matrix, Tree
+
+AXES = ("x", "y", "z")
+PRIORS = {
+    "mass": 0.1,
+    "com": 0.1,
+    "inertia": 0.2,
+    "damping": 0.5,
+    "frictionloss": 0.5,
+    "armature": 0.3,
+    "stiffness": 0.3,
+    "springref": 0.1,
+    "gain": 0.2,
+    "kp": 0.2,
+    "kv": 0.3,
+    "bias": 0.2,
+    "time_constant": 0.3,
+    "delay": 0.3,
+}
+"""Prior standard deviation of each kind as a share of the model's value.
+
+That of `com` is a share of the body's radius of gyration, that of `springref` is in rad, or in units of 0.1 m.
+"""
+LEAST_SHARE, LARGEST_SHARE = (
+    0.02,
+    50.0,
+)  # bounds of quantities that are positive, as shares of the model's value
+COM_REACH = 5.0  # bounds of a centre of mass [radii of gyration]
+
+
+def declared_parameters(tree: Tree) -> tuple[Parameter, ...]:
+    """Every quantity of the model that is not zero, with its bounds and its prior."""
+    found: list[Parameter] = []
+    for body in tree.bodies:
+        found += _of_body(body)
+    for joint in tree.joints:
+        found += _of_joint(joint)
+    for actuator in tree.actuators:
+        found += _of_actuator(actuator, tree.joints[actuator.joint])
+    return tuple(found)
+
+
+def is_servo(actuator: Actuator) -> bool:
+    """Whether the control is a goal of the position: force = kp (u - l) - kv l'."""
+    (g0, g1, g2), (b0, b1, _) = actuator.gain, actuator.bias
+    return g0 != 0.0 and g1 == g2 == b0 == 0.0 and b1 == -g0
+
+
+def is_speed_servo(actuator: Actuator) -> bool:
+    """Whether the control is a goal of the speed: force = kv (u - l')."""
+    (g0, g1, g2), (b0, b1, b2) = actuator.gain, actuator.bias
+    return g0 != 0.0 and g1 == g2 == b0 == b1 == 0.0 and b2 == -g0
+
+
+def link_inertias(tree: Tree, parameters: Parameters) -> list[Inertia]:
+    """Inertia of what is fixed to each joint, payloads included, in the joint's frame."""
+    result = [NONE] * len(tree.joints)
+    for body in tree.bodies:
+        result[body.joint] = _sum(result[body.joint], body_inertia(body, parameters))
+    for site in tree.sites:
+        payload = parameters.get(payload_name(site.name))
+        if payload is not None:
+            point = shifted(NONE._replace(mass=payload), site.offset)
+            result[site.joint] = _sum(result[site.joint], point)
+    return result
+
+
+def payload_name(site: str) -> str:
+    """Name of the mass of a payload at a site, for those who hold a tree's parameters."""
+    return f"payload({site})"
+
+
+def body_inertia(body: Body, parameters: Parameters) -> Inertia:
+    """Inertia of a body in the frame of its joint, about that frame's origin."""
+    mass = _value(parameters, f"mass({body.name})", body.mass)
+    com: Triple = tuple(  # pyright: ignore[reportAssignmentType]
+        _value(parameters, f"com_{a}({body.name})", body.com[i]) for i, a in enumerate(AXES)
+    )
+    moments = physical_moments(
+        [_value(parameters, f"inertia_{a}({body.name})", body.moments[i]) for i, a in enumerate(AXES)]
+    )
+    axes = _product(body.frame.rotation, body.axes)
+    central = rotated(axes, (*moments, 0.0, 0.0, 0.0))
+    centre = plus(body.frame.offset, outward(body.frame.rotation, com))
+    return shifted(Inertia(mass, ZERO, central), centre)  # pyright: ignore[reportArgumentType]
+
+
+def physical_moments(moments: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+    """Principal moments of the physical body next to three numbers.
+
+    A moment is the sum of the two second moments of mass across its axis, and these are not negative. Numbers that obey
+    this are returned as they are; else the negative second moment acts as 0.
+    """
+    x, y, z = moments
+    across = []
+    for a, b, c in ((y, z, x), (x, z, y), (x, y, z)):
+        own = add(add(mul(0.5, a), mul(0.5, b)), mul(-0.5, c))
+        across.append(own.clamp(min=0.0) if isinstance(own, Tensor) else max(own, 0.0))
+    return add(across[1], across[2]), add(across[0], across[2]), add(across[0], across[1])
+
+
+def joint_value(parameters: Parameters, kind: str, joint: Joint) -> Scalar:
+    """Value of a joint's parameter, or the number of the model."""
+    return _value(parameters, f"{kind}({joint.name})", float(getattr(joint, kind)))
+
+
+def actuator_law(actuator: Actuator, parameters: Parameters) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+    """Gain g0, g1, g2 and bias b0, b1, b2 of an actuator."""
+    name, gain, bias = actuator.name, list[Any](actuator.gain), list[Any](actuator.bias)
+    if is_servo(actuator):
+        gain[0] = _value(parameters, f"kp({name})", gain[0])
+        bias[1] = mul(-1.0, gain[0])
+    elif is_speed_servo(actuator):
+        gain[0] = _value(parameters, f"kv({name})", gain[0])
+        bias[2] = mul(-1.0, gain[0])
+        return tuple(gain), tuple(bias)
+    else:
+        gain[0] = _value(parameters, f"gain({name})", gain[0])
+        bias[0] = _value(parameters, f"bias({name})", bias[0])
+        bias[1] = mul(-1.0, _value(parameters, f"kp({name})", -bias[1]))
+    bias[2] = mul(-1.0, _value(parameters, f"kv({name})", -bias[2]))
+    return tuple(gain), tuple(bias)
+
+
+def time_constant(actuator: Actuator, parameters: Parameters) -> Tensor:
+    """Of the actuator's first-order filter [s]; 0 without one."""
+    value = _value(parameters, f"time_constant({actuator.name})", actuator.time_constant)
+    return torch.as_tensor(value, dtype=torch.float64)
+
+
+def control_delay(actuator: Actuator, parameters: Parameters) -> Tensor:
+    """Of the actuator's control [s]; 0 without one."""
+    value = _value(parameters, f"delay({actuator.name})", actuator.delay)
+    return torch.as_tensor(value, dtype=torch.float64)
+
+
+def _value(parameters: Parameters, name: str, otherwise: float) -> Scalar:
+    found = parameters.get(name)
+    return otherwise if found is None else found
+
+
+def _sum(a: Inertia, b: Inertia) -> Inertia:
+    second = tuple(add(x, y) for x, y in zip(a.second, b.second, strict=True))
+    return Inertia(add(a.mass, b.mass), plus(a.first, b.first), second)  # pyright: ignore[reportArgumentType]
+
+
+def _product(a: Matrix, b: Matrix) -> Matrix:
+    columns = [outward(a, (b[0][k], b[1][k], b[2][k])) for k in range(3)]
+    x, y, z = ((columns[0][i], columns[1][i], columns[2][i]) for i in range(3))
+    return x, y, z
+
+
+def _positive(name: str, value: float, unit: str, kind: str, text: str) -> Parameter:
+    size = abs(value)
+    low, high = LEAST_SHARE * size, LARGEST_SHARE * size
+    bounds = (low, high) if value > 0.0 else (-high, -low)
+    return Parameter(name, value, unit, *bounds, PRIORS[kind] * size, text)
+
+
+def _loss(name: str, value: float, unit: str, kind: str, text: str) -> Parameter:
+    """What takes energy out, and may be nothing."""
+    return Parameter(name, value, unit, 0.0, LARGEST_SHARE * value, PRIORS[kind] * value, text)
+
+
+def _of_body(body: Body) -> list[Parameter]:
+    if not body.mass > 0.0:
+        return []
+    name, radius = body.name, math.sqrt(0.5 * sum(body.moments) / body.mass)
+    radius = max(radius, 0.02 * math.hypot(*body.com), 1e-4)
+    found = [_positive(f"mass({name})", body.mass, "kg", "mass", f"m, mass of {name}")]
+    for i, axis in enumerate(AXES):
+        at, sd = body.com[i], PRIORS["com"] * radius
+        text = f"c_{axis}, centre of mass of {name} along the {axis} axis of its frame"
+        reach = COM_REACH * radius
+        found.append(Parameter(f"com_{axis}({name})", at, "m", at - reach, at + reach, sd, text))
+    least = 1e-3 * max(body.moments)
+    for i, axis in enumerate(AXES):
+        moment = body.moments[i]
+        text = f"I_{axis}, moment of {name} about its principal axis next to its {axis} axis"
+        size = max(moment, least)
+        sd, low, high = PRIORS["inertia"] * size, min(moment, LEAST_SHARE * size), LARGEST_SHARE * size
+        if size > 0.0:
+            found.append(Parameter(f"inertia_{axis}({name})", moment, "kg m2", low, high, sd, text))
+    return found
+
+
+def _of_joint(joint: Joint) -> list[Parameter]:
+    load, inertia, unit = ("N", "kg", "m") if joint.slides else ("N m", "kg m2", "rad")
+    name, found = joint.name, []
+    listed = (
+        ("damping", f"{load} s/{unit}", f"b, viscous friction of {name}"),
+        ("frictionloss", load, f"Fc, dry friction of {name}"),
+    )
+    for kind, of, text in listed:
+        if (value := float(getattr(joint, kind))) > 0.0:
+            found.append(_loss(f"{kind}({name})", value, of, kind, text))
+    if joint.armature > 0.0:
+        text = f"I_r, inertia of the rotor of {name} behind its gear"
+        found.append(_positive(f"armature({name})", joint.armature, inertia, "armature", text))
+    if joint.stiffness != 0.0:
+        text = f"k, stiffness of the spring of {name}"
+        found.append(_positive(f"stiffness({name})", joint.stiffness, f"{load}/{unit}", "stiffness", text))
+        sd = PRIORS["springref"] * (0.1 if joint.slides else 1.0)
+        at, text = joint.springref, f"q_s, {name} where its spring rests"
+        found.append(Parameter(f"springref({name})", at, unit, at - 20.0 * sd, at + 20.0 * sd, sd, text))
+    return found
+
+
+def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
+    name, found = actuator.name, []
+    (g0, _, _), (b0, b1, b2) = actuator.gain, actuator.bias
+    unit = control_unit(actuator, joint)
+    force = "N" if joint.slides else "N m"
+    per, rate = ("m", "m/s") if joint.slides else ("rad", "rad/s")
+    if is_servo(actuator):
+        found.append(
+            _positive(f"kp({name})", g0, f"{force}/{per}", "kp", f"k_p, stiffness of the servo {name}")
+        )
+    elif is_speed_servo(actuator):
+        text = f"k_v, force of the servo {name} per error of the speed"
+        return [*found, _positive(f"kv({name})", g0, f"{force}/({rate})", "kv", text), *_lag(actuator)]
+    else:
+        if g0 != 0.0:
+            of = "1" if unit == force else f"{force}/({unit})"
+            found.append(_positive(f"gain({name})", g0, of, "gain", f"k, force of {name} per command"))
+        if b0 != 0.0:
+            text, size = f"force of {name} at no command", abs(b0)
+            found.append(
+                Parameter(f"bias({name})", b0, force, -50.0 * size, 50.0 * size, PRIORS["bias"] * size, text)
+            )
+        if b1 != 0.0:
+            text = f"k_p, stiffness of {name}"
+            found.append(_positive(f"kp({name})", -b1, f"{force}/{per}", "kp", text))
+    if b2 != 0.0:
+        found.append(
+            _positive(f"kv({name})", -b2, f"{force}/({rate})", "kv", f"k_v, damping of the servo {name}")
+        )
+    return found + _lag(actuator)
+
+
+def _lag(actuator: Actuator) -> list[Parameter]:
+    """Times of the way from the control to the force."""
+    listed = (
+        ("time_constant", actuator.time_constant, f"T, first-order lag of {actuator.name}"),
+        ("delay", actuator.delay, f"tau, delay of the control of {actuator.name}"),
+    )
+    return [
+        Parameter(
+            f"{kind}({actuator.name})", value, "s", 0.0, max(0.3, 10.0 * value), PRIORS[kind] * value, text
+        )
+        for kind, value, text in listed
+        if value > 0.0
+    ]
+
+
+def control_unit(actuator: Actuator, joint: Joint) -> str:
+    """Unit of an actuator's control; "1" where a gear or a gain makes it a number of its own."""
+    if is_servo(actuator) and actuator.gear == 1.0:
+        return "m" if joint.slides else "rad"
+    if is_speed_servo(actuator) and actuator.gear == 1.0:
+        return "m/s" if joint.slides else "rad/s"
+    if not any(actuator.bias) and actuator.gain[0] * actuator.gear == 1.0:
+        return "N" if joint.slides else "N m"
+    return "1"

@@ -1,0 +1,144 @@
+"""Description of a tree of hinges and slides: plain numbers, without the file that they came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+"""Rows of a rotation: it takes coordinates of the inner frame to those of the outer one."""
+
+
+class TreeError(ValueError):
+    """A model cannot be compiled to a tree; the message names the element and the way out."""
+
+
+class Frame(NamedTuple):
+    """Place of an inner frame in an outer one."""
+
+    rotation: Matrix
+    offset: Vector  # [m]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One degree of freedom. Its frame has its origin on the axis, and the axis is z.
+
+    Attributes:
+        name: Name in the model.
+        slides: Whether it moves along its axis; else it turns about it.
+        parent: Index of the joint before it on the way to the base; -1 for the base itself.
+        frame: The joint's frame at its reference, in the frame of the parent after its motion.
+        reference: Coordinate at which the frames are those of the file [rad or m].
+        low, high: Range of the coordinate; infinite without one.
+        damping: [N m s/rad or N s/m]
+        frictionloss: Dry friction [N m or N].
+        armature: Rotor inertia behind the gear [kg m2 or kg].
+        stiffness: [N m/rad or N/m]
+        springref: Coordinate at which the spring rests.
+        force_low, force_high: Limits of what all actuators together deliver to it [N m or N].
+    """
+
+    name: str
+    slides: bool
+    parent: int
+    frame: Frame
+    reference: float
+    low: float
+    high: float
+    damping: float
+    frictionloss: float
+    armature: float
+    stiffness: float
+    springref: float
+    force_low: float
+    force_high: float
+
+
+@dataclass(frozen=True)
+class Body:
+    """What is fixed to a joint, with the bodies that are welded to it.
+
+    Attributes:
+        name: Name in the model.
+        joint: Index of the joint that moves it.
+        frame: The body's frame in the joint's.
+        mass: [kg]
+        com: Centre of mass in the body's frame [m].
+        axes: Principal axes in the body's frame, as columns.
+        moments: Principal moments about the centre of mass [kg m2].
+        parts: Names of the bodies that are welded to it.
+    """
+
+    name: str
+    joint: int
+    frame: Frame
+    mass: float
+    com: Vector
+    axes: Matrix
+    moments: Vector
+    parts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Site:
+    """A named place that moves with a joint: its offset in the joint's frame [m]."""
+
+    name: str
+    joint: int
+    offset: Vector
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Force = clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l'), with l = gear q; the joint gets gear times it.
+
+    Attributes:
+        name: Name in the model.
+        joint: Index of the joint that it drives.
+        gear: Length per coordinate.
+        gain: g0, g1, g2.
+        bias: b0, b1, b2.
+        low, high: Range of the control u; infinite without one.
+        force_low, force_high: Range of the force; infinite without one.
+        time_constant: Of the first-order filter of the control; 0 without one [s].
+        delay: Time after which a control acts [s].
+    """
+
+    name: str
+    joint: int
+    gear: float
+    gain: Vector
+    bias: Vector
+    low: float
+    high: float
+    force_low: float
+    force_high: float
+    time_constant: float
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Joints in an order in which each comes after its parent, and what moves with them.
+
+    Attributes:
+        name: Name of the model.
+        joints: J joints.
+        bodies: Moving bodies; a body without joints belongs to the one that it is welded to.
+        actuators: In the order of the model, but those after the first one of a joint come last.
+        sites: Named places on moving bodies, first those of the model.
+        gravity: Acceleration in the base's frame [m/s2].
+        notes: Sentences on what the model has and the compiled tree leaves out.
+        without_actuators: Whether the model has none, and the actuators are plain loads on the joints.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    bodies: tuple[Body, ...]
+    actuators: tuple[Actuator, ...]
+    sites: tuple[Site, ...]
+    gravity: Vector
+    notes: tuple[str, ...] = ()
+    without_actuators: bool = False

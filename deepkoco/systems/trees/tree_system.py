@@ -1,0 +1,439 @@
+"""A robot given as MJCF or URDF, as a system: a contact-free tree of hinges and slides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems import drawing
+from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.extended import MemoryEffectError
+from deepkoco.systems.plain import is_plain
+from deepkoco.systems.system import (
+    Acceleration,
+    Channel,
+    CommandTiming,
+    Delivery,
+    InverseInertia,
+    Motion,
+    Outline,
+    Parameter,
+    Parameters,
+    System,
+    Timing,
+)
+from deepkoco.systems.trees.compile_tree import compile_tree
+from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
+from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
+from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
+from deepkoco.systems.trees.model_file import read_model
+from deepkoco.systems.trees.parameters import (
+    actuator_law,
+    control_delay,
+    control_unit,
+    declared_parameters,
+    is_servo,
+    is_speed_servo,
+    joint_value,
+    link_inertias,
+    payload_name,
+    time_constant,
+)
+from deepkoco.systems.trees.picture import choose_view, lines
+from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
+from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
+from deepkoco.systems.trees.settings import TreeSettings
+from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
+from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
+from deepkoco.systems.trees.visible import visible_parameters
+
+ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
+SPEED_NOISE, RATE_NOISE = 0.05, 5e-3  # [rad/s, m/s]
+TILT_SD, LARGEST_TILT = 0.05, 0.5  # of the base [rad]
+ABOUT = ("about_x", "about_y", "about_z")
+
+
+class TreeSystem(System):
+    r"""M(q) q'' + c(q, q') = gear f(u) - D q' - K (q - q_s) - F_c sign(q') + load, for a tree of hinges and slides.
+
+    M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
+    clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
+    filter where the actuator has one. `accelerations` are exactly these; simulations (`derivative`,
+    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`.
+    Contacts and limits of joints are not simulated; :attr:`notes` says so where the
+    model has any.
+
+    Args:
+        tree: Description of the robot.
+        origin: File that it was read from.
+        settings: Values, priors, noise and servos that differ from the description's.
+
+    Attributes:
+        tree: The description.
+        origin: Text by which the robot is found again; None if it was made in Python.
+        notes: Sentences on what the model has and the system leaves out.
+        payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
+        tip: The place of `with_payload`.
+    """
+
+    def __init__(self, tree: Tree, origin: str | None = None, settings: TreeSettings | None = None) -> None:
+        settings = TreeSettings({}) if settings is None else settings
+        tree = settings.applied_to(tree)
+        self.tree, self.origin, self.notes = tree, origin, tree.notes
+        self.name, self.joints = tree.name, len(tree.joints)
+        names = tuple(joint.name for joint in tree.joints)
+        units = tuple("m" if joint.slides else "rad" for joint in tree.joints)
+        self.state_names = (*(f"q_{n}" for n in names), *(f"dq_{n}" for n in names))
+        self.state_units = (*units, *(f"{u}/s" for u in units))
+        self._names = names
+        self.measurements = (
+            *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
+            *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
+        )
+        self.measurements = settings.channels(self.measurements)
+        loads = motion_loads(tree)
+        controls = tuple(command_range(a, tree.joints[a.joint], loads[a.joint]) for a in tree.actuators)
+        self._commands = tuple(
+            Channel(
+                a.name,
+                control_unit(a, tree.joints[a.joint]),
+                "command",
+                low,
+                # Sizes of effects are taken from the upper limit.
+                high if high > 0.0 else -low,
+                description=_drives(a, tree),
+                default=0.0 if tree.without_actuators and not is_servo(a) else None,
+            )
+            for a, (low, high) in zip(tree.actuators, controls, strict=True)
+        )
+        self._refuse_clashes()
+        self._load_scales = load_scales(tree, loads, controls)
+        self._delivered = tuple(
+            delivered(a, tree.joints[a.joint], control)
+            for a, control in zip(tree.actuators, controls, strict=True)
+        )
+        self.payload_sites = tuple(site.name for site in tree.sites)
+        self._least_inertias = least_inertias(tree)
+        nominal = _Numbers.of(self, {}, steady=True)
+        self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
+        self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
+        self._view = choose_view(tree)
+        self._arrays = TreeArrays(tree)
+        self.parameters = settings.parameters(visible_parameters(self, declared_parameters(tree)))
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> TreeSystem:
+        """Read a robot from an MJCF or URDF file.
+
+        Each joint of a model without actuators (a URDF file has none) gets a command in N m or N with the joint's
+        name. A log need not show it: it is then 0. A file ``ROBOT.parameters.yaml`` beside ``ROBOT.xml`` overrides
+        values, priors, noise and servos: see :class:`.TreeSettings`.
+
+        Args:
+            path: The file.
+
+        Raises:
+            TreeError: The file cannot be read, or is no contact-free tree of hinges and slides.
+        """
+        path = Path(path)
+        model, notes = read_model(path)
+        try:
+            tree = compile_tree(model, path.stem)
+        except TreeError as error:
+            raise TreeError(f"{path}: {error}") from None
+        return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), TreeSettings.beside(path))
+
+    @property
+    def commands(self) -> tuple[Channel, ...]:
+        return self._commands
+
+    @property
+    def command_joints(self) -> tuple[int, ...]:
+        return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self._names
+
+    @property
+    def load_scale(self) -> float:
+        return max(self._load_scales)
+
+    @property
+    def load_scales(self) -> tuple[float, ...]:
+        return self._load_scales
+
+    @property
+    def longest_step(self) -> float:
+        return self._longest_step
+
+    @property
+    def delivered_scales(self) -> tuple[tuple[float, str], ...]:
+        units = self.load_units
+        return tuple(
+            (most, units[a.joint]) for most, a in zip(self._delivered, self.tree.actuators, strict=True)
+        )
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        text = "angle by which the base is turned about its {} axis"
+        return tuple(
+            Parameter(ABOUT[k], 0.0, "rad", -LARGEST_TILT, LARGEST_TILT, TILT_SD, text.format("xyz"[k]))
+            for k in self._tilt_axes()
+        )
+
+    def effort_of(self, commands: Tensor) -> Tensor:
+        return commands[..., 0] if len(self._commands) == 1 else commands
+
+    def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
+        return self._cut(index, value)
+
+    def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
+        if len(self._commands) == 1:
+            return self._cut(0, command)
+        return torch.stack([self._cut(k, command[..., k]) for k in range(len(self._commands))], -1)
+
+    def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
+        actuator = self.tree.actuators[index]
+        lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
+        return CommandTiming(control_delay(actuator, parameters), lags, torch.zeros((), dtype=torch.float64))
+
+    def timing(self, parameters: Parameters) -> Timing:
+        zero = torch.zeros((), dtype=torch.float64)
+        lags = [time_constant(a, parameters) for a in self.tree.actuators]
+        delays = [control_delay(a, parameters) for a in self.tree.actuators]
+        if any(not torch.equal(x, times[0]) for times in (lags, delays) for x in times):
+            raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
+        return Timing(delays[0] if delays else zero, zero, lags[0] if lags else zero)
+
+    def delivery(self, parameters: Parameters) -> Delivery:
+        laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
+        forces = actuator_forces(self.tree.actuators, laws)
+        drives = self._drives()
+
+        def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            given = forces(motion)
+            together = [total([given[k] for k in drives[j]]) for j in self.command_joints]
+            return tuple(
+                force if isinstance(force, Tensor) else torch.full_like(motion.speeds[0], force)
+                for force in together
+            )
+
+        return deliver
+
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
+        return tuple(
+            _as_tensor(limit) if isinstance(limit, Tensor) or limit != 0.0 else None
+            for limit in (joint_value(parameters, "frictionloss", joint) for joint in self.tree.joints)
+        )
+
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        return self._law(_Numbers.of(self, parameters))
+
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        numbers = _Numbers.of(self, parameters, steady=True)
+        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
+        return self._law(numbers._replace(passive=passive))
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
+        fast = own.fast(self._arrays)
+
+        def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
+            if fast is not None and is_plain(motion.angles):
+                return fast.inverse_inertia(motion.angles)
+            return inverse_mass(joints, own.inertias, own.passive["armature"], motion.angles)
+
+        return inverse
+
+    def needed_loads(
+        self, parameters: Parameters
+    ) -> Callable[[Motion, Sequence[Tensor]], tuple[Tensor, ...]]:
+        """(motion, accelerations) -> outside load on each joint [N m or N] under which it moves so."""
+        tree, own = self.tree, _Numbers.of(self, parameters)
+        law = self._law(own)
+
+        def loads(motion: Motion, accelerations: Sequence[Tensor]) -> tuple[Tensor, ...]:
+            missing = [a - b for a, b in zip(accelerations, law(motion), strict=True)]
+            mass = mass_matrix(tree.joints, own.inertias, own.passive["armature"], motion.angles)
+            rows = range(self.joints)
+            return tuple(total([mul(mass[max(j, k)][min(j, k)], missing[k]) for k in rows]) for j in rows)
+
+        return loads
+
+    def _law(self, numbers: _Numbers) -> Acceleration:
+        tree, passive = self.tree, numbers.passive
+        smooth = self.smoothing_speeds
+        fast = numbers.fast(self._arrays)
+        dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
+        forces = actuator_forces(tree.actuators, numbers.laws)
+        resisting = passive_loads(passive, smooth)
+        drives = self._drives()
+
+        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            if fast is not None and is_plain(_all_of(motion)):
+                return fast(motion, smooth)
+            given = forces(motion)
+            loads: list[Scalar] = []
+            for j, joint in enumerate(tree.joints):
+                load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
+                load = add(load, resisting(motion, j))
+                if motion.loads is not None and (outside := motion.loads[j]) is not None:
+                    load = add(load, outside)
+                loads.append(load)
+            return dynamics(motion.angles, motion.speeds, loads)
+
+        return acceleration
+
+    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        parts = state.unbind(-1)
+        speeds = parts[self.joints :]
+        efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
+        law = self._law(_Numbers.of(self, parameters, steady=True))
+        accelerations = law(Motion(parts[: self.joints], speeds, efforts))
+        return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
+
+    def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
+        return self.with_payload_at(self.tip, mass, parameters)
+
+    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+        """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
+
+        Raises:
+            TreeError: There is no such place.
+        """
+        if site not in self.payload_sites:
+            raise TreeError(f'{self.name} has no place "{site}"; it has: {", ".join(self.payload_sites)}')
+        name = payload_name(site)
+        before = parameters.get(name)
+        return {**parameters, name: mass if before is None else before + mass}
+
+    def outline(self, angles: np.ndarray) -> Outline:
+        return lines(self.tree, angles, self._view)
+
+    def draw_on(
+        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
+    ) -> None:
+        angles = np.nan_to_num(np.asarray(measurement, dtype=float)[: self.joints])
+        links, points = lines(self.tree, angles, self._view)
+        ends = [end for _, end in links[self.joints :]]
+        drawing.draw_tree(image, links, points, ends, self._view.reach)
+        if command is not None and self._commands:
+            given = np.ravel(command)
+            sizes = [max(abs(c.low), abs(c.high)) for c in self._commands]
+            fractions = [u / size for u, size in zip(given, sizes, strict=True)]
+            where = [points[j] for j in self.command_joints]
+            drawing.draw_joint_commands(image, where, fractions, self._view.reach)
+
+    def _drives(self) -> list[list[int]]:
+        """Actuators of each joint."""
+        found: list[list[int]] = [[] for _ in range(self.joints)]
+        for k, actuator in enumerate(self.tree.actuators):
+            found[actuator.joint].append(k)
+        return found
+
+    def _cut(self, index: int, value: Tensor) -> Tensor:
+        low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
+        return clipped(value, low, high)
+
+    def _tilt_axes(self) -> tuple[int, ...]:
+        """The two axes of the base that lie most across gravity; none without gravity."""
+        size = np.abs(self.tree.gravity)
+        return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
+
+    def gravity(self, parameters: Parameters) -> Triple:
+        """Gravity in the frame of the base, which may be turned about two of its axes."""
+        gravity: Triple = self.tree.gravity
+        for k in self._tilt_axes():
+            if (angle := parameters.get(ABOUT[k])) is not None:
+                axis: Triple = tuple(float(i == k) for i in range(3))  # pyright: ignore[reportAssignmentType]
+                # Seen from a base that turns by the angle, gravity turns back.
+                across = cross(axis, gravity)
+                along = mul(gravity[k], 1.0)
+                c, s = torch.cos(angle), torch.sin(angle)
+                gravity = tuple(  # pyright: ignore[reportAssignmentType]
+                    along if i == k else sub(mul(c, gravity[i]), mul(s, across[i])) for i in range(3)
+                )
+        return scaled(1.0, gravity)
+
+    def _refuse_clashes(self) -> None:
+        names = [c.name for c in (*self._commands, *self.measurements)]
+        for name in names:
+            if names.count(name) > 1:
+                where = self.origin or self.name
+                raise TreeError(
+                    f'{where}: two channels are called "{name}"; rename the actuator or the joint in the model'
+                )
+
+
+class _Numbers(NamedTuple):
+    """What the equations of motion make of a set of parameters."""
+
+    inertias: list[Inertia]
+    gravity: Triple
+    passive: dict[str, list[Scalar]]
+    laws: list[Law]
+
+    @staticmethod
+    def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
+        """Numbers of a system under named values; ``steady`` with the armatures that simulations add."""
+        tree = system.tree
+        passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
+        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        if steady:
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
+        return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
+
+    def fast(self, arrays: TreeArrays) -> FastLaw | None:
+        """The compiled loop; None where it cannot be used."""
+        flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
+        flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
+        flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
+        if not is_plain(flat):
+            return None
+        return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)
+
+
+def _as_tensor(value: Scalar) -> Tensor:
+    return torch.as_tensor(value, dtype=torch.float64)
+
+
+def _all_of(motion: Motion) -> list[Tensor | None]:
+    parts = [*motion.angles, *motion.speeds, *motion.efforts]
+    return [*parts, *(motion.loads or ()), *(motion.smoothing or ())]
+
+
+def _position(name: str, slides: bool, joint: str) -> Channel:
+    unit, noise = ("m", PLACE_NOISE) if slides else ("rad", ANGLE_NOISE)
+    text = f"place of {joint}" if slides else f"angle of {joint}"
+    return Channel(name, unit, "measurement", noise_sd=noise, description=text, angle=not slides)
+
+
+def _speed(name: str, slides: bool, joint: str) -> Channel:
+    unit, noise = ("m/s", RATE_NOISE) if slides else ("rad/s", SPEED_NOISE)
+    return Channel(name, unit, "measurement", noise_sd=noise, description=f"speed of {joint}")
+
+
+def _drives(actuator: Actuator, tree: Tree) -> str:
+    joint = tree.joints[actuator.joint]
+    if is_servo(actuator):
+        return f"goal of the position of {joint.name}"
+    if is_speed_servo(actuator):
+        return f"goal of the speed of {joint.name}"
+    return f"command of {actuator.name} to {joint.name}"
+
+
+def _tip(tree: Tree) -> int:
+    """Index of the site where a robot carries things: on the joint that is farthest from the base."""
+    depth = []
+    for joint in tree.joints:
+        depth.append(1 + (depth[joint.parent] if joint.parent >= 0 else 0))
+    deepest = max(depth[site.joint] for site in tree.sites)
+    return next(i for i, site in enumerate(tree.sites) if depth[site.joint] == deepest)

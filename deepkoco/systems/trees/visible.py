@@ -1,0 +1,54 @@
+"""Parameters that no motion can show, such as the mass of a first link that turns about a vertical axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from deepkoco.systems.system import Motion, Parameter
+
+if TYPE_CHECKING:
+    from deepkoco.systems.trees.tree_system import TreeSystem
+
+MOTIONS = 16
+IN_TIME = ("time_constant(", "delay(")  # of commands: an acceleration at one instant does not show them
+STEP = 1e-3  # of a parameter [prior standard deviations]
+FAINT = (
+    1e-7  # change of an acceleration per prior standard deviation that is rounding, per largest acceleration
+)
+
+
+def visible_parameters(
+    system: TreeSystem, declared: Sequence[Parameter], seed: int = 0
+) -> tuple[Parameter, ...]:
+    """Those of the declared parameters that change an acceleration in random motions, and those in time."""
+    draw = np.random.default_rng(seed)
+    shape = (MOTIONS, 1)
+
+    def drawn(size: float) -> torch.Tensor:
+        return torch.from_numpy(draw.uniform(-size, size, shape))
+
+    angles = tuple(j.reference + drawn(0.3 if j.slides else 3.0) for j in system.tree.joints)
+    speeds = tuple(drawn(0.5 if j.slides else 3.0) for j in system.tree.joints)
+    sizes = [max(abs(c.low), abs(c.high)) for c in system.commands]
+    # Far from the limits of the forces, behind which gains have no say.
+    efforts = []
+    for actuator, size in zip(system.tree.actuators, sizes, strict=True):
+        servo = actuator.bias[1] * actuator.gain[0] < 0.0
+        near = -actuator.bias[1] / actuator.gain[0] * actuator.gear * angles[actuator.joint] if servo else 0.0
+        efforts.append(near + drawn(1e-3 * size))
+    values = {p.name: torch.full((len(declared) + 1,), p.value, dtype=torch.float64) for p in declared}
+    for k, p in enumerate(declared):
+        step = STEP * p.prior_sd
+        values[p.name][k + 1] += step if p.value + step <= p.high else -step
+    found = torch.stack(system.accelerations(values)(Motion(angles, speeds, tuple(efforts))))  # (J, n, P + 1)
+    change = (found[..., 1:] - found[..., :1]).abs().amax((0, 1)) / STEP
+    scale = float(found.abs().max())
+    return tuple(
+        p
+        for p, c in zip(declared, change.tolist(), strict=True)
+        if c > FAINT * scale or p.name.startswith(IN_TIME)
+    )

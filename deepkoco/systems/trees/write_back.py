@@ -1,0 +1,465 @@
+"""Write a robot with its effects back as MJCF, and say what the file cannot hold."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from deepkoco.systems.effects.effect import ALL, parameter_kinds
+from deepkoco.systems.effects.scaled import SCALED
+from deepkoco.systems.extended import ExtendedSystem
+from deepkoco.systems.system import System
+from deepkoco.systems.trees.model_file import is_urdf, read_spec
+from deepkoco.systems.trees.parameters import AXES, actuator_law, physical_moments
+from deepkoco.systems.trees.tree import Body, TreeError
+from deepkoco.systems.trees.tree_system import TreeSystem
+
+if TYPE_CHECKING:
+    import mujoco
+
+SAME = 1e-9  # relative difference below which a value of the file stays as it is
+CREEP = 1e-3  # time constant with which dry friction stops a joint in MuJoCo, at least two of its steps [s]
+POINT = 1e-8  # inertia of a point mass in the file, per mass [m2]: a body needs one
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Change:
+    """One number of the file.
+
+    Attributes:
+        element: Kind and name of the element, e.g. ``joint "elbow"``.
+        attribute: Attribute of the element.
+        before: Value in the given file, in ``unit``.
+        after: Value in the written file, in ``unit``.
+        unit: SI unit.
+        reason: What the value stands for.
+    """
+
+    element: str
+    attribute: str
+    before: float
+    after: float
+    unit: str
+    reason: str
+
+
+@dataclass
+class WriteBack:
+    """A robot as MJCF.
+
+    Attributes:
+        xml: Text of the file.
+        changes: Numbers that differ from the given file.
+        left_out: One sentence for each effect that MJCF cannot hold.
+    """
+
+    xml: str = ""
+    changes: list[Change] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+
+
+def tree_of(system: System) -> TreeSystem | None:
+    """The robot behind a system with effects; None if it was not read from MJCF or URDF."""
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    return base if isinstance(base, TreeSystem) and base.origin is not None else None
+
+
+def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
+    """Put the values and the effects of a system into the MJCF that it was read from.
+
+    A URDF robot becomes MJCF, with a motor for each joint.
+
+    Args:
+        system: A robot read from MJCF or URDF, with or without effects.
+        folder: Folder that the file is for; the paths of meshes are relative to it.
+
+    Returns:
+        The text, what changed, and what the file cannot hold.
+
+    Raises:
+        TreeError: The system is no such robot, or the file that it was read from is gone.
+    """
+    robot = tree_of(system)
+    if robot is None:
+        raise TreeError(
+            f"{system.name} was not read from an MJCF or URDF file, so there is none to write back to"
+        )
+    path = Path(str(robot.origin))
+    spec, _ = read_spec(path)
+    model = spec.compile()
+    result = WriteBack()
+    writer = _Writer(robot, spec, model, result, _values(system))
+    if is_urdf(path):
+        writer.add_motors()
+    writer.write_bodies()
+    writer.write_joints()
+    writer.write_actuators()
+    writer.write_tilt()
+    if isinstance(system, ExtendedSystem):
+        for placed in system.effects:
+            own = {p.name: writer.values[f"{placed.name}.{p.name}"] for p in placed.parameters(robot)}
+            nulls = {p.name: p.value for p in placed.parameters(robot)}
+            if own == nulls:
+                continue
+            # What all actuators share is written to each of them.
+            indices = range(len(robot.commands)) if placed.index == ALL else (placed.index,)
+            for index in indices:
+                writer.write_effect(placed.effect.name, placed.name, index, own)
+    writer.finish_actuators()
+    _move_paths(spec, path, Path(folder))
+    spec.compile()  # what cannot be compiled must not be written
+    result.xml = spec.to_xml()
+    return result
+
+
+def _values(system: System) -> Values:
+    """Parameters of a system; those that have a common factor are multiplied by it."""
+    values = {p.name: float(p.value) for p in system.parameters}
+    if isinstance(system, ExtendedSystem):
+        for kind, names in parameter_kinds(system.base).items():
+            factor = values.get(f"{SCALED.name}({kind}).factor", 1.0)
+            values |= {n: factor * values[n] for n in names}
+    return values
+
+
+class _Writer:
+    """Edits of one specification, each with the change that it makes."""
+
+    def __init__(
+        self, robot: TreeSystem, spec: Any, model: mujoco.MjModel, result: WriteBack, values: Values
+    ) -> None:
+        self.robot, self.spec, self.model, self.result, self.values = robot, spec, model, result, values
+        self.bodies = {b.id: b for b in spec.bodies}
+        self.joints = sorted(spec.joints, key=lambda j: j.id)
+        self.actuators = sorted(spec.actuators, key=lambda a: a.id)
+        self.owner = list(dict.fromkeys(int(b) for b in model.jnt_bodyid))  # body id of each body of the tree
+        count = len(robot.tree.actuators)
+        # The command u becomes scale * u + offset, then is cut to +-limit, filtered, and delayed.
+        self.scale, self.offset = [1.0] * count, [0.0] * count
+        self.limit, self.lag, self.delay = [math.inf] * count, [0.0] * count, [0.0] * count
+
+    def note(self, element: str, attribute: str, before: float, after: float, unit: str, reason: str) -> None:
+        self.result.changes.append(Change(element, attribute, float(before), float(after), unit, reason))
+
+    def leave_out(self, name: str, why: str) -> None:
+        self.result.left_out.append(f"{name}: {why}")
+
+    def add_motors(self) -> None:
+        for actuator in self.robot.tree.actuators:
+            joint = self.joints[actuator.joint]
+            own = self.spec.add_actuator(name=actuator.name, target=joint.name)
+            own.set_to_motor()
+            own.trntype = _mujoco().mjtTrn.mjTRN_JOINT
+            if math.isfinite(actuator.low) and math.isfinite(actuator.high):
+                own.ctrlrange, own.ctrllimited = [actuator.low, actuator.high], True
+            self.actuators.append(own)
+
+    def write_bodies(self) -> None:
+        for number, body in enumerate(self.robot.tree.bodies):
+            names = [
+                f"mass({body.name})",
+                *(f"{k}_{a}({body.name})" for k in ("com", "inertia") for a in AXES),
+            ]
+            nominal = [body.mass, *body.com, *body.moments]
+            now = [self.values.get(n, v) for n, v in zip(names, nominal, strict=True)]
+            if all(_same(a, b) for a, b in zip(now, nominal, strict=True)):
+                continue
+            units = ["kg", "m", "m", "m", "kg m2", "kg m2", "kg m2"]
+            labels = [
+                "mass",
+                *(f"centre of mass {a}" for a in AXES),
+                *(f"moment of inertia {a}" for a in AXES),
+            ]
+            for label, before, after, unit in zip(labels, nominal, now, units, strict=True):
+                if not _same(before, after):
+                    self.note(f'body "{body.name}"', label, before, after, unit, "fitted")
+            self._set_inertial(number, body, now)
+
+    def _set_inertial(self, number: int, body: Body, now: list[float]) -> None:
+        own = self.bodies[self.owner[number]]
+        own.explicitinertial = True
+        own.mass, own.ipos = now[0], now[1:4]
+        own.inertia = [float(m) for m in physical_moments(now[4:])]
+        own.iquat, own.fullinertia = _quaternion(np.array(body.axes)), [math.nan] * 6
+        self.spec.compiler.inertiafromgeom = 2  # automatic: a given inertial counts
+        # Bodies that are welded to it are part of these numbers already.
+        for b in range(1, self.model.nbody):
+            welded = self.model.body_weldid[b] == self.model.body_weldid[self.owner[number]]
+            if welded and b != self.owner[number]:
+                part = self.bodies[b]
+                part.explicitinertial = False
+                for geom in part.geoms:
+                    geom.mass = 0.0
+
+    def write_joints(self) -> None:
+        for number, joint in enumerate(self.robot.tree.joints):
+            turn = "m" if joint.slides else "rad"
+            load = "N" if joint.slides else "N m"
+            units = {
+                "damping": f"{load} s/{turn}",
+                "frictionloss": load,
+                "armature": "kg" if joint.slides else "kg m2",
+                "stiffness": f"{load}/{turn}",
+                "springref": turn,
+            }
+            for kind, unit in units.items():
+                before = float(getattr(joint, kind))
+                self._set_joint(
+                    number, kind, before, self.values.get(f"{kind}({joint.name})", before), unit, "fitted"
+                )
+
+    def _set_joint(self, number: int, kind: str, before: float, after: float, unit: str, reason: str) -> None:
+        if _same(before, after):
+            return
+        own = self.joints[number]
+        if kind in ("damping", "stiffness"):
+            values = np.array(getattr(own, kind), dtype=float)
+            values[0] = after
+            setattr(own, kind, values)
+        elif kind == "springref" and not self.robot.tree.joints[number].slides and self.spec.compiler.degree:
+            own.springref = math.degrees(after)
+        else:
+            setattr(own, kind, after)
+        if kind == "frictionloss":
+            # MuJoCo's own 0.02 s let a joint that friction holds creep on.
+            own.solref_friction = [CREEP, 1.0]
+        self.note(f'joint "{self.robot.joint_names[number]}"', kind, before, after, unit, reason)
+
+    def _add_to_joint(self, number: int, kind: str, amount: float, unit: str, reason: str, name: str) -> None:
+        values = np.atleast_1d(np.array(getattr(self.joints[number], kind), dtype=float))
+        before, after = float(values[0]), float(values[0]) + amount
+        if after < 0.0:
+            self.leave_out(
+                name,
+                f"{kind} of the joint would be {after:.4g} {unit}; MJCF has no negative {kind}, so 0 is written",
+            )
+            after = 0.0
+        self._set_joint(number, kind, before, after, unit, reason)
+
+    def write_actuators(self) -> None:
+        tensors = {n: torch.tensor(v, dtype=torch.float64) for n, v in self.values.items()}
+        for number, actuator in enumerate(self.robot.tree.actuators):
+            gain, bias = actuator_law(actuator, tensors)
+            own, element = self.actuators[number], f'actuator "{actuator.name}"'
+            for label, given, now in (("gainprm", actuator.gain, gain), ("biasprm", actuator.bias, bias)):
+                values = np.array(getattr(own, label), dtype=float)
+                for i, (before, after) in enumerate(zip(given, now, strict=True)):
+                    if not _same(before, float(after)):
+                        self.note(element, f"{label} {i + 1}", before, float(after), "1", "fitted")
+                        values[i] = float(after)
+                setattr(own, label, values)
+            self.lag[number] = self.values.get(f"time_constant({actuator.name})", actuator.time_constant)
+            self.delay[number] = self.values.get(f"delay({actuator.name})", actuator.delay)
+
+    def write_tilt(self) -> None:
+        tensors = {
+            p.name: torch.tensor(self.values[f"tilt.{p.name}"], dtype=torch.float64)
+            for p in self.robot.tilt_parameters
+            if f"tilt.{p.name}" in self.values
+        }
+        now = [float(g) for g in self.robot.gravity(tensors)]
+        for i, axis in enumerate(AXES):
+            before = self.robot.tree.gravity[i]
+            if not _same(before, now[i]):
+                self.note("option", f"gravity {axis}", before, now[i], "m/s2", "the base is tilted")
+        if tensors:
+            self.spec.option.gravity = now
+
+    def write_effect(self, kind: str, name: str, index: int, own: Values) -> None:
+        """Write one effect; what no attribute can hold is left out by name."""
+        writers: dict[str, Callable[[str, int, Values], None]] = {
+            "viscous": lambda n, j, p: self._friction(n, j, "damping", p["change"]),
+            "coulomb": lambda n, j, p: self._friction(n, j, "frictionloss", p["torque"]),
+            "stribeck": self._stribeck,
+            "quadratic": self._quadratic,
+            "spring": self._spring,
+            "payload": self._payload,
+            "gain": self._affine,
+            "unit_slip": self._affine,
+            "torque_bias": self._affine,
+            "saturation": self._saturation,
+            "lag": self._lagged,
+            "actuation_delay": self._delayed,
+            "tilt": lambda n, j, p: None,
+            SCALED.name: lambda n, j, p: None,
+        }
+        if kind in writers:
+            writers[kind](name, index, own)
+        else:
+            self.leave_out(name, LEFT_OUT.get(kind, "MJCF has no element for it; use model.yaml"))
+
+    def _friction(self, name: str, joint: int, kind: str, amount: float) -> None:
+        unit = (self.robot.per_speed_units if kind == "damping" else self.robot.load_units)[joint]
+        self._add_to_joint(joint, kind, amount, unit, name, name)
+
+    def _stribeck(self, name: str, joint: int, own: Values) -> None:
+        self._friction(name, joint, "frictionloss", own["coulomb"])
+        if own["breakaway"] > 0.0:
+            unit = self.robot.load_units[joint]
+            self.leave_out(
+                name,
+                f"the excess of {own['breakaway']:.4g} {unit} near standstill; MJCF has one dry friction",
+            )
+
+    def _quadratic(self, name: str, joint: int, own: Values) -> None:
+        values = np.array(self.joints[joint].damping, dtype=float)
+        values[1] += own["drag"]
+        self.joints[joint].damping = values
+        unit = self.robot.per_speed_squared_units[joint]
+        self.note(f'joint "{self.robot.joint_names[joint]}"', "damping 2", 0.0, values[1], unit, name)
+
+    def _spring(self, name: str, joint: int, own: Values) -> None:
+        stiffness, centre = own["stiffness"], own.get("centre", 0.0)
+        declared = self.robot.tree.joints[joint]
+        before = self.values.get(f"stiffness({declared.name})", declared.stiffness)
+        rest = self.values.get(f"springref({declared.name})", declared.springref)
+        total = before + stiffness
+        if total == 0.0:
+            return
+        unit = f"{self.robot.load_units[joint]}/{self.robot.state_units[joint]}"
+        self._set_joint(joint, "stiffness", before, total, unit, name)
+        middle = (before * rest + stiffness * centre) / total
+        self._set_joint(joint, "springref", rest, middle, self.robot.state_units[joint], name)
+
+    def _payload(self, name: str, index: int, own: Values) -> None:
+        site = self.robot.tree.sites[self.robot.payload_sites.index(self._payload_site(name))]
+        number = next(i for i, b in enumerate(self.robot.tree.bodies) if b.joint == site.joint)
+        body = self.robot.tree.bodies[number]
+        rotation = np.array(body.frame.rotation)
+        place = rotation.T @ (np.array(site.offset) - np.array(body.frame.offset))
+        parent = self.bodies[self.owner[number]]
+        added = parent.add_body(name=_free_name("payload", self.spec), pos=place)
+        added.explicitinertial, added.mass, added.inertia = True, own["mass"], [POINT * own["mass"]] * 3
+        added.ipos, added.iquat = [0.0] * 3, [1.0, 0.0, 0.0, 0.0]
+        self.note(f'body "{added.name}"', f'mass, welded to "{body.name}"', 0.0, own["mass"], "kg", name)
+
+    def _payload_site(self, name: str) -> str:
+        """Place that the name of a payload gives; the tip where it gives none."""
+        inner = name.partition("(")[2].rstrip(")")
+        return inner if inner in self.robot.payload_sites else self.robot.tip
+
+    def _affine(self, name: str, index: int, own: Values) -> None:
+        # In the order in which the effects act: a gain before a bias.
+        if "factor" in own:
+            self.scale[index] *= own["factor"]
+            self.offset[index] *= own["factor"]
+        else:
+            self.offset[index] += own["effort"]
+        now = own.get("factor", own.get("effort", 0.0))
+        before, unit = (1.0, "1") if "factor" in own else (0.0, self.robot.commands[index].unit)
+        self.note(
+            f'actuator "{self.robot.commands[index].name}"', name.split("(")[0], before, now, unit, name
+        )
+
+    def _saturation(self, name: str, index: int, own: Values) -> None:
+        self.limit[index] = own["limit"]
+
+    def _lagged(self, name: str, index: int, own: Values) -> None:
+        if self.lag[index] > 0.0:
+            self.leave_out(name, "the actuator has a first-order filter already, and MJCF has one only")
+            return
+        self.lag[index] = own["time_constant"]
+
+    def _delayed(self, name: str, index: int, own: Values) -> None:
+        self.delay[index] += own["delay"]
+
+    def finish_actuators(self) -> None:
+        """Write what several effects of one command make together."""
+        m = _mujoco()
+        for i, actuator in enumerate(self.robot.tree.actuators):
+            own, element = self.actuators[i], f'actuator "{actuator.name}"'
+            scale, offset, limit = self.scale[i], self.offset[i], self.limit[i]
+            gain, bias = np.array(own.gainprm, dtype=float), np.array(own.biasprm, dtype=float)
+            if (scale, offset) != (1.0, 0.0):
+                # gain * (scale u + offset) + bias, with a gain that may depend on length and velocity.
+                bias[:3] += gain[:3] * offset
+                gain[:3] *= scale
+                own.gainprm, own.biasprm = gain, bias
+                if bias[:3].any():
+                    own.biastype = m.mjtBias.mjBIAS_AFFINE
+            if math.isfinite(limit) and scale != 0.0:
+                ends = sorted(((-limit - offset) / scale, (limit - offset) / scale))
+                low, high = max(actuator.low, ends[0]), min(actuator.high, ends[1])
+                if low > high:
+                    low = high = min(max(low, actuator.low), actuator.high)
+                own.ctrlrange, own.ctrllimited = [low, high], True
+                self.note(
+                    element, "ctrlrange high", actuator.high, high, self.robot.commands[i].unit, "saturation"
+                )
+            if not _same(self.lag[i], actuator.time_constant):
+                values = np.array(own.dynprm, dtype=float)
+                values[0] = self.lag[i]
+                own.dynprm = values
+                own.dyntype = m.mjtDyn.mjDYN_FILTEREXACT if self.lag[i] > 0.0 else m.mjtDyn.mjDYN_NONE
+                self.note(element, "dynprm 1", actuator.time_constant, self.lag[i], "s", "first-order lag")
+            if not _same(self.delay[i], actuator.delay):
+                step = float(self.spec.option.timestep)
+                # Linear interpolation, as a delay need not be a multiple of the time step. It lets a jump of the
+                # command begin one step early, so its middle is half a step early.
+                own.delay, own.interp = self.delay[i] + 0.5 * step, 1
+                own.nsample = max(int(own.nsample), math.ceil(own.delay / step) + 2)
+                reason = (
+                    "delay of the command (the file has half a time step more, for MuJoCo's interpolation)"
+                )
+                self.note(element, "delay", actuator.delay, self.delay[i], "s", reason)
+
+
+LEFT_OUT = {
+    "sensing_delay": "delay the measurements in your own loop; MJCF delays sensors, not the state",
+    "sensor_bias": "correct the calibration of the sensor; it is no property of the robot",
+    "sensor_scale": "correct the calibration of the sensor; it is no property of the robot",
+    "sensor_drift": "correct the calibration of the sensor; it is no property of the robot",
+    "channel_slip": "correct the unit of the channel; it is no property of the robot",
+    "low_pass": "filter the measurements in your own loop; it is no property of the robot",
+    "noise_level": "add the noise to the measurements in your own loop",
+    "quantisation": "round the measurements in your own loop",
+    "jitter": "it belongs to the time stamps of the log",
+    "clock_skew": "it belongs to the clocks of the log",
+    "lost_commands": "drop commands in your own loop",
+    "bristle": "MJCF has no friction with a memory; use model.yaml",
+    "gear_play": "MJCF needs a joint of its own for play; add one behind the gear by hand",
+    "learned": "MJCF has no learned load; use model.yaml",
+}
+"""Effect -> what to do about it, where the file of a robot cannot hold it."""
+
+
+def _free_name(name: str, spec: Any) -> str:
+    taken, number, free = {b.name for b in spec.bodies}, 2, name
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    return free
+
+
+def _same(a: float, b: float) -> bool:
+    return a == b or abs(a - b) <= SAME * max(abs(a), abs(b))
+
+
+def _quaternion(axes: np.ndarray) -> np.ndarray:
+    rotation = axes if np.linalg.det(axes) > 0.0 else axes * np.array([1.0, 1.0, -1.0])
+    result = np.empty(4)
+    _mujoco().mju_mat2Quat(result, rotation.ravel())
+    return result
+
+
+def _move_paths(spec: Any, path: Path, folder: Path) -> None:
+    """Let the paths of meshes and textures start from the new folder."""
+    for attribute in ("meshdir", "texturedir"):
+        given = getattr(spec.compiler, attribute)
+        used = spec.meshes if attribute == "meshdir" else spec.textures
+        if any(element.file for element in used):
+            there = (path.parent / given).resolve()
+            setattr(spec.compiler, attribute, os.path.relpath(there, folder.resolve()))
+
+
+def _mujoco() -> Any:
+    import mujoco
+
+    return mujoco

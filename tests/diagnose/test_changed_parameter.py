@@ -1,0 +1,126 @@
+"""A wrong parameter of the simulation is named as what it is, and not as a mechanism that imitates it."""
+
+from dataclasses import replace
+
+import pytest
+
+from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.causes import catalogue, changed_parameter
+from deepkoco.diagnose.diagnosis import Estimate
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.screening import screen
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.report.text import headline, new_value, spoken, terminal_table
+from deepkoco.excitation.record import record
+from deepkoco.fit.data.windows import cut_windows, moving, window_length
+from deepkoco.fit.fit import FitProblem, Trial
+from deepkoco.systems import make_system
+from deepkoco.unit import make_unit
+from tests.systems.cart_pole import POLE_MASS, CartPole, cart_pole_log
+
+
+class Misread(CartPole):
+    """A cart-pole whose builder wrote down another mass of the pole; weights at the tip are nothing he knows of."""
+
+    def __init__(self, mass: float, sd: float) -> None:
+        super().__init__()
+        self.parameters = tuple(
+            replace(p, value=mass, prior_sd=sd) if p.name == "pole_mass" else p for p in self.parameters
+        )
+
+    def with_payload(self, mass, parameters):
+        return dict(parameters)
+
+
+@pytest.fixture(scope="module")
+def cart_log():
+    return cart_pole_log(seed=4, seconds=12.0)
+
+
+def test_wrong_mass_beyond_its_prior_is_the_headline(cart_log):
+    result = diagnose([cart_log], Misread(0.12, 0.01))
+    assert result.names == ("changed(pole_mass)",)
+    (cause,) = result.causes
+    assert cause.parameters["pole_mass"].value == pytest.approx(POLE_MASS, rel=0.01)
+    assert cause.given == {"pole_mass": 0.12}
+    assert headline(result).startswith("pole mass is 0.2 kg, not 0.12 kg (x 1.66")
+    assert result.model.parameter("pole_mass").value == pytest.approx(POLE_MASS, rel=0.01)
+    # The gain compares with a refit in which the mass stays as given.
+    assert result.gain.reduction > 0.5
+    terminal_table(result)
+
+
+def test_wrong_mass_within_a_wide_prior_is_the_headline_of_nothing(cart_log):
+    result = diagnose([cart_log], Misread(0.12, 0.035))
+    assert result.verdict == "nothing"
+    assert [m.name for m in result.moved] == ["pole_mass"]
+    assert headline(result).startswith("pole mass is 0.2 kg, not 0.12 kg")
+    assert result.to_json()["fit"]["moved"][0]["given"] == 0.12
+
+
+def test_payload_that_is_another_mass_says_so(cart_log):
+    light = CartPole()
+    light.parameters = tuple(replace(p, value=0.12) if p.name == "pole_mass" else p for p in light.parameters)
+    result = diagnose([cart_log], light, only=["payload", "changed"])
+    (cause,) = result.causes
+    assert cause.name == "payload"
+    (same,) = cause.same_as
+    assert same.name == "pole_mass"
+    assert same.estimate.value == pytest.approx(POLE_MASS, rel=0.01)
+    assert "the same as: pole mass is 0.2 kg, not 0.12 kg" in headline(result)
+
+
+def servo_log(seed, **changed):
+    spec = make_unit("torque_pendulum", parameters=changed, sensor={"rate_hz": 100.0}, seed=seed)
+    return record(spec, "steps", 15.0, clock="simulated", seed=seed)
+
+
+@pytest.mark.study
+def test_parameter_that_differs_from_healthy_logs_is_named_and_a_control_is_not():
+    # The declared spread of the inertia is 34 %: only the healthy logs know it better.
+    system = make_system("torque_pendulum")
+    baseline = learn_baseline([servo_log(1), servo_log(2)], system, window_length(system))
+    found = diagnose([servo_log(3, inertia=0.2)], system, baseline=baseline)
+    assert "changed(inertia)" in found.causes[0].members
+    assert diagnose([servo_log(4)], system, baseline=baseline).causes == ()
+
+
+def test_promise_of_a_changed_parameter_is_the_fall_of_the_cost_of_its_fit(cart_log):
+    system = Misread(0.19, 0.001)
+    windows = cut_windows([cart_log], system, window_length(system))
+    start = baseline_from(system, windows)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    problem, known = FitProblem(start.system, windows), catalogue(system)
+    for name in ("changed(pole_mass)", "changed(length)"):
+        cause = known[name]
+        (point,) = screen(problem, reference, start.prior, [(cause, {})])
+        prior = prior_with(problem, start, [cause], reference.values)
+        fit = problem.fit_one(
+            Trial(name, prior.names, prior, reference.values, reference.state, reference.nuisance)
+        )
+        assert point.promise == pytest.approx(reference.cost - fit.cost, rel=0.05, abs=0.5)
+
+
+def test_parameter_to_which_another_cause_adds_is_left_out_of_the_screening(cart_log):
+    system = CartPole()
+    windows = cut_windows([cart_log], system, window_length(system))
+    start = baseline_from(system, windows)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    problem, known = FitProblem(start.system, windows), catalogue(system)
+    tried = [(known[n], {}) for n in ("viscous(cart)", "changed(cart_viscous)", "changed(length)")]
+    found = screen(problem, reference, start.prior, tried)
+    assert [p.cause.name for p in found] == ["viscous(cart)", "changed(length)"]
+
+
+def test_new_value_says_factor_and_interval():
+    text = new_value("servo_gain", 100.0, Estimate(200.0, 197.0, 203.0, "1"))
+    assert text == "servo gain is 200, not 100 (x 2.00 [1.97, 2.03])"
+    assert new_value("spring", 0.0, Estimate(0.5, 0.4, 0.6, "N m")) == "spring is 0.5 N m, not 0 N m"
+    assert "x 1.0035 [1.0034, 1.0036]" in new_value("mass", 1.0, Estimate(1.0035, 1.0034, 1.0036, "kg"))
+
+
+def test_changed_parameter_reads_names_with_brackets():
+    assert changed_parameter("changed(damping(elbow))") == "damping(elbow)"
+    assert changed_parameter("coulomb(joint 2)") is None
+    assert spoken("changed(damping(elbow))") == "another value of damping (elbow)"
