@@ -14,6 +14,8 @@ from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
 FAR = 5.0  # values farther than this many ranges from the others are taken as missing
 JUMP = 0.5  # step to or from a far value, relative to its distance from the others, from which it is a jump
+GAPLESS = 1.5  # values whose distances grow by at most this factor go on from each other
+FEWEST_IN_ROW = 10  # far values that may go on from the others; fewer are glitches
 LATEST = 1e11  # latest plausible time stamp [s since 1970], about the year 5000
 
 
@@ -235,7 +237,27 @@ def far_values(value: np.ndarray) -> np.ndarray:
         return np.abs(np.nan_to_num(value, nan=0.0)) > 1e6 * max(abs(float(high)), 1.0)
     with np.errstate(invalid="ignore"):
         far = np.isfinite(value) & ((value < low - reach) | (value > high + reach))
-    return _without_motions(value, far, float(low), float(high)) if far.any() else far
+    if not far.any():
+        return far
+    distance = np.maximum(value - high, low - value)
+    limit = _reached(distance[far], float(reach))
+    return _without_motions(value, far & (distance > limit), float(low), float(high))
+
+
+def _reached(distances: np.ndarray, reach: float) -> float:
+    """Distance up to which far values go on from the others without a gap, as the speeds of short motions do.
+
+    Args:
+        distances: distances of the far values from the others.
+        reach: distance from which a value is far.
+    """
+    if len(distances) < FEWEST_IN_ROW:
+        return reach
+    for distance in np.sort(distances).tolist():
+        if distance > GAPLESS * reach:
+            break
+        reach = distance
+    return reach
 
 
 def _without_motions(value: np.ndarray, far: np.ndarray, low: float, high: float) -> np.ndarray:

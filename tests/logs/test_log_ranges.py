@@ -52,3 +52,14 @@ def test_far_values_keep_a_burst_of_glitches():
     value = 0.001 * np.sin(np.arange(1000.0))
     value[300:305] = 40.0
     assert np.flatnonzero(far_values(value)).tolist() == [300, 301, 302, 303, 304]
+
+
+def test_far_values_are_not_the_speeds_of_short_motions():
+    """A joint that rests for most of the time; its speeds rise and fall without a gap."""
+    rng = np.random.default_rng(0)
+    value = 0.01 * rng.normal(size=4000)
+    for begin in (500, 1500, 2600):
+        value[begin : begin + 24] += 2.0 * np.sin(np.pi * np.arange(24) / 24)
+    assert not far_values(value).any()
+    value[3300] = 9.0
+    assert np.flatnonzero(far_values(value)).tolist() == [3300]
