@@ -88,6 +88,12 @@ class EnvironmentSettings:
                 raise SettingsError(f"{name}: {error}") from error
         self._check_ranges()
 
+    @property
+    def ticks_per_second(self) -> float:
+        """Ticks of the simulated physics per second [Hz], as given or as chosen."""
+        assert self.world_rate is not None
+        return self.world_rate
+
     def make_system(self) -> System:
         """The system to simulate, with its nominal parameters.
 

@@ -183,7 +183,7 @@ def test_a_registered_task_has_a_name():
         ({"task": "my_tsk.py:Stay"}, r"task: .*there is no file my_tsk\.py"),
         ({"task": "swim"}, "unknown task .*one of your own: my_task.py:CLASS"),
         ({"task": {"pol": 1.0}}, 'goal names "pol"; the positions of cart_pole are cart, pole'),
-        ({"task": type("T", (Swing,), {"limits": {"rail": (-1, 1)}})}, 'limits names "rail"; the states .* are cart, pole'),
+        ({"task": type("T", (Swing,), {"limits": {"rail": (-1, 1)}})}, 'limits names "rail"; the states .* cart, pole'),
         ({"task": type("T", (Swing,), {"starts": {"pole": (1, 0)}})}, r"starts: pole = \(1, 0\); give \(low, high\)"),
         ({"task": type("T", (Swing,), {"system": "pendulum"})}, "is one of pendulum, not of cart_pole"),
         ({"task": 3}, "3 is no Task"),

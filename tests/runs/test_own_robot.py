@@ -21,7 +21,7 @@ import torch
 from deepkoco import Task
 
 class Swing(Task):
-    limits = {"cart": (-0.5, 0.5)}
+    limits = {"cart": (-20.0, 20.0)}
     control_rate = 25.0
     def cost(self, scene, state, commands, parameters=None):
         return state[..., 0] ** 2 + 1.0 + torch.cos(state[..., 1])
@@ -68,7 +68,7 @@ def test_a_robot_and_a_task_are_trained_and_evaluated_also_after_their_files_are
         (["--system", "my_robt.py:CartPole"], "there is no file my_robt.py"),
         (["--system", "my_robot.py:CartPole", "--task", "my_task.py:Swimg"], "did you mean Swing?"),
         (["--task", "my_task.py:Swing"], "give --system too"),
-        (["--system"], "--system: give a value"),
+        (["--system="], "--system: give a value"),
         (["--system", "my_robot.py", "task=pendulum"], "give only one of them"),
     ],
 )
