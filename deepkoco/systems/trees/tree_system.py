@@ -79,6 +79,8 @@ class TreeSystem(System):
         tip: The place of `with_payload`.
     """
 
+    tip: str
+
     def __init__(self, tree: Tree, origin: str | None = None) -> None:
         self.tree, self.origin, self.notes = tree, origin, tree.notes
         self.name, self.joints = tree.name, len(tree.joints)
