@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
         if args.study is None:
             study, questions = study_of(folder)
         else:
-            study = read_study(args.study)
+            study = read_study(args.study, folder)
             questions = dict(study.questions)
         if args.train:
             train, test = (tuple(parse_piece(t) for t in texts) for texts in (args.train, args.test))
