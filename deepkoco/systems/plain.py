@@ -13,19 +13,16 @@ def is_plain(values: Sequence[Tensor | float | None]) -> bool:
 
     The compiled loop reads memory: it can take nothing else.
     """
-    return (
-        all(
-            not isinstance(v, Tensor)
-            or (
-                type(v) is Tensor
-                and v.dtype == torch.float64
-                and v.device.type == "cpu"
-                and not (v.requires_grad and torch.is_grad_enabled())
-            )
-            for v in values
-        )
-        and not _transformed()
-    )
+    gradients = torch.is_grad_enabled()
+    for value in values:
+        if isinstance(value, Tensor) and (
+            type(value) is not Tensor
+            or value.dtype != torch.float64
+            or not value.is_cpu
+            or (gradients and value.requires_grad)
+        ):
+            return False
+    return not _transformed()
 
 
 def _transformed() -> bool:

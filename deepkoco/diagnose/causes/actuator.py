@@ -86,6 +86,23 @@ BACKLASH = Cause(
     lambda motion: -np.sign(motion.command_rate),
     _backlash_starts,
 )
+
+
+def _rate_limit_starts(hint: Hint) -> list[dict[str, float]]:
+    # Time in which the effort goes from zero to the largest command. No gradient shows a limit that limits nothing.
+    return [{"limit": _largest(hint) / seconds} for seconds in (0.01, 0.03, 0.1, 0.3)]
+
+
+RATE_LIMIT = Cause(
+    "rate_limit",
+    "actuator",
+    ("limit",),
+    "The effort changes at a limited rate, so it follows a large change of the command later than a small one.",
+    "Play steps of several sizes. Behind a limited rate the time to follow grows with the size; behind a lag it stays.",
+    "command_rate",
+    lambda motion: -motion.command_rate,
+    _rate_limit_starts,
+)
 GAIN_DRIFT = Cause(
     "gain_drift",
     "actuator",
@@ -112,6 +129,15 @@ ASYMMETRY = Cause(
     "Play a command sequence, then the same sequence with the opposite sign.",
     "command",
     lambda motion: np.abs(motion.command),
+)
+CROSSTALK = Cause(
+    "crosstalk",
+    "actuator",
+    ("share",),
+    "A share of one actuator's effort acts on another joint, through the gears, the cables or the wiring.",
+    "Drive one actuator alone, hold the other joint, and measure the force there.",
+    "command",
+    lambda motion: motion.command,
 )
 UNIT_SLIP = Cause(
     "unit_slip",

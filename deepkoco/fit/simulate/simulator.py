@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.command_effort import command_efforts
 from deepkoco.fit.simulate.nodes import Nodes
+from deepkoco.fit.simulate.play import behind_play
 from deepkoco.fit.simulate.sensor_filter import filtered
 from deepkoco.fit.simulate.step import (
     Drive,
@@ -26,6 +27,7 @@ from deepkoco.fit.simulate.step import (
 )
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.system import Motion
 
 
 def trajectories(
@@ -91,10 +93,11 @@ def integrate(
     at = [(time + offsets + later).unbind(0) for later in (0.0, half, h)]
     efforts = [_over_steps(start, slope, later) for later in (0.0, half, h)]
     loads = [None] * windows.steps if pushes is None else [p.unbind(0) for p in pushes.unbind(0)]
+    remembered = _first_memory(equations, angle, speed, efforts, loads, time)
     for i in range(windows.steps):
         begin, middle, end = (effort[i] for effort in efforts)
         t1, t2, t4 = (t[i] for t in at)
-        drive = Drive((begin, middle, end), (t1, t2, t4), loads[i])
+        drive = Drive((begin, middle, end), (t1, t2, t4), loads[i], remembered)
         direction = directions(speed, rest, equations.friction)
         step = step_of(equations, angle, speed, drive, direction, h)
         rows = turning(speed, step.speed, equations.friction)
@@ -103,6 +106,9 @@ def integrate(
             step = corrected(equations, step, angle, speed, drive, direction, h)
         elif len(rows):
             step = _corrected_in(rows, equations, step, angle, speed, drive, direction, h)
+        if remembered:
+            now = Motion(step.angle, step.speed, end, None, t4, equations.smoothing)
+            remembered = equations.memory.advanced(remembered, angle, now)
         angle, speed = step.angle, step.speed
         angles.append(angle)
         speeds.append(speed)
@@ -121,14 +127,31 @@ def _equations(
 ) -> Equations:
     smoothing = tuple(torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds)
     inverse = system.inverse_inertia(parameters)
-    if isinstance(system, ExtendedSystem):
-        free, friction = (
-            system.free_accelerations(parameters, lanes),
-            system.dry_friction_levels(parameters, lanes),
-        )
-    else:
+    if not isinstance(system, ExtendedSystem):
         free, friction = system.free_accelerations(parameters), system.dry_friction_levels(parameters)
-    return Equations(free, friction, inverse, smoothing)
+        return Equations(free, friction, inverse, smoothing)
+    free, friction = (
+        system.free_accelerations(parameters, lanes),
+        system.dry_friction_levels(parameters, lanes),
+    )
+    return Equations(free, friction, inverse, smoothing, system.joint_memory(parameters))
+
+
+def _first_memory(
+    equations: Equations,
+    angle: tuple[Tensor, ...],
+    speed: tuple[Tensor, ...],
+    efforts: list[list[tuple[Tensor, ...]]],
+    loads: Sequence[tuple[Tensor, ...] | None],
+    time: Tensor,
+) -> tuple[Tensor, ...]:
+    """What effects remember at the start of the windows; nothing where none does."""
+    if not equations.memory.parts or not loads:
+        return ()
+    motion = Motion(angle, speed, efforts[0][0], loads[0], time, equations.smoothing)
+    inverse = equations.inverse(motion)
+    needed = tuple(-a / inverse[j][j] for j, a in enumerate(equations.free(motion)))
+    return equations.memory.start(motion, needed)
 
 
 def _corrected_in(
@@ -179,6 +202,9 @@ def predict(
         lanes, differ: As for :func:`integrate`.
     """
     nodes = integrate(system, windows, parameters, initial, push, lanes, differ)
+    play = system.output_play(parameters)
+    if any(width is not None for width in play):
+        nodes = behind_play(nodes, play)
     slow = system.sensor_filter(parameters)
     nodes = nodes if not bool((slow > 0.0).any()) else filtered(nodes, slow, windows.step)
     count, channels, samples = len(windows), windows.t.shape[1], windows.t.shape[2]

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.dry_friction import DryFriction, Levels, rubbed
+from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.system import Acceleration, InverseInertia, Motion
 
 Values = tuple[Tensor, ...]
@@ -20,18 +21,20 @@ class Drive(NamedTuple):
         efforts: Effort of each command (W, L) at start, middle and end of the step.
         times: (W, 1) log time at start, middle and end [s].
         load: Per joint (W, L), outside load over the step; None for none.
+        memory: What effects remember at the start of the step, one (W, L) for each.
     """
 
     efforts: tuple[Values, Values, Values]
     times: tuple[Tensor, Tensor, Tensor]
     load: Values | None
+    memory: Values = ()
 
     def rows(self, rows: Tensor) -> Drive:
         """Drive of some windows."""
         begin, middle, end = (rows_of(e, rows) for e in self.efforts)
         t1, t2, t4 = (t[rows] for t in self.times)
         load = None if self.load is None else rows_of(self.load, rows)
-        return Drive((begin, middle, end), (t1, t2, t4), load)
+        return Drive((begin, middle, end), (t1, t2, t4), load, rows_of(self.memory, rows))
 
 
 class Equations(NamedTuple):
@@ -42,12 +45,14 @@ class Equations(NamedTuple):
         friction: Levels of the dry friction.
         inverse: Inverse inertia.
         smoothing: Per joint, speed over which equations smooth a dry friction that they do not declare, per second.
+        memory: Effects that remember the way of a joint.
     """
 
     free: Acceleration
     friction: DryFriction
     inverse: InverseInertia
     smoothing: Values
+    memory: JointMemory = JointMemory(())
 
 
 class Step(NamedTuple):
@@ -95,11 +100,13 @@ def step_of(
         h: Step [s].
     """
     half = 0.5 * h
-    (begin, middle, end), (t1, t2, t4), load = drive
-    free, friction, _, smoothing = equations
+    (begin, middle, end), (t1, t2, t4), load, before = drive
+    free, friction, _, smoothing, memory = equations
 
     def under(motion: Motion) -> Values:
         loads = _with_friction(load, friction.levels(motion), direction) if steady is None else steady
+        if before:
+            loads = memory.loads(memory.advanced(before, angle, motion), motion, loads)
         return free(motion._replace(loads=loads))
 
     steady = None if friction.varying else _with_friction(load, friction.steady, direction)

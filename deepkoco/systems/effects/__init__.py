@@ -3,20 +3,24 @@
 from deepkoco.systems.effects.actuator import (
     ASYMMETRY,
     BACKLASH,
+    CROSSTALK,
     DEAD_ZONE,
     GAIN,
     GAIN_CURVE,
     GAIN_DRIFT,
+    RATE_LIMIT,
     SATURATION,
     TORQUE_BIAS,
     UNIT_SLIP,
 )
 from deepkoco.systems.effects.body import LENGTH, PAYLOAD, TILT
-from deepkoco.systems.effects.disturbance import COGGING, PERIODIC
+from deepkoco.systems.effects.disturbance import COGGING, PERIODIC, SPRING
 from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY
 from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
+from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
 from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY
 from deepkoco.systems.system import System
@@ -36,6 +40,7 @@ EFFECTS: dict[str, Effect] = {
         STRIBECK,
         QUADRATIC,
         LOAD_FRICTION,
+        BRISTLE,
         UNIT_SLIP,
         BACKLASH,
         GAIN_DRIFT,
@@ -45,12 +50,17 @@ EFFECTS: dict[str, Effect] = {
         TORQUE_BIAS,
         DEAD_ZONE,
         SATURATION,
+        RATE_LIMIT,
+        SPRING,
+        CROSSTALK,
         COGGING,
         PERIODIC,
         LEARNED,
         PAYLOAD,
         LENGTH,
         TILT,
+        GEAR_PLAY,
+        SCALED,
         SENSOR_SCALE,
         SENSOR_BIAS,
         SENSOR_DRIFT,

@@ -8,10 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.effects.effect import Effect, JointState
 from deepkoco.systems.system import Parameter, Parameters, System
 
 LONG = 30.0  # time over which a drift is judged [s]
+FASTEST_RATE = 2000.0  # largest commands per second from which on a limit of the rate shows nowhere [1/s]
 
 
 def _gain(system: System, command: int = 0) -> tuple[Parameter, ...]:
@@ -106,12 +107,70 @@ def _apply_gain_drift(commands: Tensor, t: Tensor, p: Parameters) -> Tensor:
     return commands * (1.0 + p["rate"] * (t - t[0]).reshape(-1, *[1] * (commands.ndim - 1)))
 
 
+def _rate_limit(system: System, command: int = 0) -> tuple[Parameter, ...]:
+    size, unit = system.commands[command].high, system.commands[command].unit
+    if not 0.0 < size < math.inf:
+        return ()
+    declared = FASTEST_RATE * size
+    text = "r, largest change of the effort per second"
+    return (Parameter("limit", declared, f"{unit}/s", 0.1 * size, declared, 10.0 * size, text),)
+
+
+def _apply_rate_limit(commands: Tensor, t: Tensor, p: Parameters) -> Tensor:
+    """Effort that goes towards its command at most at a rate, from the first command on.
+
+    A command is held for a while, in which the effort moves evenly; the effort of this time is its mean. The time after
+    the last command counts as long as the one before.
+    """
+    limit, given = torch.as_tensor(p["limit"], dtype=torch.float64).numpy(), commands.numpy()
+    gap = np.diff(t.numpy(), append=2.0 * t[-1] - t[-2] if len(t) > 1 else t[-1])
+    result = np.empty(np.broadcast_shapes(given.shape, np.shape(limit)))
+    last = np.broadcast_to(given[0], result[0].shape)
+    for k, held in enumerate(gap):
+        away = given[k] - last
+        far, reach = np.abs(away), limit * held
+        with np.errstate(invalid="ignore", divide="ignore"):
+            # Over the ramp the effort is short of the command by half of what is missing.
+            mean = np.where(
+                far > reach, far - 0.5 * reach, 0.5 * far**2 / np.where(reach > 0.0, reach, np.inf)
+            )
+        result[k] = given[k] - np.sign(away) * mean
+        last = given[k] - np.sign(away) * np.maximum(far - reach, 0.0)
+    return torch.from_numpy(result)
+
+
 def _unit_slip(system: System, command: int = 0) -> tuple[Parameter, ...]:
     text = "c, effort per command: a constant between units"
     return (Parameter("factor", 1.0, "1", -2000.0, 2000.0, 1.0, text),)
 
 
-GAIN = Effect("gain", "actuator", "command", _gain, "the actuator scales its command", _apply_gain, "command")
+def _crosstalk(system: System, pair: int = 0) -> tuple[Parameter, ...]:
+    source, joint = system.coupled_joints[pair]
+    most, unit = system.delivered_scales[system.command_joints.index(source)]
+    load = system.load_units[joint]
+    limit = system.load_scales[joint] / most
+    if not 0.0 < limit < math.inf:
+        return ()
+    per = "1" if unit == load else f"{load}/({unit})"
+    return (
+        Parameter("share", 0.0, per, -limit, limit, 0.1 * limit, "c, load on this joint per effort of that"),
+    )
+
+
+def _crosstalk_load(joint: JointState, p: Parameters) -> Tensor:
+    return p["share"] * joint.effort
+
+
+GAIN = Effect(
+    "gain",
+    "actuator",
+    "command",
+    _gain,
+    "the actuator scales its command",
+    _apply_gain,
+    "command",
+    shared=True,
+)
 TORQUE_BIAS = Effect(
     "torque_bias",
     "actuator",
@@ -166,6 +225,15 @@ BACKLASH = Effect(
     _apply_backlash,
     "command",
 )
+RATE_LIMIT = Effect(
+    "rate_limit",
+    "actuator",
+    "series",
+    _rate_limit,
+    "the effort changes at a limited rate",
+    _apply_rate_limit,
+    "command",
+)
 GAIN_DRIFT = Effect(
     "gain_drift",
     "actuator",
@@ -174,6 +242,7 @@ GAIN_DRIFT = Effect(
     "the gain drifts in time",
     _apply_gain_drift,
     "command",
+    shared=True,
 )
 UNIT_SLIP = Effect(
     "unit_slip",
@@ -183,4 +252,13 @@ UNIT_SLIP = Effect(
     "the command is logged in another unit",
     _apply_gain,
     "command",
+)
+CROSSTALK = Effect(
+    "crosstalk",
+    "actuator",
+    "load",
+    _crosstalk,
+    "a share of one actuator's effort acts on another joint",
+    _crosstalk_load,
+    "pair",
 )

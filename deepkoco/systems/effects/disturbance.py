@@ -10,6 +10,7 @@ from deepkoco.systems.system import Parameter, Parameters, System
 
 FASTEST = 200.0  # [rad/s]
 MOST_CYCLES = 100.0
+FARTHEST = 100.0  # centre of a spring [rad or m]
 
 
 def _waves(system: System, joint: int) -> tuple[Parameter, Parameter]:
@@ -46,6 +47,20 @@ def _periodic_load(joint: JointState, p: Parameters) -> Tensor:
     return p["sine"] * torch.sin(phase) + p["cosine"] * torch.cos(phase)
 
 
+def _spring(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    limit, load, unit = system.load_scales[joint], system.load_units[joint], system.state_units[joint]
+    text = "q0, where the spring pulls nowhere"
+    return (
+        Parameter("stiffness", 0.0, f"{load}/{unit}", -10.0 * limit, 10.0 * limit, 0.2 * limit, "k, spring"),
+        Parameter("centre", 0.0, unit, -FARTHEST, FARTHEST, 1.0, text),
+    )
+
+
+def _spring_load(joint: JointState, p: Parameters) -> Tensor:
+    return -p["stiffness"] * (joint.angle - p["centre"])
+
+
+SPRING = Effect("spring", "disturbance", "load", _spring, "a spring pulls the joint to a place", _spring_load)
 COGGING = Effect(
     "cogging", "actuator", "load", _cogging, "a torque that comes back every part of a turn", _cogging_load
 )

@@ -19,13 +19,12 @@ SLIDE = 2  # mjtJoint.mjJNT_SLIDE
 CLOSE = 1e-14  # entries of rotations that are this close to 0 or 1 are meant to be
 
 
-def compile_tree(model: mujoco.MjModel, name: str, torques: bool = False) -> Tree:
+def compile_tree(model: mujoco.MjModel, name: str) -> Tree:
     """Describe a model as a tree of hinges and slides.
 
     Args:
         model: Compiled model.
         name: Name for messages where the model has none.
-        torques: Whether each joint of a model without actuators gets a command in N m or N.
 
     Raises:
         TreeError: The model has an element that a contact-free tree of hinges and slides cannot have.
@@ -42,8 +41,11 @@ def compile_tree(model: mujoco.MjModel, name: str, torques: bool = False) -> Tre
     _refuse_massless(joints, bodies)
     sites = _sites(model, names, poses, last, bodies)
     actuators = _actuators(model, names)
-    if torques and not actuators:
+    bare = not actuators
+    if bare:
         actuators = tuple(_torque(joint, j) for j, joint in enumerate(joints))
+    firsts = {own.joint: own for own in reversed(actuators)}.values()
+    actuators = tuple(sorted(actuators, key=lambda own: own not in firsts))
     notes = [*_left_out(model, names, last), *names.notes]
     gravity = (
         np.zeros(3) if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY else model.opt.gravity
@@ -56,6 +58,7 @@ def compile_tree(model: mujoco.MjModel, name: str, torques: bool = False) -> Tre
         sites,
         _vector(gravity),
         tuple(notes),
+        bare,
     )
 
 
@@ -350,6 +353,10 @@ def _actuators(model: mujoco.MjModel, names: _Names) -> tuple[Actuator, ...]:
         where = f'the actuator "{names.actuators[a]}"'
         if mujoco.mjtTrn(model.actuator_trntype[a]) not in on_joints:
             raise TreeError(f"{where} does not drive a joint; {OTHERWISE}")
+        if not model.actuator_gear[a, 0]:
+            raise TreeError(
+                f"{where} has the gear 0, so it moves nothing; give it another gear, or take it out"
+            )
         scale, offset = gains(model.actuator_gaintype[a]), biases(model.actuator_biastype[a])
         if scale not in (gains.mjGAIN_FIXED, gains.mjGAIN_AFFINE) or (
             offset not in (biases.mjBIAS_NONE, biases.mjBIAS_AFFINE)

@@ -127,10 +127,11 @@ class Tree:
         name: Name of the model.
         joints: J joints.
         bodies: Moving bodies; a body without joints belongs to the one that it is welded to.
-        actuators: In the order of the model.
+        actuators: In the order of the model, but those after the first one of a joint come last.
         sites: Named places on moving bodies, first those of the model.
         gravity: Acceleration in the base's frame [m/s2].
         notes: Sentences on what the model has and the compiled tree leaves out.
+        without_actuators: Whether the model has none, and the actuators are plain loads on the joints.
     """
 
     name: str
@@ -140,3 +141,4 @@ class Tree:
     sites: tuple[Site, ...]
     gravity: Vector
     notes: tuple[str, ...] = ()
+    without_actuators: bool = False
