@@ -2,11 +2,12 @@
 
 from deepkoco.engines.assembly import ENGINES, command_window, find_engine, make_graph
 from deepkoco.engines.engine import Engine, EngineError, EngineObject
+from deepkoco.engines.mjcf_object import MjcfObject
 from deepkoco.engines.mjcf_world import MjcfSensor, MjcfWorld
 from deepkoco.engines.model_parameters import parameter_values
 from deepkoco.engines.reset import Drive, ResetError, ResetNode, Teleport, damp
 from deepkoco.engines.robot import OBJECTS, RobotObject, SystemObject, find_object, register_object
-from deepkoco.engines.scene import MjcfObject, Scene
+from deepkoco.engines.scene import Scene
 from deepkoco.engines.simulated import MujocoEngine, OdeEngine
 from deepkoco.engines.unit import UnitEngine
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -28,7 +29,7 @@ def mean_over_tick(values: Tensor, commands: Input, period: float) -> Tensor:
     return (values * held).sum(1) / period
 
 
-def means_within_tick(values: Tensor, commands: Input, period: float, parts: int) -> Tensor:
+def means_within_tick(values: Tensor, commands: Input, period: float, parts: int) -> np.ndarray:
     """Time averages (B, parts, M) over equal parts of the tick that ends now.
 
     Each command holds from its arrival to the next one's; the oldest has held since before the tick.
@@ -39,15 +40,15 @@ def means_within_tick(values: Tensor, commands: Input, period: float, parts: int
         period: Length of the tick [s].
         parts: Number of parts.
     """
-    begin = commands.t_start - period
+    begin = commands.t_start.numpy() - period
     arrival = (
-        commands.t_received[:, 1:] - begin[:, None]
-    )  # of all but the oldest, after the begin of the tick [s]
-    if values.shape[1] == 1 or bool((arrival <= 0.0).all()):
-        return values[:, -1:].expand(-1, parts, -1)
+        commands.t_received.numpy()[:, 1:] - begin[:, None]
+    )  # of all but the oldest, since the begin [s]
+    if arrival.shape[1] == 0 or arrival.max() <= 0.0:
+        return values[:, -1:].expand(-1, parts, -1).numpy()
     length = period / parts
-    edges = torch.arange(parts, dtype=torch.float64) * length
+    ends = length * np.arange(1, parts + 1)
     # Share of each part in which a command has arrived: it replaces the one before it for that long.
-    share = ((edges[:, None] + length - arrival[:, None]) / length).clamp(0.0, 1.0)  # (B, parts, window - 1)
-    change = values[:, 1:] - values[:, :-1]
-    return values[:, None, 0] + torch.einsum("bpw,bwm->bpm", share, change)
+    share = np.clip((ends[:, None] - arrival[:, None]) / length, 0.0, 1.0)  # (B, parts, window - 1)
+    held = values.numpy()
+    return held[:, None, 0] + share @ (held[:, 1:] - held[:, :-1])

@@ -166,7 +166,7 @@ class MjcfWorld(Node):
                 )
             limits = self._limits[name]
             cut = sent.clamp(limits[:, 0], limits[:, 1])
-            means = means_within_tick(cut, commands, self.period, self.substeps).numpy()
+            means = means_within_tick(cut, commands, self.period, self.substeps)
             controls[:, : self.substeps, places] = means
             controls[:, self.substeps :, places] = cut[:, -1:].numpy()
         return controls

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deepkoco.engines.engine import EngineError, EngineObject
 from deepkoco.engines.mjcf import HingedBody
-from deepkoco.engines.scene import MjcfObject
+from deepkoco.engines.mjcf_object import MjcfObject
 from deepkoco.systems import Channel, JointSystem, System, make_system
 from deepkoco.systems.bodies.pendulum import COULOMB_SMOOTHING
 from deepkoco.systems.bodies.pendulum import GRAVITY as STANDARD_GRAVITY

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from deepkoco.engines.engine import Engine, EngineError, EngineObject, Ports
+from deepkoco.engines.mjcf_object import MjcfObject
 from deepkoco.engines.mjcf_world import MjcfSensor, MjcfWorld
 from deepkoco.engines.mujoco_world import MujocoWorld, import_mujoco
 from deepkoco.engines.ode import World
 from deepkoco.engines.robot import OBJECTS
-from deepkoco.engines.scene import MjcfObject, Scene
+from deepkoco.engines.scene import Scene
 from deepkoco.engines.sensor import Sensor
 from deepkoco.graph import Node
 from deepkoco.systems import ExtendedSystem, JointSystem, System

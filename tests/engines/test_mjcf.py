@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.engines import EngineError, MjcfObject, MujocoEngine, Scene, make_graph, parameter_values
+from deepkoco.engines.hold import means_within_tick
 from deepkoco.engines.model_parameters import changed_model
 from deepkoco.envs.engine_env import EngineEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
@@ -17,6 +18,7 @@ from deepkoco.fit.graph_fit import fit_replay
 from deepkoco.graph import (
     BatchedRuntime,
     Connection,
+    Input,
     Node,
     Supervisor,
     draw_timing,
@@ -329,3 +331,21 @@ REFUSED = [
 def test_what_an_mjcf_engine_cannot_do_is_told(make, message):
     with pytest.raises(EngineError, match=message):
         make()
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    arrivals=st.lists(st.floats(-0.02, 0.01), min_size=1, max_size=4),
+    parts=st.integers(1, 6),
+    seed=st.integers(0, 100),
+)
+def test_commands_hold_from_their_arrival_to_the_next(arrivals, parts, seed):
+    """Against sums over a fine grid of time."""
+    received = torch.tensor([[-np.inf, *sorted(arrivals)]], dtype=F64)
+    values = torch.randn(1, len(arrivals) + 1, 2, generator=torch.Generator().manual_seed(seed), dtype=F64)
+    seen = Input(values, torch.zeros(received.shape), received, received, torch.tensor([0.01], dtype=F64))
+    means = means_within_tick(values, seen, 0.01, parts)
+    grid = (np.arange(6000 * parts) + 0.5) * 0.01 / (6000 * parts)
+    newest = (received[0].numpy()[None] <= grid[:, None]).sum(1) - 1
+    expected = values[0].numpy()[newest].reshape(parts, 6000, 2).mean(1)
+    np.testing.assert_allclose(means[0], expected, atol=4e-3)

@@ -10,6 +10,7 @@ from deepkoco.diagnose.causes.actuator import (
     GAIN,
     GAIN_CURVE,
     GAIN_DRIFT,
+    RATE_LIMIT,
     SATURATION,
     TORQUE_BIAS,
     UNIT_SLIP,
@@ -17,12 +18,13 @@ from deepkoco.diagnose.causes.actuator import (
 from deepkoco.diagnose.causes.body import LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
-from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC
+from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC, SPRING
 from deepkoco.diagnose.causes.event import EVENT
-from deepkoco.diagnose.causes.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.diagnose.causes.friction import BRISTLE, COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
     CHANNEL_SLIP,
+    GEAR_PLAY,
     LOW_PASS,
     NOISE_LEVEL,
     QUANTISATION,
@@ -56,6 +58,7 @@ CAUSES: dict[str, Cause] = {
         STRIBECK,
         QUADRATIC,
         LOAD_FRICTION,
+        BRISTLE,
         GAIN,
         TORQUE_BIAS,
         DEAD_ZONE,
@@ -65,6 +68,8 @@ CAUSES: dict[str, Cause] = {
         GAIN_DRIFT,
         ASYMMETRY,
         CROSSTALK,
+        RATE_LIMIT,
+        SPRING,
         COGGING,
         PERIODIC,
         PAYLOAD,
@@ -74,6 +79,7 @@ CAUSES: dict[str, Cause] = {
         SENSOR_SCALE,
         SENSOR_DRIFT,
         LOW_PASS,
+        GEAR_PLAY,
         NOISE_LEVEL,
         QUANTISATION,
         EVENT,

@@ -86,6 +86,23 @@ BACKLASH = Cause(
     lambda motion: -np.sign(motion.command_rate),
     _backlash_starts,
 )
+
+
+def _rate_limit_starts(hint: Hint) -> list[dict[str, float]]:
+    # Time in which the effort goes from zero to the largest command. No gradient shows a limit that limits nothing.
+    return [{"limit": _largest(hint) / seconds} for seconds in (0.01, 0.03, 0.1, 0.3)]
+
+
+RATE_LIMIT = Cause(
+    "rate_limit",
+    "actuator",
+    ("limit",),
+    "The effort changes at a limited rate, so it follows a large change of the command later than a small one.",
+    "Play steps of several sizes. Behind a limited rate the time to follow grows with the size; behind a lag it stays.",
+    "command_rate",
+    lambda motion: -motion.command_rate,
+    _rate_limit_starts,
+)
 GAIN_DRIFT = Cause(
     "gain_drift",
     "actuator",

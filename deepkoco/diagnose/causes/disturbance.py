@@ -41,6 +41,21 @@ def _frequencies(hint: Hint) -> list[dict[str, float]]:
     return [{"frequency": f} for f in found]
 
 
+def _centres(hint: Hint) -> list[dict[str, float]]:
+    """Return the middle of the angles of the log: without stiffness the data say nothing about the centre."""
+    return [{"centre": float(hint.missing.theta.mean()) if hint.missing is not None else 0.0}]
+
+
+SPRING = Cause(
+    "spring",
+    "disturbance",
+    ("stiffness", "centre"),
+    "A spring pulls the joint to a place: a cable, a hose, a gas spring or a counterweight on a lever.",
+    "Hold the joint at several places without its motor and read the force: a spring's grows evenly with the way.",
+    "theta",
+    lambda motion: motion.theta.mean() - motion.theta,
+    _centres,
+)
 COGGING = Cause(
     "cogging",
     "actuator",

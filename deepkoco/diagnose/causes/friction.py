@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
+from deepkoco.systems.effects.hysteresis import BEND
 
 ADVICE = (
     "Let the joint swing freely from large and from small angles until it rests. Friction laws differ in how the "
@@ -22,6 +23,11 @@ def _stribeck_starts(hint: Hint) -> list[dict[str, float]]:
     slowest, fastest = SLOWEST_START * smoothing, FASTEST_START * smoothing
     speeds = [float(np.clip(share * fast, slowest, fastest)) for share in (0.05, 0.3)]
     return [{"breakaway": level, "speed": v} for v in speeds] + [{"speed": v} for v in speeds]
+
+
+def _bristle_starts(hint: Hint) -> list[dict[str, float]]:
+    level, usual = 0.05 * hint.system.load_scales[hint.joint], BEND * hint.system.smoothing_speeds[hint.joint]
+    return [{"level": level, "distance": share * usual} for share in (0.5, 2.0, 8.0)]
 
 
 VISCOUS = Cause(
@@ -69,4 +75,14 @@ LOAD_FRICTION = Cause(
     "Swing the joint at the same speeds with a large and a small constant command: only load friction changes.",
     "omega",
     lambda motion: -np.abs(motion.command) * np.sign(motion.omega),
+)
+BRISTLE = Cause(
+    "bristle",
+    "friction",
+    ("level", "distance"),
+    "Dry friction acts on the joint, and the joint springs back a little before it slips.",
+    "Push the joint lightly to and fro at rest: it springs back from small pushes and stays after larger ones.",
+    "omega",
+    lambda motion: -np.sign(motion.omega),
+    _bristle_starts,
 )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepkoco.diagnose.causes.cause import Cause
+from deepkoco.diagnose.causes.cause import Cause, Hint
 from deepkoco.diagnose.causes.units import UNIT_CONSTANTS, slip_starts
 from deepkoco.diagnose.residuals.scatter import noise_level, quantisation
+from deepkoco.systems.effects.hysteresis import BEND
 
 SENSOR_BIAS = Cause(
     "sensor_bias",
@@ -44,6 +45,23 @@ LOW_PASS = Cause(
     "command_rate",
     lambda motion: -motion.command_rate,
     lambda hint: [{"time_constant": value} for value in (0.0, 0.03)],
+)
+
+
+def _play_starts(hint: Hint) -> list[dict[str, float]]:
+    usual = BEND * hint.system.smoothing_speeds[hint.joint]
+    return [{"width": share * usual} for share in (0.3, 1.0, 3.0, 10.0)]
+
+
+GEAR_PLAY = Cause(
+    "gear_play",
+    "sensor",
+    ("width",),
+    "There is play between the motor's side of a gear and the side that the sensors show.",
+    "Hold the motor and move the output by hand: it moves freely by the play.",
+    "omega",
+    lambda motion: -np.sign(motion.omega),
+    _play_starts,
 )
 NOISE_LEVEL = Cause(
     "noise_level",

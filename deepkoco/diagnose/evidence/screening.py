@@ -100,8 +100,8 @@ def _doses(
         if silent and name in place:
             continue
         step = PARAMETER_STEP * problem.scale[j]
-        if name.endswith(".frequency"):
-            continue  # a frequency changes nothing while the amplitude is zero
+        if name.endswith((".frequency", ".centre")):
+            continue  # it changes nothing while the amplitude or the stiffness is zero
         step = -step if at[name] + step > problem.high[j] else step
         result.append({**at, name: at[name] + step})
     return result
@@ -116,7 +116,7 @@ def _one_way(problem: FitProblem, reference: Fit, cause: Cause, place: Mapping[s
 
 def _linear(cause: Cause, place: Mapping[str, float]) -> bool:
     """Return whether a start only chooses a shape (a frequency, a Stribeck speed) and leaves the size at null."""
-    return cause.kind in ("cogging", "periodic") or (cause.kind == "stribeck" and len(place) == 1)
+    return cause.kind in ("cogging", "periodic", "spring") or (cause.kind == "stribeck" and len(place) == 1)
 
 
 class _Tangent:

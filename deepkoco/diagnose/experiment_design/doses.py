@@ -14,6 +14,8 @@ SHAPES = {
     "stribeck": ("coulomb", "speed"),
     "cogging": ("cycles", "cosine"),
     "periodic": ("frequency", "cosine"),
+    "spring": ("centre",),
+    "bristle": ("distance",),
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 
 from deepkoco.logs.checks.derivative import slip
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS, STRIDE, Samples
+from deepkoco.logs.inspect.joints.goals import track
 from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
@@ -18,8 +18,14 @@ from deepkoco.systems import Motion, ParameterError, System
 MEANS = 2.0  # evidence from which a name means a position or a speed [nats]
 DERIVED = 0.9  # agreement from which a column is certainly the derivative of another
 COPY = 0.98  # correlation above which a column repeats another one
-SLOPE = (0.1, 10.0)  # of the measured accelerations on those of the system, whose parameters may be wrong
-SURE = 8.0  # standard deviations by which the slope must lie outside
+GRAVITY = (
+    0.1,
+    30.0,
+)  # acceleration by gravity in the log relative to the system, whose parameters may be wrong
+DRIVE = (1e-3, 1e3)  # the same of the commands
+SURE = 5.0  # standard deviations by which a factor must lie outside
+EXPLAINED = 0.5  # share of the changes of speed that the regression explains at least
+FOLLOWED = 0.2  # share of the variance of a position that the goal of a servo explains at least
 
 
 def misfit(system: System, proposal: Proposal, survey: Survey, samples: Mapping[str, Samples]) -> str | None:
@@ -37,10 +43,9 @@ def misfit(system: System, proposal: Proposal, survey: Survey, samples: Mapping[
     left = _left_over(proposal, survey, samples)
     if left:
         return f"it has no joint for {', '.join(left[:4])}"
-    slope = _slope(system, proposal, samples)
-    if slope is not None:
-        return f"its accelerations are not those of the log: they fit with the factor {slope:.2g} and not with about 1"
-    return None
+    # Small errors of a goal's stamps are large accelerations, so that the law of a servo is not compared.
+    law = _lost_goal if _has_servo(system) else _wrong_law
+    return law(system, proposal, samples)
 
 
 def _is_needed(choice: Choice) -> bool:
@@ -87,37 +92,79 @@ def _repeats(a: Samples, b: Samples) -> bool:
     return abs(float(np.corrcoef(value, resampled)[0, 1])) > COPY
 
 
-def _slope(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> float | None:
-    """Factor between the system's accelerations and those of the log, if it is surely wrong for one of the joints.
+def _wrong_law(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> str | None:
+    """Say that gravity or a command surely does not act on a joint as in the system, whatever its parameters are.
 
-    Changes of the speed over 0.2 s are regressed on the integral of the system's acceleration at nominal parameters,
-    and on friction: integrals of the speed, of its smoothed sign, and of a constant.
+    Changes of the speed over 0.2 s are regressed on the integrals of the system's acceleration at rest, of what the
+    commands add to it, of the speed, and of its smoothed sign; and of a constant, unless gravity is one. Joints that
+    move each other are not compared, for the regressors of a controlled motion are nearly the same there.
     """
-    if _has_servo(system):
-        return None  # small errors of the goal's stamps are large accelerations
+    if system.joints > 1:
+        return None
     motion = _motion(system, proposal, samples)
     if motion is None:
         return None
     t, angles, speeds, efforts = motion
-    values = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in system.parameters}
-    try:
-        given = Motion(*(tuple(map(torch.from_numpy, part)) for part in (angles, speeds, efforts)))
-        found = system.accelerations(values)(given)
-    except (ParameterError, NotImplementedError, RuntimeError, KeyError):
-        return None
     stride = int(max(2, round(STRIDE / float(np.median(np.diff(t))))))
     if len(t) < 8 * stride:
         return None
-    slopes = []
-    for speed, acceleration in zip(speeds, found, strict=True):
-        law = np.broadcast_to(acceleration.numpy(), speed.shape)
-        terms = [law, speed, np.tanh(speed / max(0.05 * float(np.std(speed)), 1e-9)), np.ones(len(t))]
-        matrix = np.stack([_integral(term, t, stride)[::stride] for term in terms], axis=1)
-        target = (speed[stride:] - speed[:-stride])[::stride]
-        slope, sd = _first_weight(matrix, target)
-        outside = slope + SURE * sd < SLOPE[0] or slope - SURE * sd > SLOPE[1]
-        slopes += [slope] if outside else []
-    return slopes[0] if slopes else None
+    law = _accelerations(system, angles, efforts)
+    if law is None:
+        return None
+    (rest, driven), speed = law[0], speeds[0]
+    terms = [rest, driven, speed, np.tanh(speed / max(0.05 * float(np.std(speed)), 1e-9))]
+    terms += [np.ones(len(t))] if np.std(rest) > 1e-6 * float(np.abs(rest).max(initial=0.0)) else []
+    matrix = np.stack([_integral(term, t, stride)[::stride] for term in terms], axis=1)
+    target = (speed[stride:] - speed[:-stride])[::stride]
+    weights, sd, explained = _regress(matrix, target)
+    if explained < EXPLAINED:
+        return None
+    for k, (what, (low, high)) in enumerate((("gravity", GRAVITY), ("the command", DRIVE))):
+        outside = weights[k] + SURE * sd[k] < low or weights[k] - SURE * sd[k] > high
+        if outside and np.abs((rest, driven)[k]).max() > 0:
+            turned = what == "gravity" and weights[k] < -GRAVITY[0] and system.state_units[0] == "rad"
+            hint = " (its zero may be half a turn off: offset)" if turned else ""
+            return f"{what} accelerates the joint {weights[k]:.2g} times as much as in the system{hint}"
+    return None
+
+
+def _accelerations(
+    system: System, angles: list[np.ndarray], efforts: list[np.ndarray]
+) -> list[tuple[np.ndarray, np.ndarray]] | None:
+    """For each joint, its acceleration at rest without commands, and what the commands add."""
+    values = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in system.parameters}
+    still = tuple(torch.zeros(len(angles[0]), dtype=torch.float64) for _ in angles)
+    place = tuple(map(torch.from_numpy, angles))
+    none = tuple(torch.zeros(len(angles[0]), dtype=torch.float64) for _ in efforts)
+    try:
+        law = system.accelerations(values)
+        rest = law(Motion(place, still, none))
+        driven = law(Motion(place, still, tuple(map(torch.from_numpy, efforts))))
+    except (ParameterError, NotImplementedError, RuntimeError, KeyError):
+        return None
+    shape = angles[0].shape
+    return [
+        (np.broadcast_to(a.numpy(), shape), np.broadcast_to((b - a).numpy(), shape))
+        for a, b in zip(rest, driven, strict=True)
+    ]
+
+
+def _lost_goal(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> str | None:
+    """Say that a position does not follow the goal of its servo."""
+    chosen = {c.channel.name: c for c in proposal.choices if c.column is not None}
+    for command, joint in zip(system.commands, system.command_joints, strict=False):
+        state = next(
+            (m for m, k in zip(system.measurements, system.measured_states, strict=True) if k == joint), None
+        )
+        if command.unit != system.state_units[joint] or state is None:
+            continue
+        goal, position = chosen.get(command.name), chosen.get(state.name)
+        if goal is None or position is None or goal.column is None or position.column is None:
+            continue
+        relation = track(*samples[position.column.label], *samples[goal.column.label])
+        if relation is not None and relation.explained < FOLLOWED:
+            return f'"{position.column.name}" does not follow "{goal.column.name}" as behind a servo'
+    return None
 
 
 def _has_servo(system: System) -> bool:
@@ -166,12 +213,14 @@ def _integral(value: np.ndarray, t: np.ndarray, stride: int) -> np.ndarray:
     return total[stride:] - total[:-stride]
 
 
-def _first_weight(matrix: np.ndarray, target: np.ndarray) -> tuple[float, float]:
-    """First weight of a least-squares fit, and its standard deviation."""
+def _regress(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Weights of a least-squares fit, their standard deviations, and the explained share of the target."""
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0] = 1.0
     scaled = matrix / scale
     weights, *_ = np.linalg.lstsq(scaled, target, rcond=1e-10)
-    left = float(np.sum((target - scaled @ weights) ** 2)) / max(len(target) - 4, 1)
+    squares = float(np.sum((target - scaled @ weights) ** 2))
+    left = squares / max(len(target) - matrix.shape[1], 1)
     covariance = np.linalg.pinv(scaled.T @ scaled)
-    return float(weights[0] / scale[0]), math.sqrt(max(left * float(covariance[0, 0]), 0.0)) / float(scale[0])
+    sd = np.sqrt(np.maximum(left * np.diag(covariance), 0.0)) / scale
+    return weights / scale, sd, 1.0 - squares / max(float(np.sum(target**2)), 1e-300)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -28,7 +29,7 @@ from deepkoco.systems.system import (
     Timing,
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
-from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
+from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import read_model
@@ -47,6 +48,7 @@ from deepkoco.systems.trees.parameters import (
 from deepkoco.systems.trees.picture import choose_view, lines
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
+from deepkoco.systems.trees.settings import TreeSettings
 from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
@@ -70,6 +72,7 @@ class TreeSystem(System):
     Args:
         tree: Description of the robot.
         origin: File that it was read from.
+        settings: Values, priors, noise and servos that differ from the description's.
 
     Attributes:
         tree: The description.
@@ -79,7 +82,11 @@ class TreeSystem(System):
         tip: The place of `with_payload`.
     """
 
-    def __init__(self, tree: Tree, origin: str | None = None) -> None:
+    tip: str
+
+    def __init__(self, tree: Tree, origin: str | None = None, settings: TreeSettings | None = None) -> None:
+        settings = TreeSettings({}) if settings is None else settings
+        tree = settings.applied_to(tree)
         self.tree, self.origin, self.notes = tree, origin, tree.notes
         self.name, self.joints = tree.name, len(tree.joints)
         names = tuple(joint.name for joint in tree.joints)
@@ -91,6 +98,7 @@ class TreeSystem(System):
             *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
             *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
         )
+        self.measurements = settings.channels(self.measurements)
         loads = motion_loads(tree)
         controls = tuple(command_range(a, tree.joints[a.joint], loads[a.joint]) for a in tree.actuators)
         self._commands = tuple(
@@ -102,7 +110,7 @@ class TreeSystem(System):
                 # Sizes of effects are taken from the upper limit.
                 high if high > 0.0 else -low,
                 description=_drives(a, tree),
-                default=0.0 if tree.without_actuators else None,
+                default=0.0 if tree.without_actuators and not is_servo(a) else None,
             )
             for a, (low, high) in zip(tree.actuators, controls, strict=True)
         )
@@ -116,17 +124,18 @@ class TreeSystem(System):
         self._least_inertias = least_inertias(tree)
         nominal = _Numbers.of(self, {}, steady=True)
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
-        self.tip = self.payload_sites[_tip(tree)]
+        self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        self.parameters = visible_parameters(self, declared_parameters(tree))
+        self.parameters = settings.parameters(visible_parameters(self, declared_parameters(tree)))
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
         """Read a robot from an MJCF or URDF file.
 
         Each joint of a model without actuators (a URDF file has none) gets a command in N m or N with the joint's
-        name. A log need not show it: it is then 0.
+        name. A log need not show it: it is then 0. A file ``ROBOT.parameters.yaml`` beside ``ROBOT.xml`` overrides
+        values, priors, noise and servos: see :class:`.TreeSettings`.
 
         Args:
             path: The file.
@@ -138,9 +147,9 @@ class TreeSystem(System):
         model, notes = read_model(path)
         try:
             tree = compile_tree(model, path.stem)
-            return cls(replace(tree, notes=(*notes, *tree.notes)), str(path))
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
+        return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), TreeSettings.beside(path))
 
     @property
     def commands(self) -> tuple[Channel, ...]:
@@ -245,6 +254,21 @@ class TreeSystem(System):
 
         return inverse
 
+    def needed_loads(
+        self, parameters: Parameters
+    ) -> Callable[[Motion, Sequence[Tensor]], tuple[Tensor, ...]]:
+        """(motion, accelerations) -> outside load on each joint [N m or N] under which it moves so."""
+        tree, own = self.tree, _Numbers.of(self, parameters)
+        law = self._law(own)
+
+        def loads(motion: Motion, accelerations: Sequence[Tensor]) -> tuple[Tensor, ...]:
+            missing = [a - b for a, b in zip(accelerations, law(motion), strict=True)]
+            mass = mass_matrix(tree.joints, own.inertias, own.passive["armature"], motion.angles)
+            rows = range(self.joints)
+            return tuple(total([mul(mass[max(j, k)][min(j, k)], missing[k]) for k in rows]) for j in rows)
+
+        return loads
+
     def _law(self, numbers: _Numbers) -> Acceleration:
         tree, passive = self.tree, numbers.passive
         smooth = self.smoothing_speeds
@@ -344,8 +368,9 @@ class TreeSystem(System):
         names = [c.name for c in (*self._commands, *self.measurements)]
         for name in names:
             if names.count(name) > 1:
+                where = self.origin or self.name
                 raise TreeError(
-                    f'two channels are called "{name}"; rename the actuator or the joint in the model'
+                    f'{where}: two channels are called "{name}"; rename the actuator or the joint in the model'
                 )
 
 

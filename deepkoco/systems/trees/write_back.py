@@ -424,6 +424,8 @@ LEFT_OUT = {
     "jitter": "it belongs to the time stamps of the log",
     "clock_skew": "it belongs to the clocks of the log",
     "lost_commands": "drop commands in your own loop",
+    "bristle": "MJCF has no friction with a memory; use model.yaml",
+    "gear_play": "MJCF needs a joint of its own for play; add one behind the gear by hand",
     "learned": "MJCF has no learned load; use model.yaml",
 }
 """Effect -> what to do about it, where the file of a robot cannot hold it."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from live_nodes import BigDevice, QuietDevice, act, devices
+from live_nodes import AMPLE, BigDevice, QuietDevice, act, devices
 
 from deepkoco.graph import Graph, read_episodes, replay_timing
 from deepkoco.graph.live import ConcurrentRuntime, NodeFailure, WallClockRuntime
@@ -22,7 +22,6 @@ from deepkoco.graph.live.inbox import Order
 from deepkoco.graph.live.seat import Seat
 from tests.on_time import on_time
 
-AMPLE = 60.0  # time limit [s] that no healthy node exceeds, however busy the machine is
 RUNTIMES = {
     "threads": lambda graph, limit=AMPLE: ConcurrentRuntime(graph, time_limit=limit),
     "processes": lambda graph, limit=AMPLE: ConcurrentRuntime(
@@ -226,7 +225,7 @@ def test_a_process_that_stands_still_in_the_middle_of_a_message_is_noticed(tmp_p
 
 def test_a_policy_that_raises_closes_the_nodes(tmp_path):
     graph = devices(tmp_path)
-    runtime = ConcurrentRuntime(graph, processes={"motor": 1})
+    runtime = ConcurrentRuntime(graph, processes={"motor": 1}, beat_limit=AMPLE)
 
     def policy(inputs):
         raise ZeroDivisionError("no gain")
@@ -246,7 +245,7 @@ def test_a_policy_that_raises_closes_the_nodes(tmp_path):
 
 def test_a_close_that_raises_is_reported_and_does_not_keep_the_others_from_closing(tmp_path):
     graph = devices(tmp_path, "bad close")
-    runtime = ConcurrentRuntime(graph, processes={"motor": 1})
+    runtime = ConcurrentRuntime(graph, processes={"motor": 1}, beat_limit=AMPLE)
     runtime.reset({}, torch.Generator())
     runtime.run(act, 2)
     with pytest.raises(NodeFailure, match=r'node "motor".*close raised OSError: the drive does not answer'):
@@ -256,7 +255,7 @@ def test_a_close_that_raises_is_reported_and_does_not_keep_the_others_from_closi
 
 def test_ctrl_c_closes_the_nodes_and_leaves_the_record(tmp_path):
     graph = devices(tmp_path)
-    runtime = WallClockRuntime(graph, time_limit=5.0)
+    runtime = WallClockRuntime(graph, time_limit=AMPLE, beat_limit=AMPLE)
     runtime.reset({}, torch.Generator())
 
     def policy(inputs):
@@ -277,11 +276,11 @@ SCRIPT = """
     import sys
     sys.path[:0] = {paths!r}
     import torch
-    from live_nodes import QuietDevice, act, devices
+    from live_nodes import AMPLE, act, devices
     from deepkoco.graph.live import ConcurrentRuntime
     if __name__ == "__main__":
-        processes = {{"motor": 1, "camera": 1}}
-        with ConcurrentRuntime(devices({folder!r}), processes=processes, real_time_factor=1.0) as runtime:
+        options = {{"processes": {{"motor": 1, "camera": 1}}, "real_time_factor": 1.0, "beat_limit": AMPLE}}
+        with ConcurrentRuntime(devices({folder!r}), **options) as runtime:
             runtime.reset({{}}, torch.Generator())
             print("runs", flush=True)
             runtime.run(act, 100000)
@@ -290,10 +289,11 @@ FORGETFUL = """
     import sys
     sys.path[:0] = {paths!r}
     import torch
-    from live_nodes import QuietDevice, act, devices
+    from live_nodes import AMPLE, act, devices
     from deepkoco.graph.live import ConcurrentRuntime
     if __name__ == "__main__":
-        runtime = ConcurrentRuntime(devices({folder!r}), processes={{"motor": 1}}, record={folder!r} + "/run.mcap")
+        options = {{"processes": {{"motor": 1}}, "beat_limit": AMPLE, "record": {folder!r} + "/run.mcap"}}
+        runtime = ConcurrentRuntime(devices({folder!r}), **options)
         runtime.reset({{}}, torch.Generator())
         runtime.run(act, 3)
 """

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 import torch
-from live_nodes import Timed, act, loop
+from live_nodes import AMPLE, Timed, act, loop
 
 from deepkoco.graph import Connection, Episode, Graph, Supervisor, replay_episode
 from deepkoco.graph.live import WallClockRuntime, message_times, node_times
@@ -14,7 +14,7 @@ from tests.on_time import on_time
 
 
 def recorded(graph: Graph, steps: int, **options) -> Episode:
-    with WallClockRuntime(graph, **options) as runtime:
+    with WallClockRuntime(graph, time_limit=AMPLE, beat_limit=AMPLE, **options) as runtime:
         runtime.reset({}, torch.Generator().manual_seed(0))
         runtime.run(act, steps)
         return runtime.finish()

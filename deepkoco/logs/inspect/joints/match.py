@@ -61,7 +61,9 @@ def match_joints(log: Sequence[str], model: Sequence[str]) -> list[Match]:
         # Without this pair, either another assignment is right, or the joint has no partner.
         second = max(float(barred[other_rows, other_columns].sum()), best - float(score[i, j]) + NOTHING)
         probability = 1.0 / (1.0 + float(np.exp(np.clip(second - best, -50.0, 50.0))))
-        found.append(Match(i, j, probability, _reason(log[i], model[j], i == j and len(log) == len(model))))
+        found.append(
+            Match(i, j, probability, _reason(str(log[i]), str(model[j]), i == j and len(log) == len(model)))
+        )
     return found
 
 
@@ -82,7 +84,7 @@ def _shared(a: Sequence[str], b: Sequence[str]) -> float:
     for word in a:
         weights = [_alike(word, other) for other in free]
         if weights and max(weights) > 0:
-            total += free and max(weights)
+            total += max(weights)
             free.pop(int(np.argmax(weights)))
     return total / (0.5 * (len(a) + len(b)))
 

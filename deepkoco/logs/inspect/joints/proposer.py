@@ -147,7 +147,9 @@ def _gravity(
     if not parts:
         return None
     slow = Slow(
-        *(np.concatenate([part[k] for part in parts]) for k in range(3)),  # type: ignore[arg-type]
+        np.concatenate([part.q for part in parts]),
+        np.concatenate([part.speed for part in parts]),
+        np.concatenate([part.pull for part in parts]),
         sum(part.seconds for part in parts),
     )
     return signs_and_zeros(system, slow, [not _slides(system, j) for j in range(system.joints)])
