@@ -44,8 +44,11 @@ class Arm(System):
     def __init__(self) -> None:
         self.parameters = (Parameter("stiffness", 40.0, "N m/rad", 1.0, 100.0, 10.0, "k"),)
         kinds = (("q", "rad"), ("dq", "rad/s"))
+        noise = {"q": 1e-3, "dq": 0.05}
         self.measurements = tuple(
-            Channel(f"{k}_{j}", unit, "measurement") for k, unit in kinds for j in self.joint_names
+            Channel(f"{k}_{j}", unit, "measurement", noise_sd=noise[k])
+            for k, unit in kinds
+            for j in self.joint_names
         )
 
     @property
