@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
+from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.report.figures.layout import held_out_models
 from deepkoco.diagnose.report.text import spoken
 from deepkoco.pages.units import in_one_unit, readable
@@ -52,18 +53,26 @@ def joint_errors(diagnosis: Diagnosis, details: Details) -> list[JointError]:
         return []
     system, result = details.system, []
     last = "extended" if "extended" in held_out_models(diagnosis) and not gain.as_given else "refit"
-    noise = [n.sd for n in gain.replayed.noise]
+    errors, noise = {c.name: c for c in gain.channels}, noise_by_channel(gain, system)
     for j, name in enumerate(system.joint_names):
         # The position where there is one: a speed follows from it.
-        shown = [
-            c for s in (j, j + system.joints) for c, state in enumerate(gain.replayed.shows) if state == s
+        order = [
+            c for s in (j, j + system.joints) for c, state in enumerate(system.measured_states) if state == s
         ]
+        shown = [n for c in order if (n := system.measurements[c].name) in errors]
         if shown:
-            c = shown[0]
-            channel = gain.channels[c]
-            final = getattr(channel, last)
-            result.append(JointError(name, channel.name, channel.unit, channel.baseline, final, noise[c]))
+            error = errors[shown[0]]
+            result.append(
+                JointError(
+                    name, error.name, error.unit, error.baseline, getattr(error, last), noise[error.name]
+                )
+            )
     return result
+
+
+def noise_by_channel(gain: Gain, system: System) -> dict[str, float]:
+    """Return the standard deviation of the noise of each channel of a system, in its unit."""
+    return {c.name: n.sd for c, n in zip(system.measurements, gain.replayed.noise, strict=True)}
 
 
 def level(error: float, noise: float) -> str:

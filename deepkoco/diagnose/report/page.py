@@ -10,7 +10,7 @@ from typing import Any
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Diagnosis, Finding, Localisation
 from deepkoco.diagnose.report.figures.layout import held_out_models
-from deepkoco.diagnose.report.joint_rows import joint_rows
+from deepkoco.diagnose.report.joint_rows import joint_rows, noise_by_channel
 from deepkoco.diagnose.report.next_steps import next_steps
 from deepkoco.diagnose.report.parameter_table import interval, parameter_rows
 from deepkoco.diagnose.report.text import headline, lead, noise_of, rival_of, spoken
@@ -143,11 +143,11 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
         )
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})
     if gain is not None:
-        # Of several joints the one that the simulation as given gets most wrong.
-        worst = max(
-            zip(gain.channels, gain.replayed.noise, strict=True), key=lambda p: p[0].baseline / p[1].sd
-        )
-        c = worst[0] if diagnosis.model.joints > 1 else gain.channels[0]
+        c = gain.channels[0]
+        if diagnosis.model.joints > 1:
+            # The joint that the simulation as given gets most wrong.
+            sd = noise_by_channel(gain, diagnosis.model)
+            c = max(gain.channels, key=lambda channel: channel.baseline / sd[channel.name])
         last = next(reversed(held_out_models(diagnosis).values()))
         after = c.refit if gain.as_given else c.extended
         (first, second), unit = in_one_unit([c.baseline, after], c.unit)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -94,7 +95,8 @@ def base_parameters(
     noise = load_noise * np.array(system.load_scales)
     matrix = (regressor * sizes / noise[:, None]).reshape(-1, len(chosen))
     values = np.linalg.svd(matrix, compute_uv=False)
-    triangle, pivots = qr(matrix, mode="r", pivoting=True)  # pyright: ignore[reportGeneralTypeIssues]
+    factors: Any = qr(matrix, mode="r", pivoting=True)
+    triangle, pivots = np.asarray(factors[0]), [int(k) for k in factors[1]]
     size = min(triangle.shape)
     rank = int((np.abs(np.diag(triangle[:size, :size])) > 1.0).sum())
     weights = solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
@@ -156,7 +158,7 @@ def _motion(
     even = np.arange(t[0], t[-1], step)
     width = min(max(5, 2 * round(0.5 * SMOOTHED / step) + 1), 2 * ((len(even) - 1) // 2) + 1)
     path = np.column_stack([np.interp(even, t, column) for column in angles.T])
-    q, v, a = (savgol_filter(path, width, 3, deriv=d, delta=step, axis=0) for d in (0, 1, 2))
+    q, v, a = (np.asarray(savgol_filter(path, width, 3, deriv=d, delta=step, axis=0)) for d in (0, 1, 2))
     held = np.asarray(commands, dtype=float)[np.searchsorted(t, even, side="right") - 1]
     pick = np.unique(np.linspace(0, len(even) - 1, min(len(even), MOST_SAMPLES)).astype(int))
     return q[pick], v[pick], a[pick], held[pick]

@@ -82,6 +82,11 @@ class FastLaw:
         """
         from deepkoco.systems.trees.kernel import tree_accelerations
 
+        # The compiled loop does not check bounds.
+        given = len(motion.angles), len(motion.speeds), len(motion.efforts)
+        wanted = len(self.inertia), len(self.inertia), len(self.law)
+        if given != wanted:
+            raise ValueError(f"a motion has {given} angles, speeds and efforts; the robot has {wanted}")
         loads = [] if motion.loads is None else [x for x in motion.loads if x is not None]
         widths = motion.smoothing if motion.smoothing is not None else smoothing
         parts = [*motion.angles, *motion.speeds, *motion.efforts, *loads]

@@ -8,6 +8,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from deepkoco.systems.trees.messages import in_one_sentence, missing_file
+from deepkoco.systems.trees.mujoco_library import mujoco_library
 from deepkoco.systems.trees.tree import TreeError
 
 MOST_FILES = 1000  # missing files of one model
@@ -68,10 +69,8 @@ def _compiled(path: Path) -> tuple[Any, list[str], tuple[str, ...]]:
 
 
 def _spec(path: Path) -> Any:
-    import mujoco
-
     try:
-        return mujoco.MjSpec.from_file(str(path))
+        return mujoco_library().MjSpec.from_file(str(path))
     except (ValueError, RuntimeError) as error:
         raise TreeError(f"{path}: {in_one_sentence(str(error))}") from None
 

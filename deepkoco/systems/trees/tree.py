@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
+CLOSE = 1e-14  # entries of rotations that are this close to 0 or 1 are meant to be
+
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 """Rows of a rotation: it takes coordinates of the inner frame to those of the outer one."""
@@ -142,3 +146,17 @@ class Tree:
     gravity: Vector
     notes: tuple[str, ...] = ()
     without_actuators: bool = False
+
+
+def matrix(rotation: np.ndarray) -> Matrix:
+    """Rows as floats; what differs from 0 or 1 by rounding only is made exact."""
+    tidy = np.where(np.abs(rotation) < CLOSE, 0.0, rotation)
+    tidy = np.where(np.abs(np.abs(tidy) - 1.0) < CLOSE, np.sign(tidy), tidy)
+    a, b, c = (vector(row) for row in tidy)
+    return a, b, c
+
+
+def vector(values: np.ndarray) -> Vector:
+    """Three floats."""
+    x, y, z = (float(v) + 0.0 for v in values)
+    return x, y, z

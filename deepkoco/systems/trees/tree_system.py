@@ -82,6 +82,8 @@ class TreeSystem(System):
         tip: The place of `with_payload`.
     """
 
+    tip: str
+
     def __init__(self, tree: Tree, origin: str | None = None, settings: TreeSettings | None = None) -> None:
         settings = TreeSettings({}) if settings is None else settings
         tree = settings.applied_to(tree)

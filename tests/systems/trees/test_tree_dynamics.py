@@ -174,3 +174,10 @@ def test_free_accelerations_leave_out_the_dry_friction_and_nothing_else():
     wanted = system.accelerations(parameters)(motion._replace(smoothing=smooth))
     found = system.free_accelerations(parameters)(motion._replace(loads=loads))
     torch.testing.assert_close(torch.stack(found), torch.stack(wanted), rtol=1e-12, atol=1e-12)
+
+
+def test_a_motion_of_another_robot_is_refused():
+    system = random_tree(4)[1]
+    motion = motion_of(0, (3,), system)
+    with pytest.raises(ValueError, match="angles, speeds and efforts"):
+        system.accelerations(system.default_parameters())(motion._replace(efforts=motion.efforts[:-1]))
