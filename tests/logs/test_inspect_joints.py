@@ -171,7 +171,11 @@ def test_columns_are_grouped_by_joint(tmp_path, names, joints):
     assert {joint.label: set(joint.columns) for joint in found} == joints
 
 
-@settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None,
+    max_examples=8,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(signs=st.tuples(st.sampled_from((1, -1)), st.sampled_from((1, -1))), seed=st.integers(0, 5))
 def test_directions_are_found_from_the_sag(tmp_path, signs, seed):
     path = tmp_path / f"log_{signs[0]}_{signs[1]}_{seed}.csv"
@@ -209,7 +213,11 @@ def test_one_pose_shows_nothing(tmp_path):
     assert not any(joint.sign_known for joint in found.values())
 
 
-@settings(deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None,
+    max_examples=12,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(
     signs=st.tuples(st.sampled_from((1, -1)), st.sampled_from((1, -1))),
     unit=st.sampled_from(("rad", "deg", "ticks")),
