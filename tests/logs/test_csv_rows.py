@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepkoco.logs import LogError, read_log
@@ -55,6 +55,7 @@ def test_read_log_says_that_a_file_is_cut_off(tmp_path):
     assert "cut off" in message
 
 
+@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(blank=st.lists(st.integers(0, 39), max_size=4), bad=st.integers(0, 39))
 def test_lines_count_blank_lines_and_quoted_line_breaks(tmp_path_factory, blank, bad):
     """The reported line is the place of the marked cell in the text, found by a search of the text."""

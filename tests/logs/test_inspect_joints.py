@@ -44,8 +44,11 @@ class Arm(System):
     def __init__(self) -> None:
         self.parameters = (Parameter("stiffness", 40.0, "N m/rad", 1.0, 100.0, 10.0, "k"),)
         kinds = (("q", "rad"), ("dq", "rad/s"))
+        noise = {"q": 1e-3, "dq": 0.05}
         self.measurements = tuple(
-            Channel(f"{k}_{j}", unit, "measurement") for k, unit in kinds for j in self.joint_names
+            Channel(f"{k}_{j}", unit, "measurement", noise_sd=noise[k])
+            for k, unit in kinds
+            for j in self.joint_names
         )
 
     @property
@@ -168,7 +171,11 @@ def test_columns_are_grouped_by_joint(tmp_path, names, joints):
     assert {joint.label: set(joint.columns) for joint in found} == joints
 
 
-@settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None,
+    max_examples=8,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(signs=st.tuples(st.sampled_from((1, -1)), st.sampled_from((1, -1))), seed=st.integers(0, 5))
 def test_directions_are_found_from_the_sag(tmp_path, signs, seed):
     path = tmp_path / f"log_{signs[0]}_{signs[1]}_{seed}.csv"
@@ -206,7 +213,11 @@ def test_one_pose_shows_nothing(tmp_path):
     assert not any(joint.sign_known for joint in found.values())
 
 
-@settings(deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None,
+    max_examples=12,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(
     signs=st.tuples(st.sampled_from((1, -1)), st.sampled_from((1, -1))),
     unit=st.sampled_from(("rad", "deg", "ticks")),

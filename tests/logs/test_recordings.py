@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import deepkoco
@@ -49,6 +49,7 @@ CHANNELS = [
 ]
 
 
+@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(numbers=st.lists(st.integers(0, 10**6), min_size=1, max_size=6, unique=True))
 def test_logs_of_a_folder_come_in_the_order_of_their_numbers(tmp_path_factory, numbers):
     place = tmp_path_factory.mktemp("many")
