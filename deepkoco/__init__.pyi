@@ -1,5 +1,10 @@
 from . import diagnose as diagnose
 from . import fit as fit
+from .diagnose.causes import register_cause as register_cause
+from .engines.robot import register_object as register_object
+from .envs.making import make_env as make_env
+from .envs.tasks.registry import register_task as register_task
+from .envs.tasks.task import Task as Task
 from .interchange.loaded_model import (
     LoadedModel as LoadedModel,
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
-from deepkoco.cli.logs import SYSTEM_HELP
+from deepkoco.cli.logs import SYSTEM_HELP, add_episodes
 
 if TYPE_CHECKING:
     from deepkoco.logs.inspect.fitting import Fitting
@@ -24,16 +24,24 @@ channels are shown in SI units. Without one, a mapping of columns to channels of
 confidence and reasons. --out writes it as a sidecar.
 
 Exit status: 0 shown, 2 the log or its sidecar cannot be used."""
+MOST_LOGS = 40  # of a folder that are compared
 EXAMPLE = """\
 example:
   deepkoco inspect logs/coulomb.csv
+  deepkoco inspect logs/ --system arm.xml --out logs.yaml
   deepkoco inspect bag/ --system torque_pendulum --out bag.yaml --plot bag.png
   deepkoco inspect logs/coulomb.csv --json"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco inspect`."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="log: a file, or the folder of a ROS 2 bag")
+    parser.add_argument(
+        "log",
+        type=Path,
+        metavar="LOG",
+        help="log: a file, a folder that is one recording, or a folder of logs",
+    )
+    add_episodes(parser)
     parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="sidecar; default: LOG.yaml")
     parser.add_argument(
         "--system",
@@ -57,9 +65,10 @@ def run(args: argparse.Namespace) -> int:
         InputError: The log cannot be used, or an output file exists.
     """
     from deepkoco.logs.formats import open_log
+    from deepkoco.logs.formats.recordings import recordings as found_recordings
     from deepkoco.logs.inspect.survey import survey_log
     from deepkoco.logs.recording import LogError
-    from deepkoco.logs.sidecar import sidecar_path
+    from deepkoco.logs.sidecar import find_sidecar
 
     for target in (args.out, args.plot):
         if target is not None and target.exists():
@@ -67,12 +76,15 @@ def run(args: argparse.Namespace) -> int:
         if target is not None and not target.parent.is_dir():
             raise InputError(f"{target}: the folder {target.parent} does not exist; create it first")
     try:
-        found = survey_log(open_log(args.log))
+        paths = found_recordings([args.log], args.episodes)
+        found = survey_log(open_log(paths[0]))
+        others = [survey_log(open_log(path)) for path in paths[1:MOST_LOGS]] if args.system else []
     except LogError as error:
         raise InputError(str(error)) from error
-    mapped = args.map is not None or sidecar_path(args.log).is_file()
+    args.given, args.log, args.several = args.log, paths[0], len(paths)
+    mapped = args.map is not None or find_sidecar(args.log) is not None
     propose = not mapped or args.system is not None or args.out is not None
-    fitting, refusal = _fitting(found, args.system, args.out) if propose else (None, None)
+    fitting, refusal = _fitting(found, others, args.system, args.out) if propose else (None, None)
     proposal = None if fitting is None else fitting.proposal
     recording, problem = _read(args) if mapped else (None, None)
     if args.out is not None:
@@ -92,12 +104,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _fitting(found: Survey, system: str | None, out: Path | None) -> tuple[Fitting | None, str | None]:
+def _fitting(
+    found: Survey, others: list[Survey], system: str | None, out: Path | None
+) -> tuple[Fitting | None, str | None]:
     from deepkoco.cli.logs import named_system
     from deepkoco.logs.inspect.fitting import NoProposalError, propose
 
     try:
-        return propose(found, None if system is None else named_system(system)), None
+        return propose(found, None if system is None else named_system(system), others), None
     except NoProposalError as error:
         if out is not None:
             raise InputError(str(error)) from error
@@ -140,7 +154,13 @@ def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | No
             f"{path}: the log fits {', '.join((fitting.proposal.system, *fitting.alike))} equally well; give --system"
         )
     sure = {c.channel.name: c.sureness for c in fitting.proposal.choices if c.column is not None}
-    meta = {"proposed by": "deepkoco inspect", "how sure": sure}
+    meta: dict[str, object] = {"proposed by": "deepkoco inspect", "how sure": sure}
+    for key in ("sign", "zero"):
+        unknown = [j.model for j in fitting.proposal.joints if not getattr(j, f"{key}_known")]
+        if unknown:
+            meta[f"{key} not known"] = unknown
+    if found.log.facts:
+        meta["facts"] = dict(found.log.facts)
     text = dump_sidecar(fitting.proposal.system, mapping_of(found, fitting.proposal), meta, found.where)
     try:
         write_whole_text(path, text)
@@ -171,7 +191,8 @@ def _print(
 
     from deepkoco.logs.inspect.doubts import doubts_of
     from deepkoco.logs.inspect.log_summary import summary_table
-    from deepkoco.logs.inspect.tables import clock_table, column_table, proposal_table
+    from deepkoco.logs.inspect.tables import clock_table, column_table, joint_table, proposal_table
+    from deepkoco.logs.sidecar import sidecar_path
 
     console = Console()
 
@@ -187,10 +208,18 @@ def _print(
     if recording is None or args.system is not None or args.out is not None:
         if recording is None:
             say(f"{found.log.path} · {found.log.form}")
+            if args.several > 1:
+                say(f"the first of {args.several} recordings in {args.given}")
+            if found.log.facts:
+                say(", ".join(f"{key}: {value}" for key, value in found.log.facts.items()))
         console.print(clock_table(found))
         console.print(column_table(found, None if fitting is None else fitting.proposal))
     if fitting is not None:
         console.print(proposal_table(fitting))
+        if fitting.proposal.joints:
+            console.print(joint_table(fitting.proposal))
+        if fitting.doubt is not None:
+            say(f"! {fitting.proposal.system} does not fit this log: {fitting.doubt}")
     proposal = None if fitting is None else fitting.proposal
     if recording is None:
         for doubt in doubts_of(found, proposal):
@@ -199,7 +228,7 @@ def _print(
         say(f"! {refusal}")
     if fitting is not None and args.out is None:
         names = " or ".join((fitting.proposal.system, *(fitting.alike if args.system is None else ())))
-        say(f"write this mapping with --system {names} --out {args.log.with_suffix('.yaml')}")
+        say(f"write this mapping with --system {names} --out {sidecar_path(args.given)}")
     for target in (args.out, args.plot):
         if target is not None:
             say(f"written: {target}")

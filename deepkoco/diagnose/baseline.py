@@ -13,12 +13,16 @@ from deepkoco.fit.data.windows import Windows, halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.gauges import Gauge, scale_gauges
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import sharpen_noise
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.effects.learned import is_weight
+
+OPEN = 0.1  # relative standard deviation of a prior from which it leaves a scale open
+FIXED = 1e-4  # and of one that fixes it
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,7 @@ class Baseline:
         correlation: Samples per independent sample of the healthy residuals; 1 unless estimated from several logs.
         effects: Effects that were added from healthy logs.
         losing: Indices of the commands of which healthy logs also lose some.
+        gauges: Scale gauges that the logs leave open, each with a parameter that keeps its value as given.
         healthy: The healthy logs from which it was learned, if any.
         runs: Run-to-run variance of these logs; None for fewer than two.
     """
@@ -63,6 +68,7 @@ class Baseline:
     correlation: float = 1.0
     effects: tuple[str, ...] = ()
     losing: tuple[int, ...] = ()
+    gauges: tuple[Gauge, ...] = ()
     healthy: Healthy | None = None
     runs: RunToRun | None = None
 
@@ -130,6 +136,36 @@ def baseline_from(system: System, windows: Windows) -> Baseline:
     # A change of a learned weight is not a cause with a name, so every fit frees it like the system's own parameters.
     own = [p for p in extended.parameters if "." not in p.name or (is_weight(p.name) and p.value != 0.0)]
     return Baseline(extended, values, Prior.of(own))
+
+
+def with_gauges_fixed(start: Baseline, windows: Windows) -> Baseline:
+    """Keep one parameter of each scale gauge at the value given, where its prior leaves the gauge open.
+
+    A voltage and an angle give only ratios of a motor's torque constant, inertia and friction. With wide priors on all
+    of them, every size that is estimated would be as uncertain as this common factor.
+
+    Args:
+        start: The baseline without healthy logs.
+        windows: The windows that it will be fitted to.
+    """
+    declared = {p.name: p for p in start.system.parameters}
+    sd = dict(zip(start.prior.names, np.sqrt(np.diag(start.prior.covariance)), strict=True))
+    loose = [n for n, s in sd.items() if start.values[n] > 0.0 and s >= OPEN * start.values[n]]
+    if len(loose) < 2 or len(windows) == 0:
+        return start
+    problem = FitProblem(start.system, windows)
+    state, _ = problem.fit_states(start.values, windows.state)
+    at_given = problem.fit([Trial("gauges", start.prior.names, start.prior, start.values, state)], 1)[0]
+    if at_given.diverged:
+        return start
+    found = scale_gauges(at_given, [declared[n] for n in start.prior.names])
+    gauges = tuple(g for g in found if g.fixed in loose)
+    covariance = start.prior.covariance.copy()
+    for gauge in gauges:
+        i = start.prior.names.index(gauge.fixed)
+        covariance[i, :] = covariance[:, i] = 0.0
+        covariance[i, i] = (FIXED * start.values[gauge.fixed]) ** 2
+    return replace(start, prior=replace(start.prior, covariance=covariance), gauges=gauges)
 
 
 def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None) -> Fit:

@@ -10,6 +10,7 @@ from deepkoco.diagnose.baseline import (
     BaselineError,
     baseline_from,
     check_learned,
+    with_gauges_fixed,
 )
 from deepkoco.diagnose.causes import catalogue, causes_named
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
@@ -99,7 +100,7 @@ def diagnose(
             except DivergedError as error:
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
-        return _diagnosed(request, baseline_from(base, data.train), unfitted)
+        return _diagnosed(request, with_gauges_fixed(baseline_from(base, data.train), data.train), unfitted)
 
 
 def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:

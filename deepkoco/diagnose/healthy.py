@@ -15,6 +15,7 @@ from deepkoco.diagnose.baseline import (
     Healthy,
     baseline_from,
     refit_sharply,
+    with_gauges_fixed,
 )
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
@@ -62,7 +63,7 @@ def learn_baseline(
     progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
-    start = baseline_from(system, windows)
+    start = with_gauges_fixed(baseline_from(system, windows), windows)
     windows, fit = refit_sharply(start, windows)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
     told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))

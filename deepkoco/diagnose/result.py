@@ -123,6 +123,7 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     return {
         **describe(remaining, left),
         "not_identified": [vars(d) for d in _unidentified(base)],
+        "scale_gauges": [g.to_json() for g in base.start.gauges],
         "limits": {"chi2_per_sample": limit, "lag_one": alike},
         "white": final.chi2 / train.samples <= limit and left.lag_one <= alike,
         "spectrum": spectrum_of(remaining),
@@ -159,6 +160,7 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
         classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
     return (
         *not_fitted(judgement.unfitted),
+        *(f"{g.text} Until then, {g.fixed} keeps its value as given." for g in base.start.gauges),
         *always_there(explanation.joined),
         *classes,
         *level_advice(base.train, request.system),

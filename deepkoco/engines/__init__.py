@@ -1,9 +1,13 @@
 """Objects and the engines that run them: one graph on equations, on MuJoCo or on a unit."""
 
 from deepkoco.engines.assembly import ENGINES, command_window, find_engine, make_graph
-from deepkoco.engines.engine import Engine, EngineError
+from deepkoco.engines.engine import Engine, EngineError, EngineObject
+from deepkoco.engines.mjcf_object import MjcfObject
+from deepkoco.engines.mjcf_world import MjcfSensor, MjcfWorld
+from deepkoco.engines.model_parameters import parameter_values
 from deepkoco.engines.reset import Drive, ResetError, ResetNode, Teleport, damp
-from deepkoco.engines.robot import OBJECTS, RobotObject, find_object
+from deepkoco.engines.robot import OBJECTS, RobotObject, SystemObject, find_object, register_object
+from deepkoco.engines.scene import Scene
 from deepkoco.engines.simulated import MujocoEngine, OdeEngine
 from deepkoco.engines.unit import UnitEngine
 
@@ -13,11 +17,17 @@ __all__ = [
     "Drive",
     "Engine",
     "EngineError",
+    "EngineObject",
+    "MjcfObject",
+    "MjcfSensor",
+    "MjcfWorld",
     "MujocoEngine",
     "OdeEngine",
     "ResetError",
     "ResetNode",
     "RobotObject",
+    "Scene",
+    "SystemObject",
     "Teleport",
     "UnitEngine",
     "command_window",
@@ -25,4 +35,6 @@ __all__ = [
     "find_engine",
     "find_object",
     "make_graph",
+    "parameter_values",
+    "register_object",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -26,3 +27,28 @@ def mean_over_tick(values: Tensor, commands: Input, period: float) -> Tensor:
     if values.ndim > 2:
         held = held.unsqueeze(-1)
     return (values * held).sum(1) / period
+
+
+def means_within_tick(values: Tensor, commands: Input, period: float, parts: int) -> np.ndarray:
+    """Time averages (B, parts, M) over equal parts of the tick that ends now.
+
+    Each command holds from its arrival to the next one's; the oldest has held since before the tick.
+
+    Args:
+        values: (B, window, M) what each of the commands delivers.
+        commands: The commands, with their arrivals.
+        period: Length of the tick [s].
+        parts: Number of parts.
+    """
+    begin = commands.t_start.numpy() - period
+    arrival = (
+        commands.t_received.numpy()[:, 1:] - begin[:, None]
+    )  # of all but the oldest, since the begin [s]
+    if arrival.shape[1] == 0 or arrival.max() <= 0.0:
+        return values[:, -1:].expand(-1, parts, -1).numpy()
+    length = period / parts
+    ends = length * np.arange(1, parts + 1)
+    # Share of each part in which a command has arrived: it replaces the one before it for that long.
+    share = np.clip((ends[:, None] - arrival[:, None]) / length, 0.0, 1.0)  # (B, parts, window - 1)
+    held = values.numpy()
+    return held[:, None, 0] + share @ (held[:, 1:] - held[:, :-1])

@@ -48,6 +48,8 @@ class MujocoWorld(Node):
         speed_limit: float = math.inf,
     ) -> None:
         super().__init__("world", rate)
+        self.entries: tuple[int, ...] | None = None
+        """Which entry of a command is this object's; None: the first."""
         self.system, self.body = system, body
         self.period, self.speed_limit = 1.0 / rate, speed_limit
         self.substeps = math.ceil(self.period / time_step - 1e-9)
@@ -78,7 +80,9 @@ class MujocoWorld(Node):
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         assert self._simulator is not None
-        command = inputs["agent"].data[..., 0].to(torch.float64).clamp(self.low, self.high)
+        command = (
+            inputs["agent"].data[..., (self.entries or (0,))[0]].to(torch.float64).clamp(self.low, self.high)
+        )
         effort = mean_over_tick(command, inputs["agent"], self.period)
         now = state["state"]
         if state["started"][0]:

@@ -43,6 +43,8 @@ class World(Node):
         speed_limit: float = math.inf,
     ) -> None:
         super().__init__("world", rate)
+        self.entries: tuple[int, ...] | None = None
+        """Which entries of a command are this object's; None: all."""
         self.period, self.speed_limit = 1.0 / rate, speed_limit
         self.system = system
         channels = system.commands
@@ -68,6 +70,8 @@ class World(Node):
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         dt = self.period
         sent = inputs["agent"].data.to(torch.float64)
+        if self.entries is not None:
+            sent = torch.stack([sent[..., i] for i in self.entries], -1)
         cut = [sent[..., i].clamp(low, high) for i, (low, high) in enumerate(self.limits)]
         command = self.system.effort_of(torch.stack(cut, -1))
         target = mean_over_tick(self.system.actuate(command, parameters), inputs["agent"], dt)

@@ -6,19 +6,22 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
-from deepkoco.engines.engine import EngineError
+from deepkoco.engines.engine import EngineError, EngineObject
 from deepkoco.engines.mjcf import HingedBody
-from deepkoco.systems import Channel, JointSystem, make_system
+from deepkoco.engines.mjcf_object import MjcfObject
+from deepkoco.systems import Channel, JointSystem, System, make_system
 from deepkoco.systems.bodies.pendulum import COULOMB_SMOOTHING
 from deepkoco.systems.bodies.pendulum import GRAVITY as STANDARD_GRAVITY
 
 Values = Mapping[str, float]
+MODELS = (".xml", ".mjcf", ".urdf")
 
 
 @dataclass(frozen=True)
 class RobotObject:
-    """A machine with named actuators and sensors.
+    """A pendulum with named actuators and sensors, for every engine.
 
     Attributes:
         system: Name of its dynamics in `deepkoco.systems`, and of the object.
@@ -90,7 +93,7 @@ def _point_on_rod(p: Values) -> HingedBody:
     )
 
 
-OBJECTS: dict[str, RobotObject] = {
+OBJECTS: dict[str, EngineObject] = {
     robot.system: robot
     for robot in (
         RobotObject("rod_pendulum", _rod),
@@ -100,12 +103,70 @@ OBJECTS: dict[str, RobotObject] = {
 }
 
 
-def find_object(name: str) -> RobotObject:
-    """Look up an object by name.
+@dataclass(frozen=True)
+class SystemObject:
+    """A machine that is given by its equations of motion, for the ``ode`` engine.
+
+    Attributes:
+        dynamics: The equations.
+    """
+
+    dynamics: System
+
+    @property
+    def actuators(self) -> tuple[Channel, ...]:
+        """What takes commands."""
+        return self.dynamics.commands
+
+    @property
+    def sensors(self) -> tuple[Channel, ...]:
+        """What is measured."""
+        return self.dynamics.measurements
+
+
+def register_object(thing: EngineObject, name: str | None = None) -> EngineObject:
+    """Let graphs find an object by a name, for this process.
+
+    Args:
+        thing: The object.
+        name: Its name; None takes that of its system, for a `RobotObject`.
+
+    Returns:
+        ``thing``.
+
+    Raises:
+        EngineError: There is another object of that name, or the object needs one.
+    """
+    own = name or (thing.system if isinstance(thing, RobotObject) else None)
+    if own is None:
+        raise EngineError(f"a {type(thing).__name__} has no name of its own; give one: register_object(thing, name)")
+    if OBJECTS.get(own, thing) != thing:
+        raise EngineError(f'there is an object "{own}" already; give another name')
+    OBJECTS[own] = thing
+    return thing
+
+
+def find_object(what: str | Path | System | EngineObject) -> EngineObject:
+    """Look up an object by name; one that is given is handed back.
+
+    Args:
+        what: Name of a built-in object; path of an MJCF or URDF file, or MJCF text; a system, or the text by which
+            `load_system` finds one of the user's own (``my_robot.py:CartPole``); or an object.
 
     Raises:
         EngineError: There is none; the message lists them.
     """
-    if name not in OBJECTS:
-        raise EngineError(f'no object "{name}"; known: {", ".join(OBJECTS)}')
-    return OBJECTS[name]
+    if isinstance(what, System):
+        return SystemObject(what)
+    if not isinstance(what, str | Path):
+        return what
+    text = str(what)
+    if text in OBJECTS:
+        return OBJECTS[text]
+    if text.lstrip().startswith("<") or Path(text).suffix.lower() in MODELS:
+        return MjcfObject(text)
+    if ":" in text or text.endswith(".py"):
+        from deepkoco.systems.loading import load_system
+
+        return SystemObject(load_system(text))
+    raise EngineError(f'no object "{text}"; known: {", ".join(OBJECTS)}, or the path of an MJCF or URDF file')

@@ -14,7 +14,7 @@ from deepkoco.engines.reset import ResetNode, Teleport
 from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
 from deepkoco.graph.model.node import State
-from deepkoco.systems import JointSystem, Parameters
+from deepkoco.systems import JointSystem, Parameters, System
 from deepkoco.unit import SensorMessage, SimulatedUnit, Unit, UnitSpec, load_unit, make_unit
 
 CLOCKS = {"wall": Unit, "simulated": SimulatedUnit}
@@ -43,7 +43,11 @@ class UnitEngine(Engine):
     def real_time(self) -> bool:  # type: ignore[override]
         return self.clock == "wall"
 
-    def nodes(self, system: JointSystem) -> tuple[Node, Node]:
+    def nodes(self, system: System) -> tuple[Node, Node]:
+        if not isinstance(system, JointSystem):
+            raise EngineError(
+                f"unit: there is no unit of {system.name}; units have one joint and one command"
+            )
         if self.unit is None:
             spec = make_unit(system.name)
         else:
@@ -82,6 +86,8 @@ class UnitWorld(Node):
         command_limit: float,
     ) -> None:
         super().__init__("world", rate)
+        self.entries: tuple[int, ...] | None = None
+        """Which entry of a command is this object's; None: the first."""
         self.spec, self.system, self.clock, self.reset = spec, system, clock, reset
         self.low = max(-command_limit, system.command.low)
         self.high = min(command_limit, system.command.high)
@@ -115,7 +121,7 @@ class UnitWorld(Node):
         due = self._origin + float(inputs["agent"].t_start[0]) if self.clock == "simulated" else 0.0
         while (message := unit.poll(max(0.0, due - unit.now()))) is not None:
             measured = _values(message)
-        command = float(inputs["agent"].data[0, -1, 0])
+        command = float(inputs["agent"].data[0, -1, (self.entries or (0,))[0]])
         unit.send(min(max(command, self.low), self.high))
         return {"measured": measured}, measured
 

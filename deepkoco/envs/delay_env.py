@@ -30,7 +30,8 @@ class DelayGraphVectorEnv(GraphVectorEnv):
 
     The reward is minus the task's cost of the true state and the command at the agent's tick; the
     observation is what the agent has received by then. Every environment draws delays and randomized
-    parameters of its own at each episode. Episodes are cut after ``max_episode_steps`` and never terminate.
+    parameters of its own at each episode. Episodes are cut after ``max_episode_steps``; they terminate only where
+    the task has limits and the state leaves them.
 
     Args:
         num_envs: Environments B.
@@ -104,12 +105,12 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         # Samples of the control rate are all that a constant delay lets the agent see; where delays differ
         # it sees the newest that has arrived, so there is one at every tick of the world.
         same = sensing.constant and not self._delays_differ("sensing_delay")
-        sensor_rate = rate if same else settings.world_rate
+        sensor_rate = rate if same else settings.ticks_per_second
         noise = tuple(c.noise_sd if settings.noise else 0.0 for c in self.system.measurements)
         nodes = [
             World(
                 self.system,
-                settings.world_rate,
+                settings.ticks_per_second,
                 settings.integrator,
                 self.task.command_limits,
                 self.task.speed_limit,
@@ -117,7 +118,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
             Sensor(self.system, sensor_rate, noise),
             TaskAgent(self.system, self.task, settings.action_history, self.action_scale.tolist()),
         ]
-        window = command_window(actuation, rate, settings.world_rate)
+        window = command_window(actuation, rate, settings.ticks_per_second)
         connections = [
             Connection("world", "sensor"),
             Connection("world", "agent", name="truth"),

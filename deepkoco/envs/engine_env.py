@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import gymnasium
@@ -14,8 +15,9 @@ from deepkoco.envs.actions import check_finite_action
 from deepkoco.envs.nodes import TaskAgent
 from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import SWING_UPS
-from deepkoco.graph import draw_timing
+from deepkoco.graph import Node, draw_timing
 from deepkoco.graph.live import SimulatedRuntime, WallClockRuntime
+from deepkoco.systems import JointSystem
 
 
 class EngineEnv(gymnasium.Env):
@@ -36,6 +38,7 @@ class EngineEnv(gymnasium.Env):
         render_mode: None or ``rgb_array``.
         render_size: Side of the picture [pixels].
         longest_episode: Steps for which delays are drawn; going on beyond them is an error.
+        action_nodes: Nodes between the agent and the actuator, as for `make_graph`.
 
     Raises:
         ValueError: A setting is wrong; the message says which and what it may be.
@@ -54,12 +57,19 @@ class EngineEnv(gymnasium.Env):
         render_mode: str | None = None,
         render_size: int = 256,
         longest_episode: int = 1000,
+        action_nodes: Iterable[Node] = (),
     ) -> None:
         if action_units not in ACTION_UNITS:
             raise SettingsError(f'action_units "{action_units}" is none of {", ".join(ACTION_UNITS)}')
         if action_history < 0:
             raise SettingsError(f"action_history = {action_history}; give 0 or more")
-        self.system, self.task = find_object(object).dynamics, SWING_UPS[object]
+        system = find_object(object).dynamics
+        if object not in SWING_UPS or not isinstance(system, JointSystem):
+            raise SettingsError(
+                f'object "{object}" has no task; those with one are {", ".join(SWING_UPS)}. For another object make a '
+                "GraphVectorEnv of make_graph(...)"
+            )
+        self.system, self.task = system, SWING_UPS[object]
         self.engine = self._with_limits(engine)
         self.render_mode, self.render_size, self.longest_episode = render_mode, render_size, longest_episode
         self.metadata = {**self.metadata, "render_fps": round(self.task.control_rate)}
@@ -76,6 +86,7 @@ class EngineEnv(gymnasium.Env):
             agent=TaskAgent(self.system, self.task, action_history, (self.action_scale,)),
             actuation_delay=actuation_delay,
             sensing_delay=sensing_delay,
+            action_nodes=action_nodes,
         )
         if self.engine.real_time:
             self._runtime = WallClockRuntime(self.graph, record=False)

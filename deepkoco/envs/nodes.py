@@ -18,7 +18,8 @@ class TaskAgent(Supervisor):
 
     Readings: ``observation`` (B, N) of what it has received, then its last commands, newest first;
     ``reward`` (B,), minus the task's cost of the true state at its step before and the commands given then;
-    and what the task reads of the true state now.
+    ``terminated`` (B,) where the task has limits and the true state lies outside now; and what the task reads of the
+    true state now.
 
     Args:
         scene: The system with what the task adds to it.
@@ -56,4 +57,8 @@ class TaskAgent(Supervisor):
             state["history"] = torch.cat([*scaled, state["history"][:, : -self.width]], 1)
             observation = torch.cat([observation, state["history"]], 1)
         readings = {"observation": observation, "reward": reward}
+        left = self.task.left(self.scene, truth)
+        if left is not None:
+            readings["reward"] = reward - torch.where(left, self.task.leaving_cost, 0.0)
+            readings["terminated"] = left
         return state, readings | self.task.readings(self.scene, truth, parameters or None)

@@ -20,6 +20,10 @@ ENVIRONMENTS: dict[str, tuple[int, dict]] = {
     "deepkoco/ManipulatorFixedTarget-v0": (200, {"system": "two_link_arm", "task": "manipulator_fixed"}),
 }
 
+# A robot and a task of one's own: `deepkoco train --system arm.xml --task my_task.py:Swing`, see docs/own_robot.md.
+ROBOT = "deepkoco/Robot-v0"
+ENVIRONMENTS[ROBOT] = (200, {"world_rate": None})
+
 # A unit in virtual time, for policies that learn on it: task.id=deepkoco/Unit-v0 +task.kwargs.unit=UNIT.yaml
 UNIT, UNIT_STEPS = "deepkoco/Unit-v0", 200
 

@@ -10,9 +10,10 @@ from typing import Any
 
 import torch
 
-from deepkoco.envs.tasks import Task, UnknownTaskError, find_task
+from deepkoco.envs.tasks import TASKS, GoalTask, Task, TaskDeclarationError, UnknownTaskError, load_task
+from deepkoco.envs.world_rate import slowest_world_rate
 from deepkoco.graph.delay import Delay, DelayError, make_delay
-from deepkoco.systems import ExtendedSystem, System, load_model, make_system
+from deepkoco.systems import SYSTEMS, ExtendedSystem, System, any_system
 
 INTEGRATORS = ("rk4", "semi_implicit_euler")
 ACTION_UNITS = ("normalized", "physical")
@@ -28,13 +29,15 @@ class EnvironmentSettings:
     """What an environment on the delay graph simulates.
 
     Attributes:
-        system: Name of the system.
-        task: Name of a task on it; None: its swing-up, which bears the system's name.
+        system: The system, or what `deepkoco.load_system` takes; None takes that of the model.
+        task: A task, or what `deepkoco.envs.tasks.load_task` takes; None: the swing-up that bears the system's name, or
+            else a `GoalTask`.
         model: Path of a model.yaml, or a system, to simulate in place of the nominal system.
         actuation_delay: Delay from the agent to the actuator [s]: a number, a delay law or its
             description; the model's own delay adds to it.
         sensing_delay: Delay from the sensor to the agent [s], likewise.
-        world_rate: Ticks of the simulated physics per second [Hz], the control rate or more.
+        world_rate: Ticks of the simulated physics per second [Hz], the control rate or more; None chooses the slowest
+            at which the equations can be integrated.
         integrator: ``rk4``, or ``semi_implicit_euler`` for Gymnasium's scheme.
         randomize: Parameter or delay name -> (low, high): drawn uniformly for every episode and
             environment. A range replaces the nominal value.
@@ -43,12 +46,12 @@ class EnvironmentSettings:
         action_units: ``normalized``: actions in [-1, 1]; ``physical``: in the commands' units.
     """
 
-    system: str
-    task: str | None = None
+    system: str | Path | System | type[System] | None = None
+    task: str | Task | type[Task] | Mapping[str, float] | None = None
     model: str | Path | System | None = None
     actuation_delay: Delay | float | Mapping[str, Any] = 0.0
     sensing_delay: Delay | float | Mapping[str, Any] = 0.0
-    world_rate: float = 100.0
+    world_rate: float | None = 100.0
     integrator: str = "rk4"
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     noise: bool = False
@@ -64,12 +67,18 @@ class EnvironmentSettings:
                 raise SettingsError(f'{name} "{value}" is none of {", ".join(choices)}')
         if self.action_history < 0:
             raise SettingsError(f"action_history = {self.action_history}; give 0 or more")
+        if self.system is None and self.model is None:
+            raise SettingsError("system is not given; give a name, my_robot.py:CLASS, arm.xml or model.yaml")
+        system, task = self.make_system(), self.find_task()
+        rate = task.control_rate
+        if self.world_rate is None:
+            object.__setattr__(self, "world_rate", slowest_world_rate(system, rate, task.speed_limit))
+        assert self.world_rate is not None
         if not (self.world_rate > 0 and math.isfinite(self.world_rate)):
             raise SettingsError(f"world_rate = {self.world_rate} Hz; give a positive number")
-        rate = self.find_task().control_rate
         if self.world_rate < rate:
             raise SettingsError(
-                f"world_rate = {self.world_rate:g} Hz is below the control rate of {self.system}; give "
+                f"world_rate = {self.world_rate:g} Hz is below the control rate of {system.name}; give "
                 f"{rate:g} Hz or more"
             )
         for name in DELAYS:
@@ -79,33 +88,47 @@ class EnvironmentSettings:
                 raise SettingsError(f"{name}: {error}") from error
         self._check_ranges()
 
+    @property
+    def ticks_per_second(self) -> float:
+        """Ticks of the simulated physics per second [Hz], as given or as chosen."""
+        assert self.world_rate is not None
+        return self.world_rate
+
     def make_system(self) -> System:
         """The system to simulate, with its nominal parameters.
 
         Raises:
             SettingsError: The model belongs to another system, or has an effect that acts along a log only.
         """
-        system = self.model if isinstance(self.model, System) else None
-        if system is None:
-            system = make_system(self.system) if self.model is None else load_model(str(self.model))
-        if system.name != self.system:
-            raise SettingsError(f"the model is of {system.name}, the environment of {self.system}")
+        wanted = self.model if self.system is None else self.system
+        system = any_system(wanted if self.model is None else self.model)  # type: ignore[arg-type]
+        if self.model is not None and self.system is not None:
+            # A name is compared as it is: its system need not be made for it.
+            known = isinstance(wanted, str) and wanted in SYSTEMS
+            name = wanted if known else any_system(wanted).name  # type: ignore[arg-type]
+            if system.name != name:
+                raise SettingsError(f"the model is of {system.name}, the environment of {name}")
         _check_steps(system)
         return system
 
     def find_task(self) -> Task:
-        """The task.
+        """The task, for this system.
 
         Raises:
             SettingsError: There is none of that name, or it is of another system.
         """
+        system = self.make_system()
+        usual = TASKS.get(system.name) if self.task is None else None
         try:
-            task = find_task(self.task or self.system)
+            task = usual or (GoalTask() if self.task is None else load_task(self.task))
         except UnknownTaskError as error:
             raise SettingsError(f"task: {error}") from error
-        if task.system != self.system:
-            raise SettingsError(f'task "{self.task}" is one of {task.system}, not of {self.system}')
-        return task
+        if getattr(task, "system", None) not in (None, system.name):
+            raise SettingsError(f'task "{self.task}" is one of {task.system}, not of {system.name}')
+        try:
+            return task.on(task.scene(system))
+        except TaskDeclarationError as error:
+            raise SettingsError(f"task: {error}") from error
 
     def _check_ranges(self) -> None:
         system = self.make_system()

@@ -10,6 +10,7 @@ import numpy as np
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.request import FitRequest
 from deepkoco.fit.solve.dispersion import Dispersion
+from deepkoco.fit.solve.gauges import Gauge, scale_gauges
 from deepkoco.fit.solve.identifiability import Direction
 from deepkoco.systems import ExtendedSystem
 
@@ -140,6 +141,7 @@ class Identification:
                 name: {"before": before, "after": after, "unit": unit}
                 for name, (before, after, unit) in self.rms.items()
             },
+            "scale_gauges": [g.to_json() for g in self.gauges],
             "chi2_per_sample": self.dispersion.chi2_per_sample,
             "residual_correlation": self.dispersion.correlation,
             "windows": len(self.request.windows),
@@ -156,6 +158,11 @@ class Identification:
             },
             "seed": self.seed,
         }
+
+    @property
+    def gauges(self) -> tuple[Gauge, ...]:
+        """Fitted parameters of which the data give only ratios."""
+        return scale_gauges(self.fit, self.system.parameters)
 
     def loose_in_words(self) -> tuple[str, ...]:
         """Describe each combination that is not identified by one sentence."""

@@ -19,6 +19,7 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, Parameter, System, any_system
 from deepkoco.systems.effects import effects_of
+from deepkoco.systems.effects.effect import ALL
 
 MIN_FITTED_WINDOWS = 2
 
@@ -81,7 +82,8 @@ def known_parameters(system: System) -> tuple[Parameter, ...]:
 def command_delays(system: System) -> tuple[str, ...]:
     """Names of the delays of a system's commands, one for each driven joint."""
     base = system.base if isinstance(system, ExtendedSystem) else system
-    return tuple(f"{name}.delay" for name in effects_of(base) if name.split("(")[0] == "actuation_delay")
+    placed = [p for p in effects_of(base).values() if p.effect.name == "actuation_delay"]
+    return tuple(f"{p.name}.delay" for p in placed if p.index != ALL)
 
 
 def make_request(

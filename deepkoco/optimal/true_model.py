@@ -50,10 +50,10 @@ class TrueModel:
             )
         if settings.randomize:
             raise TrueModelError(f"the environment draws {', '.join(settings.randomize)} at random")
-        own = settings.world_rate / self.task.control_rate
+        own = settings.ticks_per_second / self.task.control_rate
         if own != round(own):
             raise TrueModelError(
-                f"the physics' rate of {settings.world_rate:g} Hz is no multiple of the agent's "
+                f"the physics' rate of {settings.ticks_per_second:g} Hz is no multiple of the agent's "
                 f"{self.task.control_rate:g} Hz"
             )
         self.substeps = round(own) if substeps is None else substeps

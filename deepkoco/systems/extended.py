@@ -16,7 +16,7 @@ from torch import Tensor
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects import EFFECTS, JointState, PlacedEffect, SensorSite, effects_of
-from deepkoco.systems.effects.effect import JointLanes, in_lanes, steady_level
+from deepkoco.systems.effects.effect import COMMON, JointLanes, in_lanes, steady_level
 from deepkoco.systems.joint import JointSystem, TorqueLaw
 from deepkoco.systems.joint_memory import JointMemory, Remembering
 from deepkoco.systems.origins import find_stored, origin_of, stored_origin
@@ -80,6 +80,7 @@ class ExtendedSystem(System):
         self.joints = base.joints
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
+        self.payload_sites, self.tip = base.payload_sites, base.tip
         self.effects: tuple[PlacedEffect, ...] = tuple(e for name, e in known.items() if name in effects)
         declared = list(base.parameters)
         for placed in self.effects:
@@ -132,6 +133,10 @@ class ExtendedSystem(System):
     @property
     def smoothing_speeds(self) -> tuple[float, ...]:
         return self.base.smoothing_speeds
+
+    @property
+    def longest_step(self) -> float:
+        return self.base.longest_step
 
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)
@@ -245,15 +250,17 @@ class ExtendedSystem(System):
             if len(self.commands) == 1:
                 effort = placed.effect.apply(effort, own)
             else:
-                parts = list(effort.unbind(-1))
-                parts[placed.index] = placed.effect.apply(parts[placed.index], own)
+                parts = [
+                    placed.effect.apply(part, own) if placed.acts_on(k, self) else part
+                    for k, part in enumerate(effort.unbind(-1))
+                ]
                 effort = torch.stack(torch.broadcast_tensors(*parts), -1)
         return effort
 
     def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
         effort = self.base.shape_command(index, value, t, parameters)
         for placed in self.effects:
-            if placed.index != index or placed.effect.place not in ("command", "series"):
+            if placed.effect.place not in ("command", "series") or not placed.acts_on(index, self):
                 continue
             own = _own(placed.name, parameters)
             if placed.effect.place == "series":
@@ -273,16 +280,22 @@ class ExtendedSystem(System):
         lags = [parameters.get(f"{name}.time_constant", zero) for name in names]
         if any(not torch.equal(x, y) for each in (delays, lags) for x, y in pairwise(each)):
             raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
-        return Timing(base.actuation_delay + delays[0], sensing, base.lag + lags[0])
+        delay = parameters.get(f"actuation_delay({COMMON}).delay", zero) + delays[0]
+        lag = parameters.get(f"lag({COMMON}).time_constant", zero) + lags[0]
+        return Timing(base.actuation_delay + delay, sensing, base.lag + lag)
 
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         base = self.base.command_timing(index, parameters)
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
         delay = delay + parameters.get(f"{self._command_effect('actuation_delay', index)}.delay", zero)
-        lag = parameters.get(f"{self._command_effect('lag', index)}.time_constant")
+        names = [self._command_effect("lag", index)]
+        if index < len(self.command_joints):
+            delay = delay + parameters.get(f"actuation_delay({COMMON}).delay", zero)
+            names.append(f"lag({COMMON})")
+        lags = [parameters[f"{n}.time_constant"] for n in names if f"{n}.time_constant" in parameters]
         skew = base.skew + parameters.get("clock_skew.rate", zero)
-        return CommandTiming(delay, base.lag if lag is None else (*base.lag, lag), skew)
+        return CommandTiming(delay, (*base.lag, *lags), skew)
 
     def sensor_filter(self, parameters: Parameters) -> Tensor:
         return self.base.sensor_filter(parameters) + parameters.get(
@@ -308,6 +321,9 @@ class ExtendedSystem(System):
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
+
+    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+        return self.base.with_payload_at(site, mass, parameters)
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)
@@ -392,17 +408,20 @@ class _Part(NamedTuple):
 
     apply: Callable[..., Tensor]
     joint: int
+    source: int  # joint whose effort it is shown
     values: Parameters
     lanes: slice | None
 
     @staticmethod
-    def of(placed: PlacedEffect, parameters: Parameters, lanes: slice | None, level: bool) -> _Part:
+    def of(
+        placed: PlacedEffect, system: System, parameters: Parameters, lanes: slice | None, level: bool
+    ) -> _Part:
         own = placed.effect.acting(_own(placed.name, parameters))
         if lanes is not None:
             own = {n: in_lanes(v, lanes.start, lanes.stop) for n, v in own.items()}
         apply = placed.effect.level if level else placed.effect.apply
         assert apply is not None
-        return _Part(apply, placed.index, own, lanes)
+        return _Part(apply, placed.joint(system), placed.source(system), own, lanes)
 
 
 class _SumOverJoints:
@@ -425,7 +444,7 @@ class _SumOverJoints:
         levels: bool = False,
     ) -> None:
         self._parts = [
-            _Part.of(placed, parameters, None if lanes is None else lanes.get(placed.name), levels)
+            _Part.of(placed, system, parameters, None if lanes is None else lanes.get(placed.name), levels)
             for placed in effects
         ]
         self._driven = {joint: k for k, joint in enumerate(system.base.command_joints)}
@@ -436,13 +455,13 @@ class _SumOverJoints:
         """Add to what is given for each joint; None stands for 0."""
         total = list(given)
         own: set[int] = set()
-        states: dict[int, JointState] = {}
+        states: dict[tuple[int, int], JointState] = {}
         delivered = motion.efforts if self._deliver is None else self._deliver(motion)
         for part in self._parts:
             j = part.joint
-            state = states.get(j)
+            state = states.get((j, part.source))
             if state is None:
-                state = states[j] = self._state(motion, delivered, j)
+                state = states[j, part.source] = self._state(motion, delivered, j, part.source)
             before, lane = total[j], part.lanes
             if lane is None:
                 value = part.apply(state, part.values)
@@ -459,8 +478,9 @@ class _SumOverJoints:
             total[j] = before
         return tuple(total)
 
-    def _state(self, motion: Motion, delivered: tuple[Tensor, ...], j: int) -> JointState:
-        effort = delivered[self._driven[j]] if j in self._driven else torch.zeros_like(motion.speeds[j])
+    def _state(self, motion: Motion, delivered: tuple[Tensor, ...], j: int, source: int) -> JointState:
+        k = self._driven.get(source)
+        effort = torch.zeros_like(motion.speeds[j]) if k is None else delivered[k]
         smoothing = self._smoothing[j] if motion.smoothing is None else motion.smoothing[j]
         return JointState(motion.angles[j], motion.speeds[j], effort, motion.time, smoothing)
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.declaration import Declared
-from deepkoco.systems.drawing import canvas, draw_bars
+from deepkoco.systems.drawing import Point, canvas, draw_bars
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.typical_loads import typical_loads
 
@@ -124,6 +124,7 @@ class Motion(NamedTuple):
         return 0.0 if given is None else given
 
 
+Outline = tuple[list[tuple[Point, Point]], list[Point]]
 Acceleration = Callable[[Motion], tuple[Tensor, ...]]
 Delivery = Callable[[Motion], tuple[Tensor, ...]]
 InverseInertia = Callable[[Motion], tuple[tuple[Tensor, ...], ...]]
@@ -147,12 +148,17 @@ class System(metaclass=Declared):
         dry_friction: Whether its joints can have any (a joint that flies cannot).
         resizable: Whether `with_length` can change its links.
         tilt_parameters: What `tilt` of its base adds to the parameters; empty where gravity plays no part.
+        payload_sites: Places at which `with_payload_at` can fix a payload; each is a cause of its own,
+            ``payload(PLACE)``.
+        tip: The one of them that `with_payload` means; None if it is another place.
         origin: Text by which `load_system` finds it again, such as ``/home/me/my_robot.py:CartPole``; None for a system
             of the package.
     """
 
     dry_friction = True
     resizable = False
+    payload_sites: tuple[str, ...] = ()
+    tip: str | None = None
     origin: str | None = None
     wraps = False
 
@@ -207,6 +213,14 @@ class System(metaclass=Declared):
     def takes_payload(self) -> bool:
         """Whether it defines `with_payload`."""
         return type(self).with_payload is not System.with_payload
+
+    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+        """Parameters after a point mass ``mass`` (...) [kg] is fixed at one of `payload_sites`.
+
+        Raises:
+            ParameterError: There is no such place.
+        """
+        raise ParameterError(f'{self.name} has no place "{site}" for a payload; define its payload_sites')
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
         """The equations of motion with everything that only parameters decide computed once.
@@ -318,6 +332,13 @@ class System(metaclass=Declared):
         return tuple(range(len(self.commands)))
 
     @property
+    def coupled_joints(self) -> tuple[tuple[int, int], ...]:
+        """(a, b) where a share of what drives joint a may reach joint b: all pairs of three joints, else neighbours."""
+        driven = [j for j in dict.fromkeys(self.command_joints) if j < self.joints]
+        near = self.joints if self.joints <= 3 else 1
+        return tuple((a, b) for a in driven for b in range(self.joints) if 0 < abs(a - b) <= near)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Name of each joint in reports and, of several joints, in the names of effects: ``coulomb(cart)``."""
         return tuple(f"joint {j + 1}" for j in range(self.joints))
@@ -372,6 +393,14 @@ class System(metaclass=Declared):
         sensor's noise while it sticks. Simulations along a log know no such speed: joints stick in them.
         """
         return tuple(SMOOTHING[u] for u in self._kinds)
+
+    @property
+    def longest_step(self) -> float:
+        """Longest Runge-Kutta step [s] that follows the system's fastest motion; infinite: found from its period.
+
+        A stiff servo inside the system needs shorter steps than the motion that a log shows.
+        """
+        return math.inf
 
     @property
     def _kinds(self) -> tuple[str, ...]:
@@ -477,6 +506,14 @@ class System(metaclass=Declared):
             if shown is None
             else [_share(value, c) for value, c in zip(shown, self.commands, strict=False)],
         )
+
+    def outline(self, angles: np.ndarray) -> Outline | None:
+        """Lines of its links and points of its joints in a plane [m], for figures; None where there are none.
+
+        Args:
+            angles: (J,) joint coordinates [rad or m].
+        """
+        return None
 
     def draw(self, measurement: np.ndarray, command: np.ndarray | float, size: int = 256) -> np.ndarray:
         """Picture of the system on an empty background, uint8 (size, size, 3), RGB; see `draw_on`."""

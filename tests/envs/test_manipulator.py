@@ -175,7 +175,7 @@ def test_four_further_arms_make_fifty_entries():
 @pytest.mark.parametrize(
     ("settings_", "message"),
     [
-        ({"system": "two_link_arm"}, "unknown task"),
+        ({}, "system is not given"),
         ({"system": "rod_pendulum", "task": "manipulator"}, '"manipulator" is one of two_link_arm'),
         ({**ARM, "task": "juggling"}, "known tasks: .*manipulator_fixed"),
         ({**ARM, "model": make_system("pendulum")}, "the model is of pendulum"),

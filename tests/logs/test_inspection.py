@@ -20,6 +20,7 @@ from deepkoco.unit import make_unit
 
 sys.path.append(str(Path(__file__).parents[1] / "graph"))
 from tests.logs.log_writers import WRITERS
+from tests.oracle.own_robots import CartPoleUnit
 
 
 @pytest.fixture(scope="module")
@@ -187,14 +188,18 @@ def test_inspect_json_contains_columns_and_proposal(tmp_path, motion, capsys):
     assert content["format"] == "CSV"
     assert {c["name"] for c in content["columns"]} == {"t", "torque", "theta", "omega"}
     assert content["proposal"]["channels"]["theta"]["column"] == "theta"
-    assert set(content["proposal"]["alike"]) | {content["proposal"]["system"]} == {
-        "rod_pendulum",
-        "torque_pendulum",
-    }
+    # The zero of a rod pendulum is upright, where gravity pushes and does not pull.
+    assert content["proposal"]["system"] == "torque_pendulum"
+    assert content["proposal"]["alike"] == []
 
 
-def test_inspect_out_needs_system_if_several_fit_equally_well(tmp_path, motion, capsys):
-    motion.to_csv(tmp_path / "log.csv", index=False)
+def test_inspect_out_needs_system_if_several_fit_equally_well(tmp_path, capsys):
+    """Two joints with two torques: by the names and the motion, an arm or a double pendulum."""
+    t = 0.01 * np.arange(600)
+    columns = {"t": t}
+    for k in (1, 2):
+        columns |= {f"pos{k}": np.sin(k * t), f"vel{k}": k * np.cos(k * t), f"tau{k}": np.sin(3.3 * k * t)}
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
     assert main(["inspect", str(tmp_path / "log.csv"), "--out", str(tmp_path / "m.yaml")]) == 2
     assert "equally well; give --system" in capsys.readouterr().err
     assert not (tmp_path / "m.yaml").exists()
@@ -281,3 +286,23 @@ def test_doubts_accept_units_of_joints_that_move_together(tmp_path):
     survey, fitting, choices = proposed(tmp_path / "log.csv", frame, "double_pendulum")
     assert {c.column.name for c in choices.values()} == set(frame.columns) - {"t"}
     assert not [d for d in doubts_of(survey, fitting) if "times the integral" in d]
+
+
+def test_a_log_of_a_robot_that_is_not_known_fits_none_of_the_systems(tmp_path, capsys):
+    log = CartPoleUnit().log(tmp_path, seconds=10.0)
+    log.with_suffix(".yaml").unlink()
+    assert main(["inspect", str(log)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "none of the" in said
+    assert "--system my_robot.py:CLASS" in said
+    assert "proposed for" not in said
+    example = Path(__file__).parents[2] / "docs" / "examples" / "cart_pole.py"
+    out = tmp_path / "mapping.yaml"
+    assert main(["inspect", str(log), "--system", f"{example}:CartPole", "--out", str(out)]) == 0
+    mapping = yaml.safe_load(out.read_text())
+    assert mapping["system"] == "cart_pole"
+    assert {name: c["column"] for name, c in mapping["channels"].items()} == {
+        "position": "position",
+        "angle": "angle",
+        "force": "force",
+    }

@@ -6,6 +6,7 @@ import time
 import pytest
 
 from deepkoco.unit import ControlLoop, SimulatedUnit, Unit, make_unit
+from tests.on_time import on_time
 
 SPEC = make_unit("rod_pendulum", sensor={"noise_sd": {"theta": 0.0, "omega": 0.0}})
 
@@ -51,6 +52,7 @@ def test_delayed_sensor_gives_the_newest_there_is():
         assert [loop.step(0.0).seq for _ in range(3)] == [5, 10, 15]
 
 
+@on_time
 def test_wall_clock_loop_keeps_its_rate_and_counts_overruns():
     with Unit(SPEC) as unit:
         loop = ControlLoop(unit, 20.0)

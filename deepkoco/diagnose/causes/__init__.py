@@ -5,6 +5,7 @@ from __future__ import annotations
 from deepkoco.diagnose.causes.actuator import (
     ASYMMETRY,
     BACKLASH,
+    CROSSTALK,
     DEAD_ZONE,
     GAIN,
     GAIN_CURVE,
@@ -20,7 +21,7 @@ from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC, SPRING
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import BRISTLE, COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
-from deepkoco.diagnose.causes.parameter import CHANGED, changed_causes, changed_parameter, is_changed
+from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
     CHANNEL_SLIP,
     GEAR_PLAY,
@@ -39,8 +40,9 @@ from deepkoco.diagnose.causes.timing import (
     LOST_COMMANDS,
     SENSING_DELAY,
 )
+from deepkoco.own_objects import entry_point, entry_point_names
 from deepkoco.systems import System
-from deepkoco.systems.effects import EFFECTS, place
+from deepkoco.systems.effects import EFFECTS, Effect, place
 
 CAUSES: dict[str, Cause] = {
     cause.name: cause
@@ -65,6 +67,7 @@ CAUSES: dict[str, Cause] = {
         GAIN_CURVE,
         GAIN_DRIFT,
         ASYMMETRY,
+        CROSSTALK,
         RATE_LIMIT,
         SPRING,
         COGGING,
@@ -83,12 +86,58 @@ CAUSES: dict[str, Cause] = {
         UNIT_SLIP,
         CHANNEL_SLIP,
         CHANGED,
+        SCALED,
     )
 }
 
 
+ENTRY_POINTS = "deepkoco.causes"  # group in which an installed package declares causes
+_INSTALLED: set[str] = set()
+
+
+def register_cause(cause: Cause, effect: Effect | None = None) -> Cause:
+    """Add a cause to the catalogue of every diagnosis of this process.
+
+    Args:
+        cause: The cause.
+        effect: The effect of the same name that it frees, where the package has none.
+
+    Returns:
+        ``cause``.
+
+    Raises:
+        UnknownCauseError: There is another cause of that name, or no effect for it.
+    """
+    if CAUSES.get(cause.name, cause) is not cause:
+        raise UnknownCauseError(f'there is a cause "{cause.name}" already; give another name')
+    if effect is not None and effect.name != cause.name:
+        raise UnknownCauseError(
+            f'the cause is called "{cause.name}" and its effect "{effect.name}"; give both one name'
+        )
+    if effect is None and cause.name not in EFFECTS:
+        raise UnknownCauseError(f'there is no effect "{cause.name}"; give it: register_cause(cause, effect)')
+    if effect is not None:
+        EFFECTS[effect.name] = effect
+    CAUSES[cause.name] = cause
+    return cause
+
+
+def _register_installed() -> None:
+    """Register what installed packages declare: a `Cause`, or a function that registers some."""
+    for name in entry_point_names(ENTRY_POINTS):
+        if name in _INSTALLED:
+            continue
+        _INSTALLED.add(name)
+        declared = entry_point(ENTRY_POINTS, name)
+        if isinstance(declared, Cause):
+            register_cause(declared)
+        else:
+            declared()
+
+
 def catalogue(system: System) -> dict[str, Cause]:
     """Return the causes at every joint, command, channel and parameter where they have a meaning, by their names."""
+    _register_installed()
     result: dict[str, Cause] = {}
     for kind, cause in CAUSES.items():
         if cause is CHANGED:
@@ -112,4 +161,5 @@ __all__ = [
     "changed_parameter",
     "is_changed",
     "kind_of",
+    "register_cause",
 ]

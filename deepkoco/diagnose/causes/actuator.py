@@ -130,6 +130,15 @@ ASYMMETRY = Cause(
     "command",
     lambda motion: np.abs(motion.command),
 )
+CROSSTALK = Cause(
+    "crosstalk",
+    "actuator",
+    ("share",),
+    "A share of one actuator's effort acts on another joint, through the gears, the cables or the wiring.",
+    "Drive one actuator alone, hold the other joint, and measure the force there.",
+    "command",
+    lambda motion: motion.command,
+)
 UNIT_SLIP = Cause(
     "unit_slip",
     "unit",

@@ -15,7 +15,7 @@ PAYLOAD = Cause(
     "payload",
     "body",
     ("mass",),
-    "A point mass is fixed to the tip.",
+    "A point mass is fixed to the robot.",
     "Weigh the tip, or hold it at rest at several angles and read the static command.",
     "theta",
     lambda motion: np.sin(motion.theta),

@@ -10,6 +10,7 @@ import numpy as np
 
 from deepkoco.systems import System
 from deepkoco.systems.effects import PlacedEffect
+from deepkoco.systems.effects.effect import ALL
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.residuals.residuals import MissingTorque
@@ -70,7 +71,7 @@ class Cause:
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
         effect: Name of the placed effect that simulates it; "event" for a push, "changed" for a parameter itself.
-        joint: Joint on which it acts; None for the whole system.
+        joint: Joint on which it acts; None for the whole system, or for all actuators alike.
         index: Index of its command or channel, where it belongs to one.
     """
 
@@ -105,8 +106,8 @@ class Cause:
     def at(self, placed: PlacedEffect, system: System) -> Cause:
         """The cause at one site of a system."""
         site = placed.effect.site
-        joint = {"joint": placed.index, "command": None, "system": None, "channel": None}[site]
-        if site == "command":
+        joint = placed.joint(system) if site in ("joint", "pair") else None
+        if site == "command" and placed.index != ALL:
             joint = system.command_joints[placed.index]
         declared = [p.name for p in placed.parameters(system)]
         # If the effect has other parameters on this system (a tilt in a plane has two), all of them are freed.

@@ -26,6 +26,18 @@ CHANGED = Cause(
 )
 
 
+SCALED = Cause(
+    "scaled",
+    FAMILY,
+    ("factor",),
+    "All parameters of a kind differ by the same factor, as when the supply sags or the gears are cold.",
+    "Measure one of them by itself, or measure what all have in common: the supply voltage, the temperature.",
+    "time",
+    lambda motion: np.zeros_like(motion.time),
+    lambda hint: [{"factor": factor} for factor in (1.0, 0.6, 1.6)],
+)
+
+
 def changed_causes(system: System) -> list[Cause]:
     """Return a cause for every parameter of a plain system; its estimate is the parameter's new value."""
     return [

@@ -12,13 +12,11 @@ import torch
 from deepkoco.diagnose.experiment_design.experiment_setup import Stage, nothing
 from deepkoco.fit.data.windows import (
     HISTORY,
-    LONGEST_STEP,
-    STEPS_PER_PERIOD,
     CommandSeries,
     Windows,
     cut_windows,
+    integration_step,
     moving,
-    period,
 )
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.simulate.simulator import integrate
@@ -123,8 +121,7 @@ def _kept(windows: Windows) -> np.ndarray:
 def _whole(stage: Stage, sent: np.ndarray) -> Windows:
     """Return one window over the whole experiment for each sequence, with the time nodes of the short windows."""
     base = stage.system.base
-    longest = min(LONGEST_STEP, period(base) / STEPS_PER_PERIOD)
-    step = stage.window / math.ceil(stage.window / longest - 1e-9)
+    step = stage.window / math.ceil(stage.window / integration_step(base) - 1e-9)
     early = math.ceil(HISTORY / step)
     time = stage.frame.time
     return replace(

@@ -48,12 +48,10 @@ def next_steps(diagnosis: Diagnosis, folder: str) -> list[Step]:
         )
     ]
     if base.name in TASKS:
+        text = "Train a controller in the extended simulation."
         command = f"{TRAIN} {TASKS[base.name]} +task.kwargs.model={model} run={runs}"
-        steps += [
-            Step("Train a controller in the extended simulation.", command),
-            Step("Show what the controller has learned.", f"deepkoco show {runs}"),
-        ]
     else:
-        code = f'from deepkoco.systems import load_model\n\nsystem = load_model("{model}")'
-        steps.append(Step("Use the extended simulation in a program.", code))
+        text = "Train a controller in the extended simulation. Without --task my_task.py:CLASS all positions go to 0."
+        command = f"{TRAIN} --system {model} run={runs}"
+    steps += [Step(text, command), Step("Show what the controller has learned.", f"deepkoco show {runs}")]
     return steps

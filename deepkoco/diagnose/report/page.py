@@ -10,6 +10,7 @@ from typing import Any
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.diagnosis import Diagnosis, Finding, Localisation
 from deepkoco.diagnose.report.figures.layout import held_out_models
+from deepkoco.diagnose.report.joint_rows import joint_rows, noise_by_channel
 from deepkoco.diagnose.report.next_steps import next_steps
 from deepkoco.diagnose.report.parameter_table import interval, parameter_rows
 from deepkoco.diagnose.report.text import headline, lead, noise_of, rival_of, spoken
@@ -18,6 +19,7 @@ from deepkoco.pages.figures import Shown
 from deepkoco.pages.links import Link
 from deepkoco.pages.page import render_page
 from deepkoco.pages.units import in_one_unit, less, plain, readable
+from deepkoco.systems.trees.write_back import tree_of
 
 GLOSSARY = {
     "window": "A short part of the log, about one swing long. Each window is simulated separately.",
@@ -73,6 +75,8 @@ def render(
         noise=noise_of(diagnosis),
         lead=lead(diagnosis),
         tiles=_tiles(diagnosis),
+        joints=joint_rows(diagnosis),
+        files=tree_of(diagnosis.model) is not None,
         steps=next_steps(diagnosis, folder),
         advice_title="What to record next" if suffices else "What is needed",
         advice=list(diagnosis.advice),
@@ -140,6 +144,10 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})
     if gain is not None:
         c = gain.channels[0]
+        if diagnosis.model.joints > 1:
+            # The joint that the simulation as given gets most wrong.
+            sd = noise_by_channel(gain, diagnosis.model)
+            c = max(gain.channels, key=lambda channel: channel.baseline / sd[channel.name])
         last = next(reversed(held_out_models(diagnosis).values()))
         after = c.refit if gain.as_given else c.extended
         (first, second), unit = in_one_unit([c.baseline, after], c.unit)

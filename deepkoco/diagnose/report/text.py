@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
+from deepkoco.diagnose.causes.parameter import SCALED
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding
 from deepkoco.pages.units import in_one_unit
+from deepkoco.systems.effects.effect import COMMON
 
 
 def spoken(name: str) -> str:
@@ -17,6 +19,11 @@ def spoken(name: str) -> str:
     changed = changed_parameter(name)
     if changed is not None:
         return f"another value of {spoken(changed)}"
+    kind, _, where = name.partition("(")
+    if kind == SCALED.name:
+        return f"common factor of all {spoken(where.rstrip(')'))}"
+    if where == f"{COMMON})":
+        return f"{spoken(kind)} (all actuators)"
     return name.replace("_", " ").replace("(", " (")
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.envs.distractors.options import DistractorError, Setup
-from deepkoco.envs.tasks import TASKS, Task
+from deepkoco.envs.tasks import TASKS, FixedTask
 from deepkoco.systems import System, make_system, rk4_step
 
 OU_MEMORY = 0.85  # per control step
@@ -35,16 +35,17 @@ def uniform(drive: Tensor, generator: torch.Generator) -> Tensor:
 DRIVES: dict[str, Drive] = {"ou": ornstein_uhlenbeck, "random": uniform}
 
 
-def find_copied(name: str) -> Task:
+def find_copied(name: str) -> FixedTask:
     """The task of a name, or the first one of the system of that name.
 
     Raises:
         DistractorError: There is none.
     """
-    found = [task for key, task in TASKS.items() if name in (key, task.system)]
+    known = {key: task for key, task in TASKS.items() if isinstance(task, FixedTask)}
+    found = [task for key, task in known.items() if name in (key, task.system)]
     if not found:
-        raise DistractorError(f'copies of "{name}": no such task or system; use one of {", ".join(TASKS)}')
-    return TASKS.get(name, found[0])
+        raise DistractorError(f'copies of "{name}": no such task or system; use one of {", ".join(known)}')
+    return known.get(name, found[0])
 
 
 class WanderingSystems:

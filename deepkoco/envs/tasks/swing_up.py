@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.envs.tasks.task import Task
+from deepkoco.envs.tasks.task import FixedTask
 from deepkoco.systems import JointSystem, Parameters, System
 
 
 @dataclass(frozen=True)
-class SwingUp(Task):
+class SwingUp(FixedTask):
     """Swing the tip up and keep it there.
 
     cost = a^2 + w_speed * omega^2 + w_command * u^2, with a the angle from upright wrapped to

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.envs.tasks.task import Task
+from deepkoco.envs.tasks.task import FixedTask
 from deepkoco.systems import CirclingTarget, Parameters, System, TwoLinkArm
 
 
 @dataclass(frozen=True)
-class Tracking(Task):
+class Tracking(FixedTask):
     """Keep the tip at a target that moves on a circle about the arm's base.
 
     cost = distance of the tip from the target [m] + w_command |u|^2, both before the step. Where, how fast and which

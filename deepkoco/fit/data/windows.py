@@ -16,7 +16,9 @@ from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import Motion, System
 
 LONGEST_STEP = 0.01  # integration step [s]
-STEPS_PER_PERIOD = 100  # smallest number of integration steps in a period of the system
+# Smallest number of integration steps in a period of the fastest small motion. The classical Runge-Kutta method then
+# shifts its phase by 2 pi (2 pi / 50)^4 / 120 = 1.3e-5 rad in a period.
+STEPS_PER_PERIOD = 50
 HISTORY = 0.1  # commands must be known for this time before a window, because of delays and lags [s]
 WARM_UP = 0.15  # or this share of a window; a slow lag then forgets commands from before the log
 MIN_SAMPLES = 6  # smallest number of samples of a channel in a window
@@ -136,6 +138,12 @@ def period(system: System) -> float:
     return 2.0 * math.pi / math.sqrt(stiffness) if stiffness > 0 else 1.5
 
 
+def integration_step(system: System) -> float:
+    """Longest integration step of a fit [s]: what the system declares, or a share of its period."""
+    declared = system.longest_step
+    return min(LONGEST_STEP, declared if math.isfinite(declared) else period(system) / STEPS_PER_PERIOD)
+
+
 def cut_windows(
     recordings: Sequence[Recording],
     system: System,
@@ -155,8 +163,7 @@ def cut_windows(
     Raises:
         LogError: A log lacks a command or every measurement.
     """
-    longest = min(LONGEST_STEP, period(system) / STEPS_PER_PERIOD)
-    steps = math.ceil(length / longest - 1e-9)
+    steps = math.ceil(length / integration_step(system) - 1e-9)
     names = [channel.name for channel in system.measurements]
     noise = estimate_channels(recordings, system) if noise is None else noise
     commands, rows = [], []
@@ -336,6 +343,13 @@ def _channels(
         raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
     names = [command.name for command in system.commands if command.name in recording.channels]
     logged = [recording.channels[name] for name in names]
+    if not logged:
+        # A log of a free motion: every command is at its default.
+        ends = [(t[0], t[-1]) for t, _ in series.values()]
+        defaults = np.array([command.default for command in system.commands], dtype=float)
+        t = np.array([min(first for first, _ in ends), max(last for _, last in ends)])
+        value = np.tile(defaults, (2, 1))
+        return CommandSeries(t, value[:, 0] if value.shape[1] == 1 else value), series
     if len(system.commands) == 1:
         return CommandSeries(logged[0].t, logged[0].value), series
     # Each command holds until its next stamp: on the union of all stamps they are one series.

@@ -10,7 +10,10 @@ import numpy as np
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
 
-LONGEST_LAG = 25  # longest lag of the autocorrelation [samples]
+# Longest lag of the autocorrelation: the larger of the two. Model error has a correlation time at any sample rate:
+# at 1 kHz, 25 samples are too short for it, and its samples would count as independent ones.
+LONGEST_LAG = 25  # [samples]
+LONGEST_TIME = 0.25  # [s]
 
 
 @dataclass(frozen=True)
@@ -35,10 +38,10 @@ class Dispersion:
 
 def dispersion(fit: Fit, windows: Windows) -> Dispersion:
     """Compute the dispersion of a fit's residuals over all channels and windows."""
-    totals = np.zeros(LONGEST_LAG + 1)
-    counts = np.zeros(LONGEST_LAG + 1)
     residual, valid = fit.residual.numpy(), windows.valid.numpy()
-    longest = min(LONGEST_LAG, residual.shape[-1] - 1)
+    rate = float(windows.valid.sum(-1).max()) / windows.length
+    longest = min(max(LONGEST_LAG, round(LONGEST_TIME * rate)), residual.shape[-1] - 1)
+    totals, counts = np.zeros(longest + 1), np.zeros(longest + 1)
     for lag in range(longest + 1):
         end = residual.shape[-1] - lag
         both = valid[..., :end] & valid[..., lag:]

@@ -26,6 +26,8 @@ from deepkoco.graph.model.node import Node
 
 BEAT_PERIOD = 0.02  # [s]
 PATIENCE = 0.03  # what a node gets to end its step before it is closed from outside [s]
+SLOW_TURN = 2.0  # what a node that is in no step gets, whose thread waits for a processor [s]
+TURN = 0.005  # at most this long each of them is waited for at once [s]
 
 
 @dataclass(frozen=True)
@@ -193,13 +195,23 @@ def serve(
 
 
 def close_seats(seats: Mapping[int, Seat]) -> None:
-    """Let the nodes end their steps and close; close those that do not end."""
+    """Let the nodes end their steps and close; close those that do not end.
+
+    A node in its own code gets `PATIENCE` to return. One that is not only waits for its turn on a busy machine; it
+    closes in its own thread.
+    """
     for seat in seats.values():
         seat.inbox.order(Order("stop"))
-    deadline = time.monotonic() + PATIENCE
-    for seat in seats.values():
-        if seat.ident is not None:
-            seat.join(max(0.0, deadline - time.monotonic()))
+    began = time.monotonic()
+    waiting = [seat for seat in seats.values() if seat.ident is not None]
+    while waiting:
+        for seat in waiting:
+            seat.join(TURN)
+        passed = time.monotonic() - began
+        waiting = [seat for seat in waiting if seat.is_alive()]
+        for seat in [s for s in waiting if passed > (PATIENCE if s.busy else SLOW_TURN)]:
+            seat.close_node()
+            waiting.remove(seat)
     for seat in seats.values():
         seat.close_node()
 

@@ -99,6 +99,11 @@ class Seat(Thread):
         self._closed.set()
         self._reply(self.position, "closed", None)
 
+    @property
+    def busy(self) -> bool:
+        """Whether the node is in its own code: it opens, starts an episode or steps."""
+        return bool(self._board[BUSY_SINCE])
+
     def record(self) -> dict[str, Any] | None:
         """Return what the node's episode has recorded so far; None where it has none."""
         return None if self.driver is None else self.driver.log()

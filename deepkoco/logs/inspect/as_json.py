@@ -49,12 +49,16 @@ def _proposal(fitting: Fitting) -> dict[str, Any]:
             "probability": choice.probability,
             "reasons": list(choice.reasons),
             "rival": choice.rival,
+            "scale": choice.scale,
+            "offset": choice.offset,
         }
     return {
         "system": proposal.system,
         "alike": list(fitting.alike),
         "time_unit": proposal.time,
         "score": proposal.score,
+        "doubt": fitting.doubt,
+        "joints": [joint.to_json() for joint in proposal.joints],
         "channels": channels,
     }
 

@@ -33,6 +33,7 @@ def doubts_of(survey: Survey, proposal: Proposal | None = None) -> list[str]:
     result += _columns(columns)
     if proposal is not None:
         result += _units(proposal) + _derivatives(survey, proposal) + _commands(survey, proposal)
+        result += _joints(proposal)
     return result
 
 
@@ -168,6 +169,24 @@ def _commands(survey: Survey, proposal: Proposal) -> list[str]:
             result.append(
                 f'"{choice.column.label}" and "{choice.rival}" could both be {choice.channel.name}; take what '
                 "reaches the joint: a measured torque where a controller inside the drive adds to the command"
+            )
+    return result
+
+
+def _joints(proposal: Proposal) -> list[str]:
+    result = [
+        f'joint {joint.model}: "{joint.log}" {note}' for joint in proposal.joints for note in joint.notes
+    ]
+    result += [f"{c.channel.name}: {why}" for c in proposal.choices if c.column is None for why in c.reasons]
+    for what, names in (
+        ("direction", [joint.model for joint in proposal.joints if not joint.sign_known]),
+        ("zero", [joint.model for joint in proposal.joints if not joint.zero_known]),
+    ):
+        if names:
+            key = "scale: -1" if what == "direction" else "offset"
+            result.append(
+                f"the {what} of {', '.join(names)} is not shown by this log and taken as the model's; compare a known "
+                f"pose with the sensor, or give more logs with slow motions, and correct the key {key}"
             )
     return result
 

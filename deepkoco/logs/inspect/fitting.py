@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
 from deepkoco.logs.inspect.evidence import samples_of
+from deepkoco.logs.inspect.joints import has_named_joints, propose_joints
+from deepkoco.logs.inspect.misfit import misfit
 from deepkoco.logs.inspect.proposal import Proposal, Proposer
 from deepkoco.logs.inspect.survey import Survey
 from deepkoco.systems import System, UnknownSystemError, any_system, make_system, system_names
@@ -18,47 +21,75 @@ class NoProposalError(ValueError):
 
 
 class Fitting(NamedTuple):
-    """The best proposal, and the names of systems that fit equally well."""
+    """The best proposal.
+
+    Attributes:
+        proposal: the proposal.
+        alike: names of systems that fit equally well.
+        doubt: reason why the system cannot have made the log; None if there is none.
+    """
 
     proposal: Proposal
     alike: tuple[str, ...]
+    doubt: str | None = None
 
 
-def propose(survey: Survey, system: str | System | None = None) -> Fitting:
+def propose(survey: Survey, system: str | System | None = None, others: Sequence[Survey] = ()) -> Fitting:
     """Propose which columns of a log are which channels.
 
     Args:
         survey: survey of the log.
         system: the system, or what `load_system` takes; None takes the known system that fits best.
+        others: further logs with the same columns, as evidence of directions and zeros.
 
     Raises:
-        NoProposalError: No column is a time, or no system gets a command and a measurement.
+        NoProposalError: No column is a time, no system gets a command and a measurement, or none fits the log.
         UnknownSystemError: There is no such system.
     """
-    proposer = Proposer(survey, samples_of(survey))
-    systems = [any_system(system)] if system is not None else _known()
-    proposals = [proposer.propose(tried) for tried in systems]
-    usable = [p for p in proposals if p.complete]
+    samples = samples_of(survey)
+    proposer: Proposer | None = None
+    systems = _known() if system is None else [any_system(system)]
+    proposals: dict[str, tuple[System, Proposal]] = {}
+    for found in systems:
+        if has_named_joints(found):
+            proposals[found.name] = found, propose_joints([survey, *others], found)
+            continue
+        proposer = proposer or Proposer(survey, samples)
+        proposals[found.name] = found, proposer.propose(found)
+    usable = [name for name, (_, proposal) in proposals.items() if proposal.complete]
     if not usable:
-        if not any(clocks for clocks in survey.clocks.values()):
-            raise NoProposalError(
-                f"{survey.log.path}: no column is a time; a log needs a column of increasing stamps, "
-                "named t, time or stamp"
-            )
-        missing = [c.channel.name for c in proposals[0].choices if c.column is None]
-        what = (
-            f"no column fits the channel {', '.join(missing)} of {systems[0].name}"
-            if system
-            else "no system fits it"
-        )
+        raise _nothing(survey, next(iter(proposals.values()))[1], system is not None)
+    doubts = {name: misfit(*proposals[name], survey, samples) for name in usable}
+    fitting = usable if system is not None else [name for name in usable if doubts[name] is None]
+    if not fitting:
+        nearest = max(usable, key=lambda name: _fit(proposals[name][1]))
         raise NoProposalError(
-            f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; write the sidecar by "
-            'hand, or choose another system ("deepkoco systems" lists them)'
+            f"{survey.log.path}: none of the known systems fits this log; the nearest, {nearest}, does not because "
+            f"{doubts[nearest]}; give your own with --system my_robot.py:CLASS, arm.xml or arm.urdf"
         )
-    usable.sort(key=lambda p: -_fit(p))
-    best = usable[0]
-    alike = tuple(p.system for p in usable[1:] if _fit(best) - _fit(p) < ALIKE)
-    return Fitting(best, alike)
+    fitting.sort(key=lambda name: -_fit(proposals[name][1]))
+    best = proposals[fitting[0]][1]
+    alike = tuple(name for name in fitting[1:] if _fit(best) - _fit(proposals[name][1]) < ALIKE)
+    return Fitting(best, alike, doubts[fitting[0]])
+
+
+def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError:
+    """Error if no proposal has a command and a measurement."""
+    if not any(clocks for clocks in survey.clocks.values()):
+        return NoProposalError(
+            f"{survey.log.path}: no column is a time; a log needs a column of increasing stamps, "
+            "named t, time or stamp"
+        )
+    missing = [c.channel.name for c in proposal.choices if c.column is None]
+    what = (
+        f"no column fits the channel {', '.join(missing)} of {proposal.system}"
+        if asked
+        else "no system fits it"
+    )
+    return NoProposalError(
+        f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; write the sidecar by "
+        'hand, or choose another system ("deepkoco systems" lists them)'
+    )
 
 
 def _known() -> list[System]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from deepkoco.logs.sidecar import ChannelColumn, Column
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Channel, System
 
+if TYPE_CHECKING:
+    from deepkoco.logs.inspect.joints.finding import JointFinding
+
 NOTHING = 2.0  # evidence for a channel without a column [nats]
 BEST = 8  # largest number of columns that are tried for a measurement, the best names first
 SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
@@ -43,6 +47,7 @@ class Choice:
         probability: weight of the choice among all columns and "none".
         reasons: reasons in words.
         rival: label of the next best column, None if all others are much worse.
+        scale, offset: factor, and what is added then, in the unit of the column.
     """
 
     channel: Channel
@@ -52,6 +57,8 @@ class Choice:
     probability: float
     reasons: tuple[str, ...]
     rival: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
 
     @property
     def sureness(self) -> str:
@@ -71,6 +78,7 @@ class Proposal:
         time: unit of the times.
         score: sum of the evidence of all channels [nats].
         relations: labels (position, speed) -> relation of each compared pair.
+        joints: what was found of each joint, for systems with named joints.
     """
 
     system: str
@@ -78,6 +86,7 @@ class Proposal:
     time: str
     score: float
     relations: dict[tuple[str, str], Relation]
+    joints: tuple[JointFinding, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -287,7 +296,12 @@ def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
             usual = survey.log.table(column.topic).times[:1] == (clock.column,)
             time = None if column.topic and usual else Column(clock.column, unit)
         channels[choice.channel.name] = ChannelColumn(
-            Column(column.name, choice.unit), choice.channel.kind, time, column.topic
+            Column(column.name, choice.unit),
+            choice.channel.kind,
+            time,
+            column.topic,
+            scale=choice.scale,
+            offset=choice.offset,
         )
     return channels
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -74,9 +74,15 @@ class Survey:
     clocks: dict[str, list[Clock]]
     columns: tuple[ColumnSurvey, ...]
     where: dict[str, float]
+    _read: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, compare=False, repr=False)
 
     def samples(self, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray]:
         """Finite stamps [s] and values of a column up to the first reset of its clock, without glitches."""
+        if column.label not in self._read:
+            self._read[column.label] = self._samples(column)
+        return self._read[column.label]
+
+    def _samples(self, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray]:
         clock = self.clock(column)
         if clock is None:
             return np.zeros(0), np.zeros(0)

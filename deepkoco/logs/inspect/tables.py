@@ -86,6 +86,39 @@ def proposal_table(fitting: Fitting) -> Table:
     return table
 
 
+def joint_table(proposal: Proposal) -> Table:
+    """One row for each joint: name in the log, relation to its goal, direction and zero with what supports them."""
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    for heading in (
+        "joint",
+        "in the log",
+        "follows its goal",
+        "direction",
+        "zero",
+        "direction and zero from",
+    ):
+        table.add_column(heading, overflow="fold")
+    for joint in proposal.joints:
+        track = joint.tracking
+        follows = (
+            "-"
+            if track is None
+            else f"{track.delay:.2f} s late, slope {track.slope:.2f}"
+            if track.follows
+            else "no"
+        )
+        cells = (
+            joint.model,
+            f"{joint.log} ({100 * joint.probability:.0f} %)",
+            follows,
+            ("same" if joint.sign > 0 else "opposite") + ("" if joint.sign_known else "?"),
+            f"{joint.zero:.3g}" + ("" if joint.zero_known else "?"),
+            f"{joint.why_sign}; {joint.why_zero}",
+        )
+        table.add_row(*(Text(cell) for cell in cells))
+    return table
+
+
 def _table(left: tuple[str, ...], right: tuple[str, ...]) -> Table:
     table = Table(box=None, padding=(0, 1, 0, 0))
     for heading in left:

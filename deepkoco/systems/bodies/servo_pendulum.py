@@ -8,6 +8,7 @@ from torch import Tensor
 
 from deepkoco.systems import drawing
 from deepkoco.systems.joint import TILT, angle_channel, speed_channel
+from deepkoco.systems.servo import Servo
 from deepkoco.systems.system import Acceleration, Channel, Delivery, Motion, Parameter, Parameters, System
 
 GRAVITY = 9.81  # [m/s2]
@@ -67,11 +68,11 @@ class ServoPendulum(System):
         return ((self.load_scale, "N m"),)
 
     def delivery(self, parameters: Parameters) -> Delivery:
-        stiffness, damping = parameters["stiffness"], parameters["damping"]
+        servo = Servo(parameters["stiffness"], parameters["damping"])
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
             goal, enable = motion.efforts
-            return (enable * (stiffness * (goal - motion.angles[0]) - damping * motion.speeds[0]),)
+            return (servo.torque(goal, motion.angles[0], motion.speeds[0], enable),)
 
         return deliver
 

@@ -3,6 +3,7 @@
 from deepkoco.systems.effects.actuator import (
     ASYMMETRY,
     BACKLASH,
+    CROSSTALK,
     DEAD_ZONE,
     GAIN,
     GAIN_CURVE,
@@ -19,6 +20,7 @@ from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC,
 from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY
 from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
+from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
 from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY
 from deepkoco.systems.system import System
@@ -50,6 +52,7 @@ EFFECTS: dict[str, Effect] = {
         SATURATION,
         RATE_LIMIT,
         SPRING,
+        CROSSTALK,
         COGGING,
         PERIODIC,
         LEARNED,
@@ -57,6 +60,7 @@ EFFECTS: dict[str, Effect] = {
         LENGTH,
         TILT,
         GEAR_PLAY,
+        SCALED,
         SENSOR_SCALE,
         SENSOR_BIAS,
         SENSOR_DRIFT,

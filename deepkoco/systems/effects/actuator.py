@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.effects.effect import Effect, JointState
 from deepkoco.systems.system import Parameter, Parameters, System
 
 LONG = 30.0  # time over which a drift is judged [s]
@@ -144,7 +144,33 @@ def _unit_slip(system: System, command: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("factor", 1.0, "1", -2000.0, 2000.0, 1.0, text),)
 
 
-GAIN = Effect("gain", "actuator", "command", _gain, "the actuator scales its command", _apply_gain, "command")
+def _crosstalk(system: System, pair: int = 0) -> tuple[Parameter, ...]:
+    source, joint = system.coupled_joints[pair]
+    most, unit = system.delivered_scales[system.command_joints.index(source)]
+    load = system.load_units[joint]
+    limit = system.load_scales[joint] / most
+    if not 0.0 < limit < math.inf:
+        return ()
+    per = "1" if unit == load else f"{load}/({unit})"
+    return (
+        Parameter("share", 0.0, per, -limit, limit, 0.1 * limit, "c, load on this joint per effort of that"),
+    )
+
+
+def _crosstalk_load(joint: JointState, p: Parameters) -> Tensor:
+    return p["share"] * joint.effort
+
+
+GAIN = Effect(
+    "gain",
+    "actuator",
+    "command",
+    _gain,
+    "the actuator scales its command",
+    _apply_gain,
+    "command",
+    shared=True,
+)
 TORQUE_BIAS = Effect(
     "torque_bias",
     "actuator",
@@ -216,6 +242,7 @@ GAIN_DRIFT = Effect(
     "the gain drifts in time",
     _apply_gain_drift,
     "command",
+    shared=True,
 )
 UNIT_SLIP = Effect(
     "unit_slip",
@@ -225,4 +252,13 @@ UNIT_SLIP = Effect(
     "the command is logged in another unit",
     _apply_gain,
     "command",
+)
+CROSSTALK = Effect(
+    "crosstalk",
+    "actuator",
+    "load",
+    _crosstalk,
+    "a share of one actuator's effort acts on another joint",
+    _crosstalk_load,
+    "pair",
 )

@@ -6,16 +6,19 @@ from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.system import Parameter, Parameters, System
 
 
-def _payload(system: System, _: int = 0) -> tuple[Parameter, ...]:
-    if not system.takes_payload:
+def _payload(system: System, place: int = 0) -> tuple[Parameter, ...]:
+    if place == 0 and not system.takes_payload:
         return ()
     # The mass whose weight one metre from the joint equals the joint's typical torque.
     scale = system.load_scale / 9.81
-    return (Parameter("mass", 0.0, "kg", 0.0, 20.0 * scale, scale, "m_p, point mass at the tip"),)
+    where = "at the tip" if place == 0 else f"at {system.payload_sites[place - 1]}"
+    return (Parameter("mass", 0.0, "kg", 0.0, 20.0 * scale, scale, f"m_p, point mass {where}"),)
 
 
-def _apply_payload(system: System, _: int, parameters: Parameters, p: Parameters) -> Parameters:
-    return system.with_payload(p["mass"], parameters)
+def _apply_payload(system: System, place: int, parameters: Parameters, p: Parameters) -> Parameters:
+    if place == 0:
+        return system.with_payload(p["mass"], parameters)
+    return system.with_payload_at(system.payload_sites[place - 1], p["mass"], parameters)
 
 
 def _length(system: System, joint: int = 0) -> tuple[Parameter, ...]:
@@ -36,7 +39,7 @@ def _apply_tilt(system: System, _: int, parameters: Parameters, p: Parameters) -
 
 
 PAYLOAD = Effect(
-    "payload", "body", "body", _payload, "a point mass is fixed to the tip", _apply_payload, "system"
+    "payload", "body", "body", _payload, "a point mass is fixed to the tip", _apply_payload, "place"
 )
 LENGTH = Effect("length", "body", "body", _length, "a link is longer or shorter than assumed", _apply_length)
 TILT = Effect("tilt", "body", "body", _tilt, "the base is tilted against gravity", _apply_tilt, "system")

@@ -12,7 +12,10 @@ from torch import Tensor
 from deepkoco.systems.system import Parameter, Parameters, System
 
 Place = Literal["command", "series", "timing", "load", "memory", "body", "sensor", "noise"]
-Site = Literal["system", "joint", "command", "channel"]
+Site = Literal["system", "joint", "command", "channel", "kind", "place", "pair"]
+
+ALL = -1  # index of an effect that acts on all driving commands alike
+COMMON = "all"  # how its name calls them
 
 
 class JointState(NamedTuple):
@@ -132,7 +135,10 @@ class Effect:
             the effect makes no sense there.
         summary: One sentence for reports.
         apply: The physics.
-        site: What the effect belongs to: there is one for each joint, command, or channel, or one in all.
+        site: What the effect belongs to: there is one for each joint, command, channel, kind of parameters, place of
+            a payload (the tip first), or pair of coupled joints, or one in all. A load of a pair acts on the second
+            joint and is shown the state of the second joint with the effort of the first.
+        shared: Whether there is one more, ``<name>(all)``, that acts on all driving commands alike.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
         level: Of dry friction, ``level(joint: JointState, p) -> level`` [N m or N]: its size, which is the largest load
@@ -152,6 +158,7 @@ class Effect:
     level: Callable[[JointState, Parameters], Tensor] | None = None
     steady: bool = False
     memory: Memory | None = None
+    shared: bool = False
 
     @property
     def dry(self) -> bool:
@@ -166,25 +173,68 @@ class PlacedEffect(NamedTuple):
     effect: Effect
     index: int
 
+    def acts_on(self, command: int, system: System) -> bool:
+        """Whether an effect on commands acts on this one; commands that only switch something are never meant."""
+        return command == self.index or (self.index == ALL and command < len(system.command_joints))
+
+    def joint(self, system: System) -> int:
+        """Joint on which a load acts."""
+        return system.coupled_joints[self.index][1] if self.effect.site == "pair" else self.index
+
+    def source(self, system: System) -> int:
+        """Joint whose effort it is shown."""
+        return system.coupled_joints[self.index][0] if self.effect.site == "pair" else self.index
+
     def parameters(self, system: System) -> tuple[Parameter, ...]:
         """Declarations under their short names."""
         return self.effect.parameters(system, self.index)
+
+
+def parameter_kinds(system: System) -> dict[str, tuple[str, ...]]:
+    """Kinds of parameters that several joints or actuators have, ``kp`` of ``kp(elbow)``, with their full names.
+
+    All of a kind have one unit and positive values; else a common factor would make no sense.
+    """
+    kinds: dict[str, list[Parameter]] = {}
+    owners = {*system.joint_names, *(c.name for c in system.commands)}
+    for p in system.parameters:
+        kind, _, owner = p.name.partition("(")
+        if owner.endswith(")") and owner[:-1] in owners:
+            kinds.setdefault(kind, []).append(p)
+    return {
+        kind: tuple(p.name for p in own)
+        for kind, own in kinds.items()
+        if len(own) > 1 and len({p.unit for p in own}) == 1 and min(p.value for p in own) > 0.0
+    }
 
 
 def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     """The effect at every site of a system where it makes sense.
 
     A joint, or that of a command, is named where there are several: ``coulomb``, or ``coulomb(joint 2)``; a channel
-    is always named: ``noise_level(theta)``.
+    is always named: ``noise_level(theta)``. What several actuators may have in common has one more site, ``all``.
     """
     if effect.site == "system":
         names = [effect.name]
+    elif effect.site == "pair":
+        system.at_joint(effect.name, 0)  # refuses names that cannot be read back
+        joints = system.joint_names
+        names = [f"{effect.name}({joints[a]} to {joints[b]})" for a, b in system.coupled_joints]
+    elif effect.site == "place":
+        # The tip is a site too, but has its own, shorter name already.
+        own = ["" if site == system.tip else f"{effect.name}({site})" for site in system.payload_sites]
+        names = [effect.name, *own]
+    elif effect.site == "kind":
+        names = [f"{effect.name}({kind})" for kind in parameter_kinds(system)]
     elif effect.site == "channel":
         names = [f"{effect.name}({c.name})" for c in system.measurements]
     else:
         joints = range(system.joints) if effect.site == "joint" else system.command_joints
         names = [system.at_joint(effect.name, j) for j in joints]
-    placed = (PlacedEffect(name, effect, i) for i, name in enumerate(names))
+    placed = [PlacedEffect(name, effect, i) for i, name in enumerate(names) if name]
     if effect.place == "load":
-        placed = (p for p in placed if p.index in system.loaded_joints)
+        placed = [p for p in placed if p.joint(system) in system.loaded_joints]
+    several = len(set(system.command_joints)) > 1 and COMMON not in system.joint_names
+    if effect.shared and several:
+        placed.append(PlacedEffect(f"{effect.name}({COMMON})", effect, ALL))
     return tuple(p for p in placed if p.parameters(system))

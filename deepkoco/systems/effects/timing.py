@@ -35,6 +35,7 @@ ACTUATION_DELAY = Effect(
     _actuation_delay,
     "commands act later than they are sent",
     site="command",
+    shared=True,
 )
 SENSING_DELAY = Effect(
     "sensing_delay",
@@ -51,6 +52,7 @@ LAG = Effect(
     _lag,
     "the actuator follows its command as a first-order lag",
     site="command",
+    shared=True,
 )
 CLOCK_SKEW = Effect(
     "clock_skew",

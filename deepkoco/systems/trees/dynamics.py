@@ -47,7 +47,7 @@ class Inertia(NamedTuple):
     second: tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
-NONE = Inertia(0.0, ZERO, (0.0,) * 6)
+NONE = Inertia(0.0, ZERO, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 class _Turn(NamedTuple):

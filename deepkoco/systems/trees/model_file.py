@@ -1,129 +1,163 @@
-"""Reading MJCF and URDF files: the compiled MuJoCo model, also where mesh files are missing."""
+"""Reading MJCF and URDF files: the compiled MuJoCo model, also where files of shapes or pictures are missing."""
 
 from __future__ import annotations
 
-import re
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
+from deepkoco.systems.trees.messages import in_one_sentence, missing_file
+from deepkoco.systems.trees.mujoco_library import mujoco_library
 from deepkoco.systems.trees.tree import TreeError
 
-if TYPE_CHECKING:
-    import mujoco
-
-ENDINGS = (".xml", ".mjcf", ".urdf")
+MOST_FILES = 1000  # missing files of one model
 
 
-def read_model(path: str | Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """Compile an MJCF or URDF file; as :func:`read_spec`.
+def read_model(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+    """Compile an MJCF or URDF file.
 
-    Returns:
-        The model, and sentences on what was left out of it.
-    """
-    spec, notes = read_spec(path)
-    try:
-        return spec.compile(), notes
-    except (ValueError, RuntimeError) as error:
-        raise TreeError(_reading(Path(path), error)) from None
-
-
-def read_spec(path: str | Path) -> tuple[Any, tuple[str, ...]]:
-    """Read an MJCF or URDF file without compiling it.
-
-    Geoms whose mesh file is missing are left out where the inertia of the bodies is given.
+    What only shows (meshes of bodies whose inertia is given, textures, height fields) is left out where its file is
+    missing.
 
     Args:
         path: File; other files that it includes are found beside it.
 
     Returns:
-        The specification (``mujoco.MjSpec``), and sentences on what was left out of it.
+        The `mujoco.MjModel`, and sentences on what was left out of it.
 
     Raises:
         TreeError: The file is missing or is not valid; the message names the element and the way out.
     """
-    import mujoco
+    model, _, notes = _compiled(Path(path))
+    return model, notes
 
+
+def read_spec(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+    """As :func:`read_model`, but the specification (`mujoco.MjSpec`) before it is compiled."""
     path = Path(path)
+    _, missing, notes = _compiled(path)
+    spec = _spec(path)
+    _left_out(spec, path, missing)
+    return spec, notes
+
+
+def _compiled(path: Path) -> tuple[Any, list[str], tuple[str, ...]]:
+    """The model, files that are missing, and sentences on what was left out."""
     if not path.is_file():
         raise TreeError(f"{path}: there is no such file")
-    notes: tuple[str, ...] = ()
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        raise TreeError(f"{path}: is no valid XML: {error}") from None
+    missing: list[str] = []
+    for _ in range(MOST_FILES):
+        # A specification that failed to compile may have changed: each try starts from the file.
+        spec = _spec(path)
+        if not missing:
+            missing += _not_there(spec, path)
+        notes = _left_out(spec, path, missing)
+        _refuse_muscles(spec, path)
+        try:
+            return spec.compile(), missing, notes
+        except (ValueError, RuntimeError) as error:
+            file = missing_file(str(error))
+            if file is None or file in missing:
+                raise TreeError(f"{path}: {in_one_sentence(str(error))}") from None
+            missing.append(file)
+    raise TreeError(f"{path}: more than {MOST_FILES} files are missing")
+
+
+def _spec(path: Path) -> Any:
+    try:
+        return mujoco_library().MjSpec.from_file(str(path))
     except (ValueError, RuntimeError) as error:
-        raise TreeError(_reading(path, error)) from None
-    missing = _missing_meshes(spec, path)
-    if missing:
-        notes = _without_meshes(spec, path, missing)
-    return spec, notes
+        raise TreeError(f"{path}: {in_one_sentence(str(error))}") from None
 
 
 def is_urdf(path: str | Path) -> bool:
     """Whether the file describes a URDF robot, whatever its ending."""
-    try:
-        for _, element in ElementTree.iterparse(str(path), events=("start",)):
-            return element.tag == "robot"
-    except (ElementTree.ParseError, OSError):
-        pass
+    for _, element in ElementTree.iterparse(str(path), events=("start",)):
+        return element.tag == "robot"
     return False
 
 
-def _missing_meshes(spec: Any, path: Path) -> dict[str, str]:
-    """Mesh -> its file, for files that are not there."""
-    folder = Path(spec.modelfiledir or path.parent) / (spec.meshdir or spec.compiler.meshdir or "")
-    found = {}
+def _not_there(spec: Any, path: Path) -> list[str]:
+    """Files of meshes that are neither where the model says nor beside it."""
+    folders = (path.parent / (spec.meshdir or ""), path.parent)
+    found = []
     for mesh in spec.meshes:
         file = mesh.file
-        if not file or file in spec.assets:
+        if not file or file in spec.assets or "://" in file:
             continue
-        name = Path(file).name if spec.strippath or spec.compiler.strippath else file
-        places = (folder / name, path.parent / name)
-        if not any(place.is_file() for place in places):
-            found[mesh.name or Path(file).stem] = file
+        if not any((folder / name).is_file() for folder in folders for name in (file, Path(file).name)):
+            found.append(file)
     return found
 
 
-def _without_meshes(spec: Any, path: Path, missing: dict[str, str]) -> tuple[str, ...]:
+def _left_out(spec: Any, path: Path, missing: list[str]) -> tuple[str, ...]:
+    """Take assets whose files are missing out of a model, and what uses them."""
+    if not missing:
+        return ()
+    meshes = {_name(m): m.file for m in spec.meshes if _same(m.file, missing)}
+    fields = {_name(h): h.file for h in spec.hfields if _same(h.file, missing)}
     removed = 0
-    needed: list[tuple[str, str]] = []
-    bodies = list(spec.bodies)
-    for body in bodies:
+    for body in spec.bodies:
         for geom in list(body.geoms):
-            if geom.meshname in missing:
-                needed += [(body.name or "a body", missing[geom.meshname])] if not _has_inertia(body) else []
-                spec.delete(geom)
-                removed += 1
-    moving = {name for name, _ in needed}
-    for body in bodies:
-        if (body.name or "a body") in moving and _moves(body):
-            file = next(file for name, file in needed if name == (body.name or "a body"))
-            raise TreeError(
-                f'{path}: the mesh file "{file}" is missing, and the body "{body.name}" has no inertial: '
-                "put the file there, or give the body an <inertial>"
-            )
-    for mesh in list(spec.meshes):
-        if (mesh.name or Path(mesh.file).stem) in missing:
-            spec.delete(mesh)
-    return (
-        f"{len(missing)} mesh files are missing; {removed} geoms with them are left out, the inertias are as given",
-    )
+            file = meshes.get(geom.meshname) or fields.get(geom.hfieldname)
+            if file is None:
+                continue
+            if geom.meshname and _decides_inertia(spec, body, geom):
+                raise TreeError(
+                    f'{path}: the mesh file "{file}" is missing, and the body "{body.name}" has no inertial: '
+                    "put the file there, or give the body an <inertial>"
+                )
+            spec.delete(geom)
+            removed += 1
+    for asset in (*spec.meshes, *spec.hfields):
+        if _same(asset.file, missing):
+            spec.delete(asset)
+    pictures = {_name(t) for t in spec.textures if _same(t.file, missing)}
+    for material in spec.materials:
+        if any(name in pictures for name in material.textures):
+            material.textures = ["" if name in pictures else name for name in material.textures]
+    for texture in list(spec.textures):
+        if _same(texture.file, missing):
+            spec.delete(texture)
+    files = "1 file is missing" if len(missing) == 1 else f"{len(missing)} files are missing"
+    shapes = "1 shape" if removed == 1 else f"{removed} shapes"
+    return (f"{files} ({Path(missing[0]).name}{', ...' if len(missing) > 1 else ''}); {shapes} left out",)
 
 
-def _has_inertia(body: Any) -> bool:
-    return bool(body.explicitinertial)
+def _same(file: str, missing: list[str]) -> bool:
+    """Whether an asset's file is one of those that are missing, which messages may name with their folder."""
+    return bool(file) and any(file == other or Path(file).name == Path(other).name for other in missing)
+
+
+def _name(asset: Any) -> str:
+    return asset.name or Path(asset.file).stem
+
+
+def _decides_inertia(spec: Any, body: Any, geom: Any) -> bool:
+    """Whether the mass of a moving body comes from a geom."""
+    weightless = (not math.isnan(geom.mass) and geom.mass == 0.0) or geom.density == 0.0
+    given = bool(body.explicitinertial) and int(spec.compiler.inertiafromgeom) != 1
+    return not weightless and not given and _moves(body)
 
 
 def _moves(body: Any) -> bool:
-    at = body
-    while at is not None and at.name != "world":
-        if list(at.joints):
+    while body is not None and body.name != "world":
+        if list(body.joints):
             return True
-        at = at.parent
+        body = body.parent
     return False
 
 
-def _reading(path: Path, error: Exception) -> str:
-    """One sentence from MuJoCo's message, which may have several lines."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    text = re.sub(r"^(XML Error|Error|XML parse error)\s*:?\s*", "", "; ".join(lines))
-    return f"{path}: MuJoCo cannot read it: {text.rstrip('.')}"
+def _refuse_muscles(spec: Any, path: Path) -> None:
+    # Compiling a muscle simulates it, which can fail with a message that names no element.
+    for actuator in spec.actuators:
+        if "MUSCLE" in str(actuator.gaintype) or "MUSCLE" in str(actuator.dyntype):
+            raise TreeError(
+                f'{path}: the actuator "{actuator.name}" is a muscle; replace it by a motor or a position actuator, or '
+                "use the MuJoCo engine"
+            )

@@ -118,7 +118,7 @@ def joint_value(parameters: Parameters, kind: str, joint: Joint) -> Scalar:
     return _value(parameters, f"{kind}({joint.name})", float(getattr(joint, kind)))
 
 
-def actuator_law(actuator: Actuator, parameters: Parameters) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+def actuator_law(actuator: Actuator, parameters: Parameters) -> tuple[Sequence[Scalar], Sequence[Scalar]]:
     """Gain g0, g1, g2 and bias b0, b1, b2 of an actuator."""
     name, gain, bias = actuator.name, list[Any](actuator.gain), list[Any](actuator.bias)
     if is_servo(actuator):

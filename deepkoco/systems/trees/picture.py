@@ -81,9 +81,9 @@ def choose_view(tree: Tree, seed: int = 0) -> View:
     gravity = np.array(tree.gravity)
     weight = float(np.linalg.norm(gravity))
     up = -gravity / weight if weight > 0.0 else spread[1]
-    across = [axis - (axis @ up) * up for axis in spread]
+    across = [axis - (axis @ up) * up for axis in (*spread, *np.eye(3))]
+    across = [axis / size for axis in across if (size := np.linalg.norm(axis)) > 1e-6]
     right = max(across, key=lambda axis: float(np.abs((cloud - cloud.mean(0)) @ axis).max()))
-    right = right / np.linalg.norm(right)
     right = right * np.sign(right[np.argmax(np.abs(right))])
     low, high = cloud.min(0), cloud.max(0)
     centre = 0.5 * (low + high)

@@ -116,8 +116,8 @@ def _actuator(system: System, robot: TreeSystem, index: int) -> dict[str, float 
     limit = abs(gear) * min(abs(actuator.force_low), abs(actuator.force_high))
     if math.isfinite(limit):
         found["limit"] = limit
-    name = robot.at_joint("actuation_delay", actuator.joint)
-    delay = own(f"delay({actuator.name})", actuator.delay) + own(f"{name}.delay", 0.0)
+    names = (robot.at_joint("actuation_delay", actuator.joint), "actuation_delay(all)")
+    delay = own(f"delay({actuator.name})", actuator.delay) + sum(own(f"{name}.delay", 0.0) for name in names)
     found["lag"] = delay / PHYSICS_STEP
     return found
 

@@ -18,11 +18,16 @@ TYPICAL_ERROR = 0.3  # of a servo in motion [rad]
 ANY_TURN, ANY_SLIDE = math.pi, 1.0  # range of a joint without limits [rad, m]
 
 
-def motion_loads(tree: Tree, seed: int = 0) -> tuple[float, ...]:
-    """Load of each joint [N m or N] that holds it against gravity and accelerates it, over random poses."""
+def random_poses(tree: Tree, seed: int = 0) -> tuple[torch.Tensor, ...]:
+    """Angles (POSES,) of each joint, drawn over its range."""
     draw = np.random.default_rng(seed)
     low, high = (np.array([_range(joint)[side] for joint in tree.joints]) for side in (0, 1))
-    poses = torch.from_numpy(draw.uniform(low, high, (POSES, len(tree.joints)))).unbind(-1)
+    return torch.from_numpy(draw.uniform(low, high, (POSES, len(tree.joints)))).unbind(-1)
+
+
+def motion_loads(tree: Tree, seed: int = 0) -> tuple[float, ...]:
+    """Load of each joint [N m or N] that holds it against gravity and accelerates it, over random poses."""
+    poses = random_poses(tree, seed)
     inertias = link_inertias(tree, {})
     still = [torch.zeros(POSES, dtype=torch.float64)] * len(tree.joints)
     weights = bias_forces(tree.joints, inertias, tree.gravity, poses, still)

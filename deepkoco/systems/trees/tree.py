@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
+CLOSE = 1e-14  # entries of rotations that are this close to 0 or 1 are meant to be
+
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 """Rows of a rotation: it takes coordinates of the inner frame to those of the outer one."""
@@ -127,10 +131,11 @@ class Tree:
         name: Name of the model.
         joints: J joints.
         bodies: Moving bodies; a body without joints belongs to the one that it is welded to.
-        actuators: In the order of the model.
+        actuators: In the order of the model, but those after the first one of a joint come last.
         sites: Named places on moving bodies, first those of the model.
         gravity: Acceleration in the base's frame [m/s2].
         notes: Sentences on what the model has and the compiled tree leaves out.
+        without_actuators: Whether the model has none, and the actuators are plain loads on the joints.
     """
 
     name: str
@@ -140,3 +145,18 @@ class Tree:
     sites: tuple[Site, ...]
     gravity: Vector
     notes: tuple[str, ...] = ()
+    without_actuators: bool = False
+
+
+def matrix(rotation: np.ndarray) -> Matrix:
+    """Rows as floats; what differs from 0 or 1 by rounding only is made exact."""
+    tidy = np.where(np.abs(rotation) < CLOSE, 0.0, rotation)
+    tidy = np.where(np.abs(np.abs(tidy) - 1.0) < CLOSE, np.sign(tidy), tidy)
+    a, b, c = (vector(row) for row in tidy)
+    return a, b, c
+
+
+def vector(values: np.ndarray) -> Vector:
+    """Three floats."""
+    x, y, z = (float(v) + 0.0 for v in values)
+    return x, y, z

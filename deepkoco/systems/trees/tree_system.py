@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from torch import Tensor
 from deepkoco.systems import drawing
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.extended import MemoryEffectError
+from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
@@ -20,16 +22,17 @@ from deepkoco.systems.system import (
     Delivery,
     InverseInertia,
     Motion,
+    Outline,
     Parameter,
     Parameters,
     System,
     Timing,
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
-from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass
-from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays, is_plain
+from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
+from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
-from deepkoco.systems.trees.model_file import is_urdf, read_model
+from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
@@ -45,6 +48,8 @@ from deepkoco.systems.trees.parameters import (
 from deepkoco.systems.trees.picture import choose_view, lines
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
+from deepkoco.systems.trees.settings import TreeSettings
+from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -59,12 +64,15 @@ class TreeSystem(System):
 
     M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
     clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
-    filter where the actuator has one. Contacts and limits of joints are not simulated; :attr:`notes` says so where the
+    filter where the actuator has one. `accelerations` are exactly these; simulations (`derivative`,
+    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`.
+    Contacts and limits of joints are not simulated; :attr:`notes` says so where the
     model has any.
 
     Args:
         tree: Description of the robot.
         origin: File that it was read from.
+        settings: Values, priors, noise and servos that differ from the description's.
 
     Attributes:
         tree: The description.
@@ -74,7 +82,11 @@ class TreeSystem(System):
         tip: The place of `with_payload`.
     """
 
-    def __init__(self, tree: Tree, origin: str | None = None) -> None:
+    tip: str
+
+    def __init__(self, tree: Tree, origin: str | None = None, settings: TreeSettings | None = None) -> None:
+        settings = TreeSettings({}) if settings is None else settings
+        tree = settings.applied_to(tree)
         self.tree, self.origin, self.notes = tree, origin, tree.notes
         self.name, self.joints = tree.name, len(tree.joints)
         names = tuple(joint.name for joint in tree.joints)
@@ -86,6 +98,7 @@ class TreeSystem(System):
             *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
             *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
         )
+        self.measurements = settings.channels(self.measurements)
         loads = motion_loads(tree)
         controls = tuple(command_range(a, tree.joints[a.joint], loads[a.joint]) for a in tree.actuators)
         self._commands = tuple(
@@ -94,8 +107,10 @@ class TreeSystem(System):
                 control_unit(a, tree.joints[a.joint]),
                 "command",
                 low,
-                high,
+                # Sizes of effects are taken from the upper limit.
+                high if high > 0.0 else -low,
                 description=_drives(a, tree),
+                default=0.0 if tree.without_actuators and not is_servo(a) else None,
             )
             for a, (low, high) in zip(tree.actuators, controls, strict=True)
         )
@@ -106,16 +121,21 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
-        self.tip = self.payload_sites[_tip(tree)]
+        self._least_inertias = least_inertias(tree)
+        nominal = _Numbers.of(self, {}, steady=True)
+        self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
+        self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        self.parameters = visible_parameters(self, declared_parameters(tree))
+        self.parameters = settings.parameters(visible_parameters(self, declared_parameters(tree)))
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
         """Read a robot from an MJCF or URDF file.
 
-        A URDF file has no actuators: each of its joints gets a command in N m or N with the joint's name.
+        Each joint of a model without actuators (a URDF file has none) gets a command in N m or N with the joint's
+        name. A log need not show it: it is then 0. A file ``ROBOT.parameters.yaml`` beside ``ROBOT.xml`` overrides
+        values, priors, noise and servos: see :class:`.TreeSettings`.
 
         Args:
             path: The file.
@@ -126,11 +146,10 @@ class TreeSystem(System):
         path = Path(path)
         model, notes = read_model(path)
         try:
-            tree = compile_tree(model, path.stem, torques=is_urdf(path))
+            tree = compile_tree(model, path.stem)
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
-        tree = replace(tree, notes=(*notes, *tree.notes))
-        return cls(tree, str(path))
+        return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), TreeSettings.beside(path))
 
     @property
     def commands(self) -> tuple[Channel, ...]:
@@ -138,7 +157,7 @@ class TreeSystem(System):
 
     @property
     def command_joints(self) -> tuple[int, ...]:
-        return tuple(a.joint for a in self.tree.actuators)
+        return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -151,6 +170,10 @@ class TreeSystem(System):
     @property
     def load_scales(self) -> tuple[float, ...]:
         return self._load_scales
+
+    @property
+    def longest_step(self) -> float:
+        return self._longest_step
 
     @property
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:
@@ -194,11 +217,14 @@ class TreeSystem(System):
     def delivery(self, parameters: Parameters) -> Delivery:
         laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
         forces = actuator_forces(self.tree.actuators, laws)
+        drives = self._drives()
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            given = forces(motion)
+            together = [total([given[k] for k in drives[j]]) for j in self.command_joints]
             return tuple(
                 force if isinstance(force, Tensor) else torch.full_like(motion.speeds[0], force)
-                for force in forces(motion)
+                for force in together
             )
 
         return deliver
@@ -213,12 +239,12 @@ class TreeSystem(System):
         return self._law(_Numbers.of(self, parameters))
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        numbers = _Numbers.of(self, parameters)
+        numbers = _Numbers.of(self, parameters, steady=True)
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         return self._law(numbers._replace(passive=passive))
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        joints, own = self.tree.joints, _Numbers.of(self, parameters)
+        joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
         fast = own.fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
@@ -228,6 +254,21 @@ class TreeSystem(System):
 
         return inverse
 
+    def needed_loads(
+        self, parameters: Parameters
+    ) -> Callable[[Motion, Sequence[Tensor]], tuple[Tensor, ...]]:
+        """(motion, accelerations) -> outside load on each joint [N m or N] under which it moves so."""
+        tree, own = self.tree, _Numbers.of(self, parameters)
+        law = self._law(own)
+
+        def loads(motion: Motion, accelerations: Sequence[Tensor]) -> tuple[Tensor, ...]:
+            missing = [a - b for a, b in zip(accelerations, law(motion), strict=True)]
+            mass = mass_matrix(tree.joints, own.inertias, own.passive["armature"], motion.angles)
+            rows = range(self.joints)
+            return tuple(total([mul(mass[max(j, k)][min(j, k)], missing[k]) for k in rows]) for j in rows)
+
+        return loads
+
     def _law(self, numbers: _Numbers) -> Acceleration:
         tree, passive = self.tree, numbers.passive
         smooth = self.smoothing_speeds
@@ -235,7 +276,7 @@ class TreeSystem(System):
         dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
         forces = actuator_forces(tree.actuators, numbers.laws)
         resisting = passive_loads(passive, smooth)
-        drives = [[k for k, own in enumerate(tree.actuators) if own.joint == j] for j in range(self.joints)]
+        drives = self._drives()
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             if fast is not None and is_plain(_all_of(motion)):
@@ -256,7 +297,8 @@ class TreeSystem(System):
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
-        accelerations = self.accelerations(parameters)(Motion(parts[: self.joints], speeds, efforts))
+        law = self._law(_Numbers.of(self, parameters, steady=True))
+        accelerations = law(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
@@ -274,6 +316,9 @@ class TreeSystem(System):
         before = parameters.get(name)
         return {**parameters, name: mass if before is None else before + mass}
 
+    def outline(self, angles: np.ndarray) -> Outline:
+        return lines(self.tree, angles, self._view)
+
     def draw_on(
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
     ) -> None:
@@ -287,6 +332,13 @@ class TreeSystem(System):
             fractions = [u / size for u, size in zip(given, sizes, strict=True)]
             where = [points[j] for j in self.command_joints]
             drawing.draw_joint_commands(image, where, fractions, self._view.reach)
+
+    def _drives(self) -> list[list[int]]:
+        """Actuators of each joint."""
+        found: list[list[int]] = [[] for _ in range(self.joints)]
+        for k, actuator in enumerate(self.tree.actuators):
+            found[actuator.joint].append(k)
+        return found
 
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
@@ -316,8 +368,9 @@ class TreeSystem(System):
         names = [c.name for c in (*self._commands, *self.measurements)]
         for name in names:
             if names.count(name) > 1:
+                where = self.origin or self.name
                 raise TreeError(
-                    f'two channels are called "{name}"; rename the actuator or the joint in the model'
+                    f'{where}: two channels are called "{name}"; rename the actuator or the joint in the model'
                 )
 
 
@@ -330,11 +383,14 @@ class _Numbers(NamedTuple):
     laws: list[Law]
 
     @staticmethod
-    def of(system: TreeSystem, parameters: Parameters) -> _Numbers:
-        """Numbers of a system under named values."""
+    def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
+        """Numbers of a system under named values; ``steady`` with the armatures that simulations add."""
         tree = system.tree
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
+        if steady:
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
         return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from deepkoco.systems.effects.effect import ALL, parameter_kinds
+from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.extended import ExtendedSystem
 from deepkoco.systems.system import System
 from deepkoco.systems.trees.model_file import is_urdf, read_spec
@@ -94,7 +96,7 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
     spec, _ = read_spec(path)
     model = spec.compile()
     result = WriteBack()
-    writer = _Writer(robot, spec, model, result, {p.name: float(p.value) for p in system.parameters})
+    writer = _Writer(robot, spec, model, result, _values(system))
     if is_urdf(path):
         writer.add_motors()
     writer.write_bodies()
@@ -105,13 +107,27 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
         for placed in system.effects:
             own = {p.name: writer.values[f"{placed.name}.{p.name}"] for p in placed.parameters(robot)}
             nulls = {p.name: p.value for p in placed.parameters(robot)}
-            if own != nulls:
-                writer.write_effect(placed.effect.name, placed.name, placed.index, own)
+            if own == nulls:
+                continue
+            # What all actuators share is written to each of them.
+            indices = range(len(robot.commands)) if placed.index == ALL else (placed.index,)
+            for index in indices:
+                writer.write_effect(placed.effect.name, placed.name, index, own)
     writer.finish_actuators()
     _move_paths(spec, path, Path(folder))
     spec.compile()  # what cannot be compiled must not be written
     result.xml = spec.to_xml()
     return result
+
+
+def _values(system: System) -> Values:
+    """Parameters of a system; those that have a common factor are multiplied by it."""
+    values = {p.name: float(p.value) for p in system.parameters}
+    if isinstance(system, ExtendedSystem):
+        for kind, names in parameter_kinds(system.base).items():
+            factor = values.get(f"{SCALED.name}({kind}).factor", 1.0)
+            values |= {n: factor * values[n] for n in names}
+    return values
 
 
 class _Writer:
@@ -273,6 +289,7 @@ class _Writer:
             "lag": self._lagged,
             "actuation_delay": self._delayed,
             "tilt": lambda n, j, p: None,
+            SCALED.name: lambda n, j, p: None,
         }
         if kind in writers:
             writers[kind](name, index, own)
@@ -407,6 +424,8 @@ LEFT_OUT = {
     "jitter": "it belongs to the time stamps of the log",
     "clock_skew": "it belongs to the clocks of the log",
     "lost_commands": "drop commands in your own loop",
+    "bristle": "MJCF has no friction with a memory; use model.yaml",
+    "gear_play": "MJCF needs a joint of its own for play; add one behind the gear by hand",
     "learned": "MJCF has no learned load; use model.yaml",
 }
 """Effect -> what to do about it, where the file of a robot cannot hold it."""

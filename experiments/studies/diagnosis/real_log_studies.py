@@ -6,12 +6,14 @@ import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from deepkoco.diagnose.causes import catalogue, causes_named
 from deepkoco.fit.data.per_log_differences import KEY
 from deepkoco.logs.recording import LogError, Recording, read_log
-from deepkoco.systems import any_system
+from deepkoco.systems import System, any_system
 
 HELD_OUT = 4  # of further logs, one in four is only tested
 ENDLESS = 1e9  # [s]
@@ -43,12 +45,25 @@ class FitRequest:
         test: Stretches that are never fitted; empty: windows of the training logs are kept back.
         healthy: Stretches in which nothing is wrong.
         window: Length of a window [s]; None takes the study's.
+        only: Causes to try; empty for the whole catalogue.
+        exclude: Causes not to try: names, or kinds for all joints.
     """
 
     train: tuple[Piece, ...]
     test: tuple[Piece, ...] = ()
     healthy: tuple[Piece, ...] = ()
     window: float | None = None
+    only: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+    def causes(self, system: System) -> tuple[str, ...] | None:
+        """Names of the causes to try; None for the whole catalogue."""
+        if not self.only and not self.exclude:
+            return None
+        known = catalogue(system)
+        picked = causes_named(known, self.only, system.name) if self.only else tuple(known.values())
+        left_out = {c.name for c in causes_named(known, self.exclude, system.name)} if self.exclude else set()
+        return tuple(c.name for c in picked if c.name not in left_out)
 
 
 @dataclass(frozen=True)
@@ -56,24 +71,28 @@ class Study:
     """How logs of one kind are read, and the questions that are put to those of the published folder.
 
     Attributes:
-        system: The system that was logged.
+        system: The system that was logged, or its name.
         columns: Channel of the system -> column of the file, and its unit.
-        window: Length of a window [s].
+        window: Length of a window [s]; None takes about one period of the system.
         questions: By name; the first one is the study's main question.
         measured: Commands whose column is a measurement, not a command: a motor current, which has spikes.
         time: Column of the time stamps [s].
+        sidecar: Sidecar of every log; None makes it from ``columns``.
     """
 
-    system: str
+    system: str | System
     columns: Mapping[str, tuple[str, str]]
-    window: float
+    window: float | None
     questions: Mapping[str, FitRequest]
     measured: frozenset[str] = frozenset()
     time: str = "t"
+    sidecar: Mapping[str, Any] | None = None
 
     @property
     def mapping(self) -> dict:
         """The sidecar of every log of this kind."""
+        if self.sidecar is not None:
+            return dict(self.sidecar)
         system = any_system(self.system)
         kinds = {c.name: c.kind for c in (*system.commands, *system.measurements)}
         return {
@@ -94,7 +113,7 @@ class Study:
         system = any_system(self.system)
         channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
         log = read_log(
-            folder / piece.file, self.mapping, self.system, channels=channels, allow_constant_command=True
+            folder / piece.file, self.mapping, system.name, channels=channels, allow_constant_command=True
         ).between(piece.start, piece.stop)
         shifted = {}
         for name in self.measured:

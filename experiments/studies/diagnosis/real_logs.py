@@ -2,6 +2,7 @@
 
 python -m experiments.studies.diagnosis.real_logs --data FOLDER --log dfki_pendulum --json
 python -m experiments.studies.diagnosis.real_logs --data FOLDER --log NEW --train a.csv b.csv:0:4.5 --test c.csv
+python -m experiments.studies.diagnosis.real_logs --data FOLDER --log emps --study emps.yaml
 
 With --answers FOLDER the figures of each question are kept there, and what is answered there is not asked again.
 A folder that is not known by name is studied as the known one with the same columns; without --train one log in
@@ -19,12 +20,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from deepkoco.diagnose import Diagnosis, diagnose, write_report
+from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.logs.recording import LogError
 from deepkoco.output.whole_file import write_whole_text
+from deepkoco.systems import any_system
 from experiments.studies.diagnosis.real_log_studies import FitRequest, Study, parse_piece, study_of
+from experiments.studies.diagnosis.yaml_studies import read_study
 
 
-def answer(folder: Path, study: Study, question: FitRequest) -> Diagnosis:
+def answer(folder: Path, study: Study, question: FitRequest, progress: Progress = silent) -> Diagnosis:
     """Diagnose the training stretches; measure on the test logs.
 
     Raises:
@@ -34,7 +38,11 @@ def answer(folder: Path, study: Study, question: FitRequest) -> Diagnosis:
         study.recordings(folder, pieces) for pieces in (question.train, question.test, question.healthy)
     )
     window = question.window or study.window
-    return diagnose(train, study.system, healthy=healthy, holdout=test, window=window)
+    system = any_system(study.system)
+    causes = question.causes(system)
+    return diagnose(
+        train, system, healthy=healthy, holdout=test, window=window, only=causes, progress=progress
+    )
 
 
 def summary(diagnosis: Diagnosis, seconds: float) -> dict:
@@ -75,18 +83,26 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
     )
     parser.add_argument("--data", type=Path, required=True, help="folder that holds one folder per log")
     parser.add_argument("--log", required=True, help="which folder in it, or the path of another")
+    parser.add_argument(
+        "--study", type=Path, metavar="FILE.yaml", help="a study of your own; see yaml_studies.py"
+    )
     parser.add_argument("--question", help="answer only this one of the study's questions")
     parser.add_argument("--train", nargs="+", metavar="FILE[:FROM:TO]", help="logs to explain")
     parser.add_argument(
         "--test", nargs="+", default=[], metavar="FILE[:FROM:TO]", help="logs never fitted, beside --train"
     )
+    parser.add_argument("--progress", action="store_true", help="print each step with its processor time")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--out", type=Path, help="also write the reports into this new folder")
     parser.add_argument("--answers", type=Path, help="keep the figures of each question in this folder")
     args = parser.parse_args(arguments)
     folder = args.data / args.log
     try:
-        study, questions = study_of(folder)
+        if args.study is None:
+            study, questions = study_of(folder)
+        else:
+            study = read_study(args.study)
+            questions = dict(study.questions)
         if args.train:
             train, test = (tuple(parse_piece(t) for t in texts) for texts in (args.train, args.test))
             questions = {"given": FitRequest(train, test)}
@@ -100,9 +116,10 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
             if kept is not None and kept.exists():
                 figures[name] = json.loads(kept.read_text())
                 continue
-            began = time.perf_counter()
-            diagnosis = answer(folder, study, question)
+            began, spent = time.perf_counter(), time.process_time()
+            diagnosis = answer(folder, study, question, _say if args.progress else silent)
             figures[name] = summary(diagnosis, time.perf_counter() - began)
+            figures[name]["cpu_seconds"] = round(time.process_time() - spent, 2)
             if args.out:
                 write_report(diagnosis, args.out / _file_name(name))
             if kept is not None:
@@ -111,10 +128,14 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
         sys.stderr.write(f"real_logs: {error}\n")
         return 2
     main_question = next(iter(figures.values()))
-    result = {**main_question, "log": args.log, "system": study.system, "questions": figures}
+    result = {**main_question, "log": args.log, "system": any_system(study.system).name, "questions": figures}
     lines = [json.dumps(result)] if args.json else [_line(name, value) for name, value in figures.items()]
     write("\n".join(lines) + "\n")
     return 0
+
+
+def _say(step: str) -> None:
+    sys.stderr.write(f"{time.process_time():8.1f} s  {step}\n")
 
 
 def _file_name(question: str) -> str:

@@ -1,5 +1,7 @@
 """Recorded nodes at their measured times, with simulator nodes added."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -158,7 +160,7 @@ def cart_record():
     return graph, record_episodes(runtime, drawn, MASS, torch.Generator())[0][0]
 
 
-def added(delay=0.013):
+def added(delay: Any = 0.013):
     return {
         "add": [Cart("cart", 100), Encoder("encoder", 50)],
         "connect": [Connection("actuator", "cart", delay, skip=True), Connection("cart", "encoder")],

@@ -12,6 +12,7 @@ import torch
 from deepkoco.graph import Connection, Episode, Graph, Node, Supervisor
 from tests.graph.timing_reference import Accumulate, policy
 
+AMPLE = 60.0  # limit [s] that no healthy node and no process exceeds, however busy the machine is
 PARTS = ("t_start", "t_end", "outputs", "t_sent", "t_received", "windows")
 
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_nodes import Timed, act, assert_same, devices, loop, run
+from live_nodes import AMPLE, Timed, act, assert_same, devices, loop, run
 
 from deepkoco.graph import (
     BatchedRuntime,
@@ -46,7 +46,9 @@ def test_processes_equal_the_simulated_runtime_bitwise(factor):
     expected = run(SimulatedRuntime(graph, timing), 20)
     # One node in a process of its own, two that share one, both reached from here.
     processes = {"world": 1, "sensor": 2, "actuator": 2}
-    with ConcurrentRuntime(graph, timing, processes=processes, real_time_factor=factor) as runtime:
+    with ConcurrentRuntime(
+        graph, timing, processes=processes, real_time_factor=factor, beat_limit=AMPLE
+    ) as runtime:
         for _ in range(2):  # the processes stay for the next episode
             runtime.reset({}, torch.Generator().manual_seed(0))
             runtime.run(act, 20)
@@ -67,17 +69,17 @@ def test_messages_that_are_lost_are_lost_in_every_runtime():
 def test_by_the_protocol_runs_equal_the_simulated_ones_without_any_horizon():
     graph = loop()
     expected = run(SimulatedRuntime(graph), 60)
-    assert_same(expected, run(ConcurrentRuntime(graph, processes={"sensor": 1}), 60))
+    assert_same(expected, run(ConcurrentRuntime(graph, processes={"sensor": 1}, beat_limit=AMPLE), 60))
 
 
 def test_an_episode_by_the_protocol_replays_bitwise_in_every_runtime():
     graph = loop()
-    episode = run(ConcurrentRuntime(graph, processes={"sensor": 1}), 20)
+    episode = run(ConcurrentRuntime(graph, processes={"sensor": 1}, beat_limit=AMPLE), 20)
     again, _ = replay_episode(graph, episode, {}, torch.Generator().manual_seed(0))
     assert_same(episode, again)
     timing = replay_timing(graph, episode.measured, windows=episode.windows)
     assert_same(episode, run(SimulatedRuntime(graph, timing), 20))
-    assert_same(episode, run(ConcurrentRuntime(graph, timing, processes={"sensor": 1}), 20))
+    assert_same(episode, run(ConcurrentRuntime(graph, timing, processes={"sensor": 1}, beat_limit=AMPLE), 20))
 
 
 def test_a_new_timing_can_come_with_each_reset_in_the_middle_of_an_episode():
@@ -126,8 +128,11 @@ def test_a_source_that_needs_no_action_does_not_run_ahead_without_end():
     with ConcurrentRuntime(graph) as runtime:
         runtime.reset({}, torch.Generator())
         runtime.run(act, 5)
-        time.sleep(0.05)
         # The agent waits at its step 5; the source may be two of its steps ahead: ticks 0 to 14.
+        deadline = time.monotonic() + AMPLE
+        while source.steps < 11 and time.monotonic() < deadline:
+            time.sleep(0.001)
+        time.sleep(0.05)
         assert 11 <= source.steps <= 15
 
 
@@ -141,10 +146,12 @@ def test_a_node_that_does_not_travel_is_named_and_a_factory_takes_its_place():
     timing = draw_timing(graph, np.random.default_rng(0), 5, 1)
     with (
         pytest.raises(GraphError, match=r'node "sensor" does not travel.*factories='),
-        ConcurrentRuntime(graph, timing, processes={"sensor": 1}) as runtime,
+        ConcurrentRuntime(graph, timing, processes={"sensor": 1}, beat_limit=AMPLE) as runtime,
     ):
         runtime.reset({}, torch.Generator())
-    made = ConcurrentRuntime(graph, timing, processes={"sensor": 1}, factories={"sensor": make_sensor})
+    made = ConcurrentRuntime(
+        graph, timing, processes={"sensor": 1}, beat_limit=AMPLE, factories={"sensor": make_sensor}
+    )
     assert_same(run(SimulatedRuntime(graph, timing), 5), run(made, 5))
 
 
@@ -170,7 +177,7 @@ def test_wrong_names_and_states_are_refused_and_leave_the_runtime_usable():
 def test_nodes_open_and_close_where_they_step(tmp_path):
     graph = devices(tmp_path)
     motor, camera = graph.node("motor"), graph.node("camera")
-    run(ConcurrentRuntime(graph, processes={"motor": 1}), 3)
+    run(ConcurrentRuntime(graph, processes={"motor": 1}, beat_limit=AMPLE), 3)
     assert motor.marks("open") == motor.marks("close")
     assert camera.marks("open") == camera.marks("close")
     process = [node.marks("open")[0].split()[0] for node in (motor, camera)]

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 import torch
-from live_nodes import act, assert_same, devices, loop
+from live_nodes import AMPLE, act, assert_same, devices, loop
 from test_safe_stop import start
 
 from deepkoco.graph import (
@@ -25,6 +25,7 @@ from deepkoco.graph import (
     write_episodes,
 )
 from deepkoco.graph.live import ConcurrentRuntime, WallClockRuntime
+from tests.on_time import on_time
 
 LOSSY = {
     "sensor->agent": {"law": "lossy", "delay": 0.002, "probability": 0.4},
@@ -34,7 +35,9 @@ LOSSY = {
 
 def by_timing(graph: Graph, record) -> ConcurrentRuntime:
     timing = draw_timing(graph, np.random.default_rng(0), 20, 1, LOSSY)
-    return ConcurrentRuntime(graph, timing, processes={"world": 1, "sensor": 1}, record=record)
+    return ConcurrentRuntime(
+        graph, timing, processes={"world": 1, "sensor": 1}, beat_limit=AMPLE, record=record
+    )
 
 
 RUNTIMES = {
@@ -43,7 +46,9 @@ RUNTIMES = {
     "by the clock": lambda graph, record: ConcurrentRuntime(
         graph, sync=False, real_time_factor=5.0, record=record
     ),
-    "wall clock": lambda graph, record: WallClockRuntime(graph, threads=("actuator",), record=record),
+    "wall clock": lambda graph, record: WallClockRuntime(
+        graph, threads=("actuator",), beat_limit=AMPLE, record=record
+    ),
 }
 
 
@@ -93,8 +98,8 @@ def test_a_writer_that_is_given_stays_open(tmp_path):
 @pytest.mark.parametrize(
     "make",
     [
-        lambda graph, path: ConcurrentRuntime(graph, processes={"motor": 1}, record=path),
-        lambda graph, path: WallClockRuntime(graph, record=path),
+        lambda graph, path: ConcurrentRuntime(graph, processes={"motor": 1}, beat_limit=AMPLE, record=path),
+        lambda graph, path: WallClockRuntime(graph, beat_limit=AMPLE, record=path),
     ],
     ids=["processes", "wall clock"],
 )
@@ -170,7 +175,7 @@ def test_ctrl_c_leaves_a_note_and_a_complete_recording(tmp_path):
 
 def test_what_a_process_reported_outlives_it(tmp_path):
     path = tmp_path / "run.mcap"
-    runtime = WallClockRuntime(devices(tmp_path, "die", at=25), record=path)
+    runtime = WallClockRuntime(devices(tmp_path, "die", at=25), beat_limit=AMPLE, record=path)
     runtime.reset({}, torch.Generator())
     with pytest.raises(NodeFailure, match="has died"):
         runtime.run(act, 1000)
@@ -200,6 +205,7 @@ SCRIPT = """
 """
 
 
+@on_time
 def test_a_killed_caller_leaves_what_ran_until_shortly_before(tmp_path):
     caller = start(SCRIPT, tmp_path)
     assert caller.stdout is not None

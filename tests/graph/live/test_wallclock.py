@@ -1,19 +1,20 @@
-"""Real time: every tick once, by the rules, recorded as it was. Nothing here depends on how busy the machine is."""
+"""Real time: every tick once, by the rules, recorded as it was."""
 
 import time
 
 import numpy as np
 import pytest
 import torch
-from live_nodes import Timed, act, loop
+from live_nodes import AMPLE, Timed, act, loop
 
 from deepkoco.graph import Connection, Episode, Graph, Supervisor, replay_episode
 from deepkoco.graph.live import WallClockRuntime, message_times, node_times
 from tests.graph.timing_reference import Accumulate
+from tests.on_time import on_time
 
 
 def recorded(graph: Graph, steps: int, **options) -> Episode:
-    with WallClockRuntime(graph, **options) as runtime:
+    with WallClockRuntime(graph, time_limit=AMPLE, beat_limit=AMPLE, **options) as runtime:
         runtime.reset({}, torch.Generator().manual_seed(0))
         runtime.run(act, steps)
         return runtime.finish()
@@ -55,6 +56,7 @@ class Slow(Timed):
 
 
 @pytest.mark.parametrize("scheduling", ["frequency", "phase"])
+@on_time
 def test_each_tick_runs_once_and_an_overrun_shifts_or_is_caught_up(scheduling):
     slow = Slow("slow", 100, scheduling=scheduling)
     agent = Supervisor("agent", 50, initial_action=torch.zeros(2, dtype=torch.float64))

@@ -88,6 +88,9 @@ def mujoco_accelerations(
 ) -> np.ndarray:
     """(n, J) accelerations that MuJoCo computes for states (n, J), controls (n, M) and loads (n, J)."""
     data, result = mujoco.MjData(model), []
+    if not model.nu:
+        # Its system has a command in N m or N for each joint.
+        controls, loads = loads[:, :0], loads + controls
     for q, v, u, load in zip(angles, speeds, controls, loads, strict=True):
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, v, load
         data.ctrl[:] = u
@@ -97,8 +100,8 @@ def mujoco_accelerations(
 
 
 def random_motions(rng: np.random.Generator, model: mujoco.MjModel, count: int) -> tuple[np.ndarray, ...]:
-    """Angles and speeds (n, J), controls (n, M) and outside loads (n, J)."""
-    shapes = (model.nv, model.nv, model.nu, model.nv)
+    """Angles and speeds (n, J), commands (n, M) and outside loads (n, J)."""
+    shapes = (model.nv, model.nv, model.nu or model.nv, model.nv)
     return tuple(rng.normal(size=(count, n)) for n in shapes)
 
 

@@ -79,6 +79,11 @@ EXPRESSED = {
     "lag": (("lag(shoulder)",), {"lag(shoulder).time_constant": 0.05}),
     "delay": (("actuation_delay(elbow)",), {"actuation_delay(elbow).delay": 0.0345}),
     "tilt": (("tilt",), {"tilt.about_x": 0.2}),
+    "spring": (("spring(elbow)",), {"spring(elbow).stiffness": 2.0, "spring(elbow).centre": 0.3}),
+    "gain of all": (("gain(all)",), {"gain(all).factor": 0.8}),
+    "delay of all": (("actuation_delay(all)",), {"actuation_delay(all).delay": 0.0345}),
+    "payload at a place": (("payload(upper)",), {"payload(upper).mass": 0.4}),
+    "factor of all": (("scaled(damping)",), {"scaled(damping).factor": 2.0}),
 }
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
 from deepkoco.diagnose.report.figures.error_map import error_map
 from deepkoco.diagnose.report.figures.friction_figure import friction_picture
+from deepkoco.diagnose.report.figures.joints_figure import joints_picture
 from deepkoco.diagnose.report.figures.layout import COLOURS, DESKTOP, Layout, held_out_models, shown_models
 from deepkoco.diagnose.report.figures.missing_figure import missing_picture
 from deepkoco.diagnose.report.figures.parameter_figures import found_parameters, own_parameters
@@ -30,6 +31,7 @@ def draw_all(diagnosis: Diagnosis, layout: Layout = DESKTOP) -> list[Picture]:
     if diagnosis.details is None:
         return []
     drawings: tuple[Callable[[Diagnosis, Details, Layout], Picture | None], ...] = (
+        joints_picture,
         replay,
         missing_picture,
         friction_picture,

@@ -1,0 +1,125 @@
+"""Scale gauges: parameters that can be multiplied together without any change of the measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepkoco.fit.fit_types import Fit
+from deepkoco.systems import Parameter
+
+CANCELS = 1e-6  # information along a gauge, as a share of what its members have one by one
+SMALL = 0.02  # exponent below which a parameter does not belong to a gauge
+
+# Unit -> how a parameter of this unit is measured by itself; the easiest first.
+MEASURED = {
+    "kg": "weigh it",
+    "m": "measure it with a ruler",
+    "ohm": "measure it with an ohmmeter",
+    "N m/A": "hold the shaft with a lever on a scale at a known current",
+    "N m/V": "hold the shaft with a lever on a scale at a known voltage",
+    "N m": "hold the joint with a lever on a scale",
+    "N m/rad": "push the joint with a known force and read its angle",
+    "kg m2": "take it from a drawing, or let the part swing as a pendulum",
+}
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """Parameters of which the data give only ratios.
+
+    Attributes:
+        fixed: The one whose value must come from elsewhere: of those that may be chosen, the most reliable one.
+        exponents: Parameter -> exponent e: if ``fixed`` is c times as large, this one is c^e times as large (to first
+            order) and the measurements stay the same. ``fixed`` itself has 1.
+        measure: The member whose measurement settles it most easily.
+        how: How it is measured.
+    """
+
+    fixed: str
+    exponents: dict[str, float]
+    measure: str
+    how: str
+
+    @property
+    def text(self) -> str:
+        """One or two sentences for a reader."""
+        others = {n: e for n, e in self.exponents.items() if n != self.fixed}
+        scaled = [f"{n} c{'' if abs(e - 1.0) <= SMALL else f'^{e:.3g}'} times" for n, e in others.items()]
+        return (
+            f"The data give only ratios of {_listed([self.fixed, *others])}: with {self.fixed} c times, "
+            f"{_listed(scaled)} as large, nothing measured changes. One measurement settles it: {self.measure}; "
+            f"{self.how}."
+        )
+
+    def to_json(self) -> dict[str, object]:
+        """Return the gauge as plain values."""
+        return {
+            "fixed": self.fixed,
+            "exponents": self.exponents,
+            "measure": self.measure,
+            "how": self.how,
+            "text": self.text,
+        }
+
+
+def scale_gauges(fit: Fit, declared: Sequence[Parameter]) -> tuple[Gauge, ...]:
+    r"""Find the scale gauges of a fit.
+
+    With the information I of the data and the values p, G = diag(p) I diag(p) is the information in log p. Scaled to a
+    unit diagonal it has an eigenvalue 0 for every way in which changes of several parameters cancel. A single parameter
+    about which the data say little is none. Each gauge gets the most reliable parameter (smallest relative prior) of
+    those that are independent.
+
+    Args:
+        fit: The fit, with the information of its data alone.
+        declared: Declarations of its free parameters; those at 0 or below have no scale and are left out.
+    """
+    known = {p.name: p for p in declared}
+    names = [n for n in fit.free if n in known and fit.values[n] > 0.0]
+    index = [fit.free.index(n) for n in names]
+    value = np.array([fit.values[n] for n in names])
+    information = fit.information[np.ix_(index, index)] * np.outer(value, value)
+    size = np.diag(information).copy()
+    seen = np.isfinite(size) & (size > 0.0)
+    names = [n for n, yes in zip(names, seen, strict=True) if yes]
+    if len(names) < 2:
+        return ()
+    root = np.sqrt(size[seen])
+    weight, ways = np.linalg.eigh(information[np.ix_(seen, seen)] / np.outer(root, root))
+    null = ways[:, weight < CANCELS] / root[:, None]
+    if null.shape[1] == 0:
+        return ()
+    null /= np.abs(null).max(0)
+    # The change of a parameter that the data determine by itself is rounding.
+    null[np.abs(null) < 1e-4] = 0.0
+    reliable = sorted(range(len(names)), key=lambda i: known[names[i]].prior_sd / fit.values[names[i]])
+    fixed: list[int] = []
+    for i in reliable:
+        if np.linalg.matrix_rank(null[[*fixed, i]], tol=1e-3) > len(fixed):
+            fixed.append(i)
+        if len(fixed) == null.shape[1]:
+            break
+    if len(fixed) < null.shape[1]:
+        return ()
+    ways = null @ np.linalg.inv(null[fixed])
+    result = []
+    for k, i in enumerate(fixed):
+        exponents = {n: float(e) for n, e in zip(names, ways[:, k], strict=True) if abs(e) > SMALL}
+        if len(exponents) > 1:
+            measure, how = _easiest([known[n] for n in exponents])
+            result.append(Gauge(names[i], exponents, measure, how))
+    return tuple(result)
+
+
+def _easiest(members: Sequence[Parameter]) -> tuple[str, str]:
+    """Return the parameter that is measured most easily by itself, and how."""
+    units = list(MEASURED)
+    best = min(members, key=lambda p: units.index(p.unit) if p.unit in MEASURED else len(units))
+    return best.name, MEASURED.get(best.unit, "measure it by itself")
+
+
+def _listed(words: Sequence[str]) -> str:
+    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]

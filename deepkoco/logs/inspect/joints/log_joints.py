@@ -1,0 +1,132 @@
+"""Group the columns of a log by joint: position, speed, goal and effort of each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from deepkoco.logs.inspect.names import COMMANDED, WANTED, read_name
+from deepkoco.logs.inspect.survey import ColumnSurvey
+
+GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
+MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states"}
+POSITION = {
+    "q",
+    "pos",
+    "position",
+    "positions",
+    "angle",
+    "angles",
+    "theta",
+    "th",
+    "jpos",
+    "qpos",
+    "encoder",
+    "enc",
+}
+SPEED = {
+    "dq",
+    "vel",
+    "velocity",
+    "velocities",
+    "qd",
+    "qdot",
+    "omega",
+    "speed",
+    "dtheta",
+    "qvel",
+    "jvel",
+    "dpos",
+}
+EFFORT = {"load", "effort", "efforts", "torque", "torques", "tau", "current", "currents"}
+FILLER = {
+    "joint",
+    "joints",
+    "dof",
+    "points",
+    "main",
+    "data",
+    "motor",
+    "motors",
+    "interface",
+    "values",
+    "value",
+    "act",
+}
+_ROLE_WORDS = GOAL | MEASURED | POSITION | SPEED | EFFORT | FILLER
+
+
+@dataclass
+class LogJoint:
+    """The columns of one joint.
+
+    Attributes:
+        label: name of the joint in the log, in lower case.
+        columns: "position", "speed", "goal" or "effort" -> column; "goal effort" is a commanded effort.
+    """
+
+    label: str
+    columns: dict[str, ColumnSurvey] = field(default_factory=dict)
+
+
+def log_joints(columns: Sequence[ColumnSurvey]) -> list[LogJoint]:
+    """Group columns by joint, in the order of the log; joints without a position are left out."""
+    found: dict[str, LogJoint] = {}
+    for column in columns:
+        if not column.usable:
+            continue
+        role, label = role_of(column)
+        if role is not None:
+            found.setdefault(label, LogJoint(label)).columns.setdefault(role, column)
+    return [joint for joint in found.values() if "position" in joint.columns]
+
+
+def loose_goals(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -> list[ColumnSurvey]:
+    """Columns of goals that belong to none of the joints by their names."""
+    known = {column.label for joint in joints for column in joint.columns.values()}
+    return [c for c in columns if c.usable and role_of(c)[0] == "goal" and c.label not in known]
+
+
+def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
+    """What a column measures or commands, None if its name does not say it; and the name of the joint."""
+    name, label = column.name, ""
+    bracket = re.fullmatch(r"(.*)\[([^\[\]]*)\]", name)
+    if bracket is not None and read_name(name).unit is None:
+        name, label = bracket.group(1), bracket.group(2)
+        if label.lower() in _ROLE_WORDS and (outer := re.search(r"\[([^\[\]]*)\]", name)) is not None:
+            name, label = f"{name} {label}", outer.group(1)  # interface_values[shoulder].values[position]
+    words = _words(name)
+    inner = _words(label)
+    if label:
+        while len(inner) > 1 and inner[-1] in POSITION | SPEED | EFFORT:
+            words.append(inner.pop())
+    said = set(words)
+    topic = set(_words(column.topic))
+    goal = bool(said & GOAL) or (bool(topic & GOAL) and not said & MEASURED and not topic & MEASURED)
+    if said & SPEED:
+        role = None if goal else "speed"
+    elif said & EFFORT:
+        role = "goal effort" if goal else "effort"
+    elif goal:
+        role = "goal"
+    else:
+        role = "position" if said & (POSITION | {"observation"}) else None
+    rest = inner if label else [word for word in words if word not in _ROLE_WORDS]
+    kept = [word for word in rest if word not in FILLER] or rest
+    return role, "_".join(kept)
+
+
+def _words(text: str) -> list[str]:
+    """Words and numbers of a name in lower case, without a unit at its end."""
+    plain = re.sub(r"\[[^\[\]]*\]", " ", text)
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()
+    words = [part for part in re.split(r"[^a-z0-9]+", spaced) if part]
+    if len(words) > 1 and words[-1] in ("rad", "deg", "nm", "rpm"):
+        words.pop()
+    split: list[str] = []
+    for word in words:
+        match = re.fullmatch(r"([a-z]+)(\d+)", word)
+        numbered = match is not None and match.group(1) in _ROLE_WORDS
+        split += [match.group(1), match.group(2)] if match is not None and numbered else [word]
+    return split

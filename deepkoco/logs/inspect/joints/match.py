@@ -1,0 +1,120 @@
+"""Assign the joints of a log to those of a model by name and order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from difflib import SequenceMatcher
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+SAME = 8.0  # evidence of the same name [nats]
+WORD = 5.0  # evidence of the same words, in proportion to their share [nats]
+ORDER = 1.5  # evidence of the same place in the order, if there are as many joints [nats]
+NOTHING = 0.5  # evidence of a joint without a partner [nats]
+_ALIKE = (
+    {"pan", "rotation", "yaw", "base", "waist", "swivel", "turn", "abduction", "haa"},
+    {"lift", "pitch", "flex", "tilt", "flexion"},
+    {"roll", "twist", "rotate"},
+    {"gripper", "jaw", "claw", "finger", "hand"},
+    {"elbow", "forearm", "knee", "kfe"},
+    {"shoulder", "upper", "hip"},
+    {"left", "l"},
+    {"right", "r"},
+    {"front", "fore", "f"},
+    {"rear", "hind", "back", "h"},
+)
+
+
+class Match(NamedTuple):
+    """One pair of joints, by their numbers, with probability and reason."""
+
+    log: int
+    model: int
+    probability: float
+    reason: str
+
+
+def match_joints(log: Sequence[str], model: Sequence[str]) -> list[Match]:
+    """Assign joints of a log to joints of a model, each at most once.
+
+    Args:
+        log: names of the joints in the log, in its order.
+        model: names of the model's joints, in its order.
+    """
+    score = np.array(
+        [[_score(i, a, j, b, len(log) == len(model)) for j, b in enumerate(model)] for i, a in enumerate(log)]
+    )
+    if score.size == 0:
+        return []
+    found = []
+    rows, columns = linear_sum_assignment(-score)
+    best = float(score[rows, columns].sum())
+    for i, j in zip(rows.tolist(), columns.tolist(), strict=True):
+        if score[i, j] < NOTHING:
+            continue
+        barred = score.copy()
+        barred[i, j] = -100.0
+        other_rows, other_columns = linear_sum_assignment(-barred)
+        # Without this pair, either another assignment is right, or the joint has no partner.
+        second = max(float(barred[other_rows, other_columns].sum()), best - float(score[i, j]) + NOTHING)
+        probability = 1.0 / (1.0 + float(np.exp(np.clip(second - best, -50.0, 50.0))))
+        found.append(
+            Match(i, j, probability, _reason(str(log[i]), str(model[j]), i == j and len(log) == len(model)))
+        )
+    return found
+
+
+def _score(i: int, log: str, j: int, model: str, ordered: bool) -> float:
+    order = ORDER * (1.0 if i == j else -0.5) if ordered else 0.0
+    if _plain(log) == _plain(model):
+        return SAME + order
+    if log.isdecimal():
+        return order + (ORDER if ordered and i == j else 0.0)
+    return WORD * _shared(_parts(log), _parts(model)) + 2.0 * _spelling(log, model) + order
+
+
+def _shared(a: Sequence[str], b: Sequence[str]) -> float:
+    """Share of words that are the same, or mean the same, from 0 to 1."""
+    if not a or not b:
+        return 0.0
+    free, total = list(b), 0.0
+    for word in a:
+        weights = [_alike(word, other) for other in free]
+        if weights and max(weights) > 0:
+            total += max(weights)
+            free.pop(int(np.argmax(weights)))
+    return total / (0.5 * (len(a) + len(b)))
+
+
+def _alike(a: str, b: str) -> float:
+    if a == b:
+        return 1.0
+    return 0.6 if any(a in group and b in group for group in _ALIKE) else 0.0
+
+
+def _spelling(a: str, b: str) -> float:
+    """How similar the spellings are beyond chance, from 0 to 1."""
+    return max(SequenceMatcher(None, _plain(a), _plain(b)).ratio() - 0.6, 0.0) / 0.4
+
+
+def _parts(name: str) -> list[str]:
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
+    return [
+        p for p in re.split(r"[^a-z]+|(?<=[a-z])(?=\d)", spaced) if p and p not in ("joint", "motor", "pos")
+    ]
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _reason(log: str, model: str, placed: bool) -> str:
+    order = "the same place in the order" if placed else ""
+    if _plain(log) == _plain(model):
+        return "the same name"
+    shared = _shared(_parts(log), _parts(model)) > 0.2 or _spelling(log, model) > 0.3
+    named = f'"{log}" resembles "{model}"' if shared else ""
+    return " and ".join(part for part in (named, order) if part) or "no other joint is left"

@@ -1,0 +1,366 @@
+"""Propose the mapping of a log of many joints: columns, units, signs and zeros of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
+from deepkoco.logs.inspect.joints.goals import Tracking, hold, track
+from deepkoco.logs.inspect.joints.gravity import SLOW, JointEvidence, Slow, signs_and_zeros
+from deepkoco.logs.inspect.joints.log_joints import LogJoint, log_joints, loose_goals
+from deepkoco.logs.inspect.joints.match import Match, match_joints
+from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
+from deepkoco.logs.inspect.proposal import Choice, Proposal
+from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
+from deepkoco.systems import Channel, System
+
+STEP = 0.1  # between compared samples [s]
+SPREAD = 0.15  # half of the time over which a speed is taken [s]
+GOAL_ZERO = 0.2  # difference of goal and position above which their zeros differ [rad or m]
+LEAST = 3.0  # evidence of a proposal for each joint [nats], compared with other systems
+
+
+class _Joint(NamedTuple):
+    """One joint of the model with its joint in the log."""
+
+    number: int
+    match: Match
+    log: LogJoint
+    scaling: Scaling
+    tracking: Tracking | None
+
+
+def has_named_joints(system: System) -> bool:
+    """Whether a system names its measurements after its joints: `q_shoulder`, `dq_shoulder`."""
+    names = {channel.name for channel in system.measurements}
+    return all(f"q_{joint}" in names for joint in system.joint_names)
+
+
+def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
+    """Propose which columns belong to which joint, with unit, direction and zero.
+
+    Args:
+        surveys: logs with the same columns; the mapping is that of the first, and all serve as evidence.
+        system: a system whose measurements are named after its joints.
+    """
+    survey = surveys[0]
+    found = log_joints(survey.columns)
+    matches = match_joints([joint.label for joint in found], system.joint_names)
+    _add_loose_goals(survey, found)
+    joints = _scaled(surveys, system, found, matches)
+    evidence = _gravity(surveys, system, joints)
+    findings = {joint.number: _finding(survey, system, joint, evidence) for joint in joints}
+    by_number = {joint.number: joint for joint in joints}
+    choices = [
+        *(_measurement(survey, system, c, by_number, findings) for c in system.measurements),
+        *(_command(survey, system, k, by_number, findings) for k in range(len(system.commands))),
+    ]
+    clocks = [survey.clock(c.column) for c in choices if c.column is not None]
+    time = next((clock.unit for clock in clocks if clock is not None), "s")
+    score = LEAST * sum(joint.match.probability for joint in joints)
+    return Proposal(
+        system.name, tuple(choices), time, score, {}, tuple(findings[k] for k in sorted(findings))
+    )
+
+
+def _add_loose_goals(survey: Survey, joints: list[LogJoint]) -> None:
+    """Give goals without names of joints, such as `data[0]`, to the joints that follow them."""
+    loose = loose_goals(survey.columns, joints)
+    free = [joint for joint in joints if "goal" not in joint.columns]
+    for goal in loose:
+        relations = {joint.label: _track(survey, joint.columns["position"], goal) for joint in free}
+        good = {label: r.explained for label, r in relations.items() if r is not None and r.follows}
+        if good:
+            label = max(good, key=lambda name: good[name])
+            chosen = next(joint for joint in free if joint.label == label)
+            chosen.columns["goal"] = goal
+            free.remove(chosen)
+
+
+def _track(survey: Survey, position: ColumnSurvey, goal: ColumnSurvey) -> Tracking | None:
+    (t, value), (t_goal, wanted) = survey.samples(position), survey.samples(goal)
+    if len(t) < 2 or len(t_goal) < 1:
+        return None
+    return track(t, value, t_goal, wanted)
+
+
+def _best_track(surveys: Sequence[Survey], position: ColumnSurvey, goal: ColumnSurvey) -> Tracking | None:
+    """Relation of position and goal in the log in which the goal changes most."""
+    found: list[tuple[float, Tracking]] = []
+    for survey in surveys:
+        there = {column.label: column for column in survey.columns if column.usable}
+        if position.label in there and goal.label in there:
+            relation = _track(survey, there[position.label], there[goal.label])
+            if relation is not None:
+                found.append((float(np.ptp(survey.samples(there[goal.label])[1])), relation))
+    return max(found, key=lambda entry: entry[0])[1] if found else None
+
+
+def _scaled(
+    surveys: Sequence[Survey], system: System, found: Sequence[LogJoint], matches: Sequence[Match]
+) -> list[_Joint]:
+    scalings, survey = [], surveys[0]
+    for match in matches:
+        column = found[match.log].columns["position"]
+        low, high = _range(system, match.model)
+        scalings.append(
+            position_scaling(column, survey.samples(column)[1], low, high, _slides(system, match.model))
+        )
+    scalings = alike(scalings, [not _slides(system, match.model) for match in matches])
+    result = []
+    for match, scaling in zip(matches, scalings, strict=True):
+        log = found[match.log]
+        goal = log.columns.get("goal")
+        tracking = None if goal is None else _best_track(surveys, log.columns["position"], goal)
+        result.append(_Joint(match.model, match, log, scaling, tracking))
+    return result
+
+
+def _slides(system: System, joint: int) -> bool:
+    return system.state_units[joint] == "m"
+
+
+def _range(system: System, joint: int) -> tuple[float, float]:
+    """Range of a joint: that of the goals of its servo, or that of its sensor."""
+    unit = system.state_units[joint]
+    for command, driven in zip(system.commands, system.command_joints, strict=False):
+        if driven == joint and command.unit == unit and math.isfinite(command.high - command.low):
+            return command.low, command.high
+    name = f"q_{system.joint_names[joint]}"
+    sensor = next(c for c in system.measurements if c.name == name)
+    return sensor.low, sensor.high
+
+
+def _si(joint: _Joint, value: np.ndarray) -> np.ndarray:
+    scaling = joint.scaling
+    return scaling.factor * value + scaling.factor / scaling.scale * scaling.offset
+
+
+def _gravity(
+    surveys: Sequence[Survey], system: System, joints: Sequence[_Joint]
+) -> list[JointEvidence] | None:
+    parts = [part for survey in surveys if (part := _slow(survey, system, joints)) is not None]
+    if not parts:
+        return None
+    slow = Slow(
+        np.concatenate([part.q for part in parts]),
+        np.concatenate([part.speed for part in parts]),
+        np.concatenate([part.pull for part in parts]),
+        sum(part.seconds for part in parts),
+    )
+    return signs_and_zeros(system, slow, [not _slides(system, j) for j in range(system.joints)])
+
+
+def _slow(survey: Survey, system: System, joints: Sequence[_Joint]) -> Slow | None:
+    """Samples of one log at which all joints are slow."""
+    there = {column.label: column for column in survey.columns if column.usable}
+    samples = []
+    for joint in joints:
+        column = there.get(joint.log.columns["position"].label)
+        if column is None or len(survey.samples(column)[0]) < 2:
+            return None
+        samples.append(survey.samples(column))
+    if not samples:
+        return None
+    start, stop = max(t[0] for t, _ in samples) + 0.5, min(t[-1] for t, _ in samples) - 0.5
+    times = np.arange(start, stop, STEP)
+    q, speed = np.zeros((len(times), system.joints)), np.zeros((len(times), system.joints))
+    pull = np.full((len(times), system.joints), np.nan)
+    for joint, (t, value) in zip(joints, samples, strict=True):
+        q[:, joint.number] = _si(joint, np.interp(times, t, value))
+        ahead, behind = (np.interp(times + s, t, value) for s in (SPREAD, -SPREAD))
+        speed[:, joint.number] = joint.scaling.factor * (ahead - behind) / (2.0 * SPREAD)
+        pull[:, joint.number] = _pull(survey, system, joint, there, times, q[:, joint.number])
+    keep = (np.abs(speed) < SLOW).all(axis=1)
+    return Slow(q[keep], speed[keep], pull[keep], STEP * float(keep.sum()))
+
+
+def _pull(
+    survey: Survey,
+    system: System,
+    joint: _Joint,
+    there: dict[str, ColumnSurvey],
+    times: np.ndarray,
+    q: np.ndarray,
+) -> np.ndarray:
+    """Position minus goal where the joint has a servo, else minus the commanded torque; NaN if neither is there."""
+    unknown = np.full(len(times), np.nan)
+    driving = [
+        c for c, driven in zip(system.commands, system.command_joints, strict=False) if driven == joint.number
+    ]
+    if not driving:
+        return unknown
+    servo = driving[0].unit == system.state_units[joint.number]
+    column = joint.log.columns.get("goal") if servo else _effort(joint.log)
+    column = None if column is None else there.get(column.label)
+    if column is None:
+        return unknown
+    t, value = survey.samples(column)
+    if not len(t):
+        return unknown
+    if not servo:
+        return -hold(times, t, value)
+    tracking = joint.tracking
+    delay = tracking.delay if tracking is not None and tracking.follows else 0.1
+    direction = -1.0 if tracking is not None and tracking.follows and tracking.slope < 0 else 1.0
+    return q - _si(joint, direction * hold(times - delay, t, value))
+
+
+def _effort(log: LogJoint) -> ColumnSurvey | None:
+    return log.columns.get("goal effort") or log.columns.get("effort") or log.columns.get("goal")
+
+
+def _finding(
+    survey: Survey, system: System, joint: _Joint, evidence: list[JointEvidence] | None
+) -> JointFinding:
+    pull = None if evidence is None else evidence[joint.number]
+    low, high = _range(system, joint.number)
+    value = _si(joint, survey.samples(joint.log.columns["position"])[1])
+    by_range = from_ranges(
+        low, high, float(value.min()), float(value.max()), not _slides(system, joint.number)
+    )
+    sign, zero, sign_known, zero_known = 1, 0.0, False, False
+    why_sign = "assumed: gravity does not show it in this log"
+    why_zero = "assumed: this log does not show it"
+    if pull is not None and pull.sign_known:
+        sign, sign_known = pull.sign, True
+        why_sign = f"gravity fits this direction better by {pull.margin:.0f} nats"
+        zero = pull.zero
+        zero_known = pull.zero_known
+        within = "" if math.isinf(pull.width) else f" within {pull.width:.1g} rad"
+        if zero:
+            why_zero = f"gravity fits this zero better by {pull.gain:.0f} nats{within}"
+        elif zero_known:
+            why_zero = f"gravity agrees with the model's zero{within}"
+        else:
+            why_zero = f"assumed: zeros{within or ' far'} from the model's fit gravity about as well"
+    elif by_range is not None:
+        sign, zero, why = by_range
+        sign_known = sign < 0
+        why_sign = why if sign < 0 else why_sign
+        why_zero = f"assumed: {why}" if zero else why_zero
+    notes = [joint.scaling.note] if joint.scaling.note else []
+    return JointFinding(
+        system.joint_names[joint.number],
+        joint.log.label or joint.log.columns["position"].name,
+        joint.match.probability,
+        joint.match.reason,
+        joint.scaling.unit,
+        joint.scaling.factor,
+        sign,
+        zero,
+        sign_known,
+        zero_known,
+        why_sign,
+        why_zero,
+        _in_si(joint),
+        pull,
+        tuple(notes),
+    )
+
+
+def _in_si(joint: _Joint) -> Tracking | None:
+    tracking = joint.tracking
+    if tracking is None:
+        return None
+    zero = joint.scaling.factor / joint.scaling.scale * joint.scaling.offset
+    return tracking._replace(
+        offset=joint.scaling.factor * tracking.offset + zero * (1.0 - abs(tracking.slope))
+    )
+
+
+def _measurement(
+    survey: Survey,
+    system: System,
+    channel: Channel,
+    joints: dict[int, _Joint],
+    findings: dict[int, JointFinding],
+) -> Choice:
+    number = next(
+        (j for j, name in enumerate(system.joint_names) if channel.name in (f"q_{name}", f"dq_{name}")), None
+    )
+    joint = None if number is None else joints.get(number)
+    if number is None or joint is None:
+        return Choice(channel, None, channel.unit, False, 1.0, ())
+    finding, scaling = findings[number], joint.scaling
+    if channel.name.startswith("q_"):
+        column = joint.log.columns["position"]
+        scale, offset = _frame(finding, scaling, 1.0)
+        return _chosen(channel, column, scaling, finding, (finding.reason,), scale, offset)
+    column = joint.log.columns.get("speed")
+    if column is None:
+        return Choice(channel, None, channel.unit, False, 1.0, ())
+    t, value = survey.samples(joint.log.columns["position"])
+    speed = speed_scaling((t, _si(joint, value)), column, survey.samples(column), _slides(system, number))
+    if speed is None:
+        why = (f'"{column.name}" is left out: it is not the derivative of the position',)
+        return Choice(channel, None, channel.unit, False, 1.0, why)
+    return _chosen(channel, column, speed, finding, (finding.reason,), finding.sign * speed.scale, 0.0)
+
+
+def _command(
+    survey: Survey, system: System, number: int, joints: dict[int, _Joint], findings: dict[int, JointFinding]
+) -> Choice:
+    channel = system.commands[number]
+    driven = system.command_joints[number] if number < len(system.command_joints) else None
+    joint = None if driven is None else joints.get(driven)
+    if driven is None or joint is None:
+        return Choice(channel, None, channel.unit, False, 1.0, ())
+    finding, tracking = findings[driven], joint.tracking
+    if channel.unit != system.state_units[driven]:
+        column = _effort(joint.log)
+        if column is None:
+            return Choice(channel, None, channel.unit, False, 1.0, ())
+        said = [finding.reason]
+        if "goal effort" not in joint.log.columns and "effort" in joint.log.columns:
+            said.append("a measured effort in the place of the command")
+        scaling = Scaling(column.hints.unit or channel.unit, 1.0, 0.0, column.hints.unit is not None)
+        return _chosen(channel, column, scaling, finding, said, float(finding.sign), 0.0)
+    column = joint.log.columns.get("goal")
+    if column is None:
+        return Choice(channel, None, channel.unit, False, 1.0, ())
+    reasons, scaling, direction, shift = [finding.reason], joint.scaling, 1.0, 0.0
+    if tracking is not None and tracking.follows:
+        direction = -1.0 if tracking.slope < 0 else 1.0
+        reasons.append(
+            f"the position follows it after {tracking.delay:.2f} s with the slope {tracking.slope:.2f}"
+        )
+        moved = _in_si(joint)
+        assert moved is not None
+        if 0.7 < abs(tracking.slope) < 1.4 and abs(moved.offset) > GOAL_ZERO:
+            shift = moved.offset
+            reasons.append(f"its zero differs from that of the position by {shift:.3g}")
+    scale, offset = _frame(finding, scaling, direction)
+    offset += finding.sign * shift / (scaling.factor / scaling.scale)
+    return _chosen(channel, column, scaling, finding, reasons, scale, offset)
+
+
+def _frame(finding: JointFinding, scaling: Scaling, direction: float) -> tuple[float, float]:
+    """Scale and offset, in the unit of the column, that lead to the frame of the model."""
+    unit = scaling.factor / scaling.scale
+    return finding.sign * direction * scaling.scale, finding.sign * scaling.offset + finding.zero / unit
+
+
+def _chosen(
+    channel: Channel,
+    column: ColumnSurvey,
+    scaling: Scaling,
+    finding: JointFinding,
+    reasons: Sequence[str],
+    scale: float,
+    offset: float,
+) -> Choice:
+    return Choice(
+        channel,
+        column,
+        scaling.unit,
+        scaling.stated,
+        finding.probability,
+        tuple(reasons),
+        scale=scale,
+        offset=offset,
+    )

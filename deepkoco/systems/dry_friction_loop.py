@@ -1,0 +1,70 @@
+"""Dry friction as a constraint, as one compiled loop over the elements of a batch: without gradients.
+
+Each element sweeps until its own friction loads settle. The arithmetic is that of :mod:`deepkoco.systems.dry_friction`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rub(
+    before,  # (J, N) speeds at the start of the step
+    after,  # (J, N) speeds after it, under the loads `load`
+    load,  # (R, N) friction loads of the rubbing joints; changed
+    slide,  # (R, N) levels of joints that move, not negative
+    stick,  # (R, N) levels of joints at rest, not negative
+    inverse,  # (J, J, N) inverse inertia
+    rubbing,  # (R,) indices of the rubbing joints
+    step,  # [s]
+    sweeps,  # largest number
+    close,  # change of an acceleration, as a share of it, at which the sweeps end
+    speed,  # (J, N) result
+    moved,  # (J, N) result
+    hold,  # (R, N) result
+):
+    """Write speeds, ways and holding loads of N elements."""
+    joints, count = before.shape
+    mean = np.empty(joints)
+    is_rubbing = np.zeros(joints, np.bool_)
+    for r in range(len(rubbing)):
+        is_rubbing[rubbing[r]] = True
+    for n in range(count):
+        for k in range(joints):
+            mean[k] = (after[k, n] - before[k, n]) / step
+        for _ in range(sweeps):
+            settled = True
+            for r in range(len(rubbing)):
+                j = rubbing[r]
+                own = inverse[j, j, n]
+                others = mean[j] - own * load[r, n]
+                least = own * stick[r, n]
+                v = before[j, n]
+                pace, sign = abs(v), np.sign(v)
+                brake = own * slide[r, n] - sign * others
+                left = pace - brake * step
+                until = step if left > 0.0 else pace / max(brake, pace / step, 1e-30)
+                first = sign * max(left, 0.0)
+                rest = step - until
+                leaves = np.sign(others) * max(abs(others) - least, 0.0)
+                end = first + leaves * rest
+                speed[j, n] = end
+                moved[j, n] = 0.5 * (v + first) * until + 0.5 * leaves * rest * rest
+                new = ((end - v) / step - others) / own
+                hold[r, n] = min(max(-others / own, -stick[r, n]), stick[r, n])
+                change = new - load[r, n]
+                load[r, n] = new
+                # What is not finite never settles, and is left to the last sweep.
+                settled = settled and not (math.fabs(own * change) > close * (abs(others) + least))
+                for k in range(joints):
+                    mean[k] += inverse[k, j, n] * change
+            if settled:
+                break
+        for k in range(joints):
+            if not is_rubbing[k]:
+                speed[k, n] = before[k, n] + step * mean[k]
+                moved[k, n] = 0.5 * step * (before[k, n] + speed[k, n])

@@ -1,0 +1,36 @@
+"""Whether tensors are plain numbers, which a compiled loop can read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+
+def is_plain(values: Sequence[Tensor | float | None]) -> bool:
+    """Whether values are float64 numbers on the CPU, without gradients and outside of a trace.
+
+    The compiled loop reads memory: it can take nothing else.
+    """
+    gradients = torch.is_grad_enabled()
+    for value in values:
+        if isinstance(value, Tensor) and (
+            type(value) is not Tensor
+            or value.dtype != torch.float64
+            or not value.is_cpu
+            or (gradients and value.requires_grad)
+        ):
+            return False
+    return not _transformed()
+
+
+def _transformed() -> bool:
+    """Whether torch records or transforms operations: traces, vmap, functionalize."""
+    return (
+        torch._C._len_torch_dispatch_stack() > 0
+        or torch._C._len_torch_function_stack() > 0
+        or torch._C._functorch.peek_interpreter_stack() is not None  # pyright: ignore[reportAttributeAccessIssue]
+        or torch.compiler.is_compiling()
+        or torch.jit.is_tracing()  # pyright: ignore[reportPrivateImportUsage]
+    )

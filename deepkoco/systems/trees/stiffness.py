@@ -1,0 +1,125 @@
+"""The fastest motions of a tree: the step that follows them, and what keeps those that no log shows from being faster.
+
+A damping of 1 N m s/rad at a wrist of 1e-4 kg m2 fades within 0.1 ms. An explicit method would need steps of that size
+for a motion that no sensor sees. Simulations therefore add so much armature to such a joint that its motion fades at
+`FASTEST`, or swings at `FASTEST_SWING`: what is slower than that hardly changes, because there the damping or the
+spring decides, not the inertia.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems.trees.dynamics import bias_forces, inverse_mass
+from deepkoco.systems.trees.loads import Law
+from deepkoco.systems.trees.parameters import link_inertias
+from deepkoco.systems.trees.scalars import Scalar, add, mul
+from deepkoco.systems.trees.scales import random_poses
+from deepkoco.systems.trees.tree import Actuator, Tree
+
+SWING = 0.5  # turn of the fastest swinging motion in one integration step [rad]: 5e-4 rad of phase error
+FADE = 1.0  # decay of the fastest motion in one step; the Runge-Kutta method is stable to 2.78
+FASTEST, FASTEST_SWING = 1000.0, 500.0  # [1/s, rad/s]
+
+
+def least_inertias(tree: Tree) -> tuple[float, ...]:
+    """Smallest inertia [kg m2 or kg] that each joint moves, over random poses, while all others are free."""
+    inverse = _inverses(tree, [joint.armature for joint in tree.joints])
+    return tuple(1.0 / float(inverse[:, j, j].max()) for j in range(len(tree.joints)))
+
+
+def added_armatures(
+    actuators: Sequence[Actuator],
+    least: Sequence[float],
+    passive: Mapping[str, Sequence[Scalar]],
+    laws: Sequence[Law],
+) -> list[Scalar]:
+    """Armature of each joint [kg m2 or kg] that keeps its motion at `FASTEST` and `FASTEST_SWING`; mostly 0.
+
+    Args:
+        actuators: Of the tree.
+        least: As of :func:`least_inertias`.
+        passive: Damping and stiffness of each joint.
+        laws: Gain and bias of each actuator.
+    """
+    dampings, springs = resistances(actuators, passive, laws)
+    result: list[Scalar] = []
+    for own, damping, spring in zip(least, dampings, springs, strict=True):
+        needed = _larger(mul(1.0 / FASTEST, damping), mul(FASTEST_SWING**-2, spring))
+        result.append(_larger(add(needed, -own), 0.0))
+    return result
+
+
+def resistances(
+    actuators: Sequence[Actuator], passive: Mapping[str, Sequence[Scalar]], laws: Sequence[Law]
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Damping [N m s/rad or N s/m] and stiffness [N m/rad or N/m] of each joint, with those of its servos."""
+    dampings, springs = list(passive["damping"]), list(passive["stiffness"])
+    for actuator, (gain, bias) in zip(actuators, laws, strict=True):
+        j, square = actuator.joint, actuator.gear**2
+        control = max(abs(actuator.low), abs(actuator.high))
+        for kind, i in ((springs, 1), (dampings, 2)):
+            size = _size(bias[i])
+            if math.isfinite(control):
+                size = add(size, mul(control, _size(gain[i])))
+            kind[j] = add(kind[j], mul(square, size))
+    return dampings, springs
+
+
+def longest_step(tree: Tree, armatures: Sequence[float], laws: Sequence[Law]) -> float:
+    """Longest Runge-Kutta step [s] for the fastest small motion of a tree, over random poses.
+
+    The motion about a pose is M q'' + D q' + K q = 0, with the springs and the servos in K and D. Where the imaginary
+    part of an eigenvalue is the larger one the motion swings, and a step turns it by at most `SWING`. Else it fades,
+    and a step must only be stable.
+
+    Args:
+        tree: The tree.
+        armatures: Of each joint, with what is added.
+        laws: Gain and bias of each actuator.
+    """
+    passive = {kind: [getattr(joint, kind) for joint in tree.joints] for kind in ("damping", "stiffness")}
+    damping, stiffness = (np.array(x, dtype=float) for x in resistances(tree.actuators, passive, laws))
+    inverse, size = _inverses(tree, armatures), len(tree.joints)
+    matrix = np.zeros((len(inverse), 2 * size, 2 * size))
+    matrix[:, :size, size:] = np.eye(size)
+    matrix[:, size:, :size] = -inverse * (stiffness + _weights(tree))
+    matrix[:, size:, size:] = -inverse * damping
+    values = np.linalg.eigvals(matrix)
+    swings = np.abs(values.imag) > np.abs(values.real)
+    turn = float(np.abs(values[swings]).max(initial=0.0)) / SWING
+    fade = float(np.abs(values).max(initial=0.0)) / FADE
+    return 1.0 / max(turn, fade, 1e-3)
+
+
+def _inverses(tree: Tree, armatures: Sequence[float]) -> np.ndarray:
+    """(n, J, J) inverse mass matrices over random poses."""
+    poses = random_poses(tree)
+    rows = inverse_mass(tree.joints, link_inertias(tree, {}), armatures, poses)
+    return torch.stack([torch.stack(row, -1) for row in rows], -2).numpy()
+
+
+def _weights(tree: Tree) -> np.ndarray:
+    """(J,) largest stiffness that gravity gives a joint [N m/rad]: at most its largest torque."""
+    poses = random_poses(tree)
+    still = [torch.zeros_like(poses[0])] * len(tree.joints)
+    torques = bias_forces(tree.joints, link_inertias(tree, {}), tree.gravity, poses, still)
+    sizes = [float(torch.as_tensor(_size(torque)).max()) for torque in torques]
+    return np.array([0.0 if j.slides else size for j, size in zip(tree.joints, sizes, strict=True)])
+
+
+def _size(x: Scalar) -> Scalar:
+    return abs(x)
+
+
+def _larger(a: Scalar, b: Scalar) -> Scalar:
+    if not isinstance(a, Tensor):
+        a, b = b, a
+    if not isinstance(a, Tensor):
+        return max(a, b)
+    return torch.maximum(a, b) if isinstance(b, Tensor) else a.clamp(min=b)

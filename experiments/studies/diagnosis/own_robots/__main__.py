@@ -1,0 +1,192 @@
+"""Study: diagnose logs of robots that nobody wrote by hand, simulated by MuJoCo.
+
+python -m experiments.studies.diagnosis.own_robots --out results/diagnose/own_robots --hidden 40 --healthy 20
+
+Each case is a log, a sidecar and an MJCF, and is diagnosed by `deepkoco diagnose LOG --system MODEL.xml` in a process
+of its own. Rows are kept in cases.csv; a case that has a row is not run again. After `--most` minutes no further case
+begins. Hidden and healthy cases take turns, so that any beginning of the study is a fair part of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from deepkoco.output.versions import versions
+from deepkoco.output.whole_file import write_whole_text
+from experiments.studies.diagnosis.own_robots.cases import Case, draw_case, right_names
+
+COLUMNS = (
+    "case",
+    "robot",
+    "kind",
+    "joint",
+    "size",
+    "strength",
+    "verdict",
+    "first",
+    "class",
+    "right",
+    "further",
+    "cpu_s",
+    "wall_s",
+    "note",
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what is missing, and print the counts."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--hidden", type=int, default=40, help="logs with one hidden effect (default 40)")
+    parser.add_argument("--healthy", type=int, default=20, help="logs of healthy units (default 20)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of a log (default 20)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--limit", type=float, default=3600.0, help="seconds after which a case is given up")
+    parser.add_argument("--most", type=float, default=1e9, help="minutes after which no further case begins")
+    parser.add_argument(
+        "--joints", type=int, nargs="+", metavar="N", help="only robots with so many joints; the others wait"
+    )
+    args = parser.parse_args(arguments)
+    (args.out / "logs").mkdir(parents=True, exist_ok=True)
+    table, began = args.out / "cases.csv", time.monotonic()
+    rows = _read(table)
+    done = {int(row["case"][:2]) for row in rows}
+    for index, healthy in enumerate(order(args.hidden, args.healthy)):
+        if index in done or time.monotonic() - began > 60.0 * args.most:
+            continue
+        case = draw_case(index, args.seed, args.seconds, healthy)
+        if args.joints and case.joints not in args.joints:
+            continue
+        rows.append(run_case(case, args.out, args.seconds, args.limit))
+        rows.sort(key=lambda row: row["case"])
+        _write(table, rows)
+        write_whole_text(args.out / "summary.json", json.dumps(summary(rows, args), indent=1) + "\n")
+        sys.stdout.write(" ".join(str(rows[-1][c]) for c in COLUMNS[:12]) + "\n")
+        sys.stdout.flush()
+    sys.stdout.write(json.dumps(counts(rows)) + "\n")
+    return 0
+
+
+def order(hidden: int, healthy: int) -> list[bool]:
+    """Whether each case is healthy: healthy ones are spread evenly among the others."""
+    total = hidden + healthy
+    return [(k + 1) * healthy // total > k * healthy // total for k in range(total)]
+
+
+def run_case(case: Case, out: Path, seconds: float, limit: float) -> dict[str, Any]:
+    """Diagnose one case as a user would, and compare with what is hidden."""
+    log = case.write(out / "logs", seconds)
+    command = [
+        sys.executable,
+        "-m",
+        "deepkoco.cli",
+        "diagnose",
+        str(log),
+        "--system",
+        str(log.with_suffix(".xml")),
+    ]
+    command += ["--json", "--out", str(out / "reports" / case.name)]
+    (out / "reports").mkdir(exist_ok=True)
+    spent, began = _children(), time.monotonic()
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=limit, check=False, env=os.environ
+        )
+        answer = json.loads(done.stdout) if done.returncode in (0, 3) else None
+        note = "" if answer else (done.stderr.strip().splitlines() or ["no message"])[-1]
+    except subprocess.TimeoutExpired:
+        answer, note = None, f"given up after {limit:g} s"
+    hidden = case.hidden
+    row = {
+        "case": case.name,
+        "robot": case.robot.name,
+        "kind": hidden.kind if hidden else "",
+        "joint": hidden.joint if hidden else "",
+        "size": f"{hidden.size:.6g}" if hidden else "",
+        "strength": f"{case.strength:.4g}",
+        "cpu_s": round(_children() - spent, 1),
+        "wall_s": round(time.monotonic() - began, 1),
+        "note": note,
+    }
+    return row | judge(case, answer)
+
+
+def judge(case: Case, answer: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Whether the first named cause has the right one in its class, and what else is named.
+
+    Args:
+        case: The case.
+        answer: report.json; None where there is none.
+    """
+    causes = [] if answer is None or answer["verdict"] == "unknown" else answer["causes"]
+    members = list(causes[0]["class"]) if causes else []
+    members += [f"changed({m['name']})" for m in causes[0].get("same_as", [])] if causes else []
+    wanted = right_names(case)
+    right = bool(wanted & set(members)) if wanted else not causes
+    return {
+        "verdict": "none" if answer is None else answer["verdict"],
+        "first": causes[0]["name"] if causes else "",
+        "class": ";".join(members),
+        "right": int(right and answer is not None),
+        "further": ";".join(cause["name"] for cause in causes[1:]),
+    }
+
+
+def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Counts over the cases so far."""
+    hidden = [r for r in rows if r["kind"]]
+    healthy = [r for r in rows if not r["kind"]]
+    cpu = sorted(float(r["cpu_s"]) for r in rows)
+    return {
+        "hidden": len(hidden),
+        "in_class": sum(int(r["right"]) for r in hidden),
+        "nothing_further": sum(int(r["right"]) and not r["further"] for r in hidden),
+        "unknown": sum(r["verdict"] == "unknown" for r in hidden),
+        "healthy": len(healthy),
+        "healthy_named": sum(r["verdict"] in ("cause", "ambiguous") for r in healthy),
+        "healthy_unknown": sum(r["verdict"] == "unknown" for r in healthy),
+        "median_cpu_s": cpu[len(cpu) // 2] if cpu else None,
+    }
+
+
+def summary(rows: Sequence[Mapping[str, Any]], args: argparse.Namespace) -> dict[str, Any]:
+    """Counts, with what is needed to run the study again."""
+    settings = {n: getattr(args, n) for n in ("hidden", "healthy", "seconds", "seed", "limit")}
+    return {**counts(rows), "settings": settings, "versions": versions()}
+
+
+def _children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _read(table: Path) -> list[dict[str, Any]]:
+    if not table.exists():
+        return []
+    with table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _write(table: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole_text(table, text.getvalue())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

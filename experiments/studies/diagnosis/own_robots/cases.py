@@ -1,0 +1,114 @@
+"""Cases of the study: which robot, what is hidden in it, and which names say so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from tests.oracle.mujoco_doses import COARSE, dosed, strength
+from tests.oracle.mujoco_robots import Robot, draw_robot
+from tests.oracle.mujoco_unit import KINDS, Hidden, joint_names, record
+
+WEAKEST, STRONGEST = 2.0, 6.0  # doses
+LEAST_STRENGTH = 3.0  # ES below which an effect is drawn again
+TRIES = 20
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log of the study.
+
+    Attributes:
+        index: Number in the study.
+        seed: Of robot, unit, excitation and noise.
+        robot: The model as the user has it.
+        hidden: The effect; None for a healthy unit.
+        strength: Its ES; 0 for a healthy unit.
+    """
+
+    index: int
+    seed: int
+    robot: Robot
+    hidden: Hidden | None
+    strength: float
+
+    @property
+    def name(self) -> str:
+        """Name of its files."""
+        what = "healthy" if self.hidden is None else f"{self.hidden.kind}_{self.hidden.joint}"
+        return f"{self.index:02d}_{self.robot.name}_{what}"
+
+    @property
+    def joints(self) -> int:
+        """Number of joints of the robot."""
+        return len(joint_names(mujoco.MjModel.from_xml_string(self.robot.xml)))
+
+    def write(self, folder: Path, seconds: float) -> Path:
+        """Record the log and write it with its sidecar and its model; return the path of the log."""
+        return record(self.robot, self.hidden, self.seed, seconds).write(folder, self.name)
+
+
+def draw_case(index: int, seed: int, seconds: float, healthy: bool) -> Case:
+    """Draw a case; the same numbers give the same case, whatever was drawn before.
+
+    An effect that the log hardly shows, as a zero error of a joint that gravity does not load, is drawn again.
+    """
+    own = 1000 * seed + index
+    rng = np.random.default_rng([own, 21])
+    robot = draw_robot(rng)
+    if healthy:
+        return Case(index, own, robot, None, 0.0)
+    joints = joint_names(mujoco.MjModel.from_xml_string(robot.xml))
+    for _ in range(TRIES):
+        kind, joint = str(rng.choice(KINDS)), str(rng.choice(joints))
+        if robot.name == "cart_pole" and joint == "pivot" and kind in ("gain", "delay", "torque_bias"):
+            continue  # nothing drives the pole
+        hidden = dosed(robot, kind, joint, float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST)))))
+        found = strength(record(robot, hidden, own, seconds, step=COARSE), own)
+        if found > LEAST_STRENGTH:
+            return Case(index, own, robot, hidden, found)
+    raise ValueError(f"case {index}: none of {TRIES} effects can be seen on {robot.name}")
+
+
+def right_names(case: Case) -> frozenset[str]:
+    """Names of the package that say what is hidden in a case; empty for a healthy unit."""
+    if case.hidden is None:
+        return frozenset()
+    model = mujoco.MjModel.from_xml_string(case.robot.xml)
+    joint = case.hidden.joint
+    body = model.body(model.joint(joint).bodyid[0]).name
+    drives = [
+        model.actuator(k).name
+        for k in range(model.nu)
+        if model.joint(model.actuator_trnid[k, 0]).name == joint
+    ]
+    servo = case.robot.drive == "position"
+    changed = {
+        "frictionloss": [f"frictionloss({joint})"],
+        # The rate term of a servo acts as damping of its joint does.
+        "damping": [f"damping({joint})", *(f"kv({a})" for a in drives if servo)],
+        "armature": [f"armature({joint})"],
+        "payload": [f"mass({body})"],
+        "gain": [f"{'kp' if servo else 'gain'}({a})" for a in drives],
+        "spring": [f"stiffness({joint})"],
+    }
+    effects = {
+        "frictionloss": ["coulomb"],
+        "damping": ["viscous"],
+        "gain": ["gain"],
+        "torque_bias": ["torque_bias"],
+        "delay": ["actuation_delay"],
+        "sensor_bias": ["sensor_bias"],
+        "sensor_scale": ["sensor_scale"],
+        "spring": ["spring"],
+        "armature": ["armature"],
+    }
+    kind = case.hidden.kind
+    names = {f"changed({p})" for p in changed.get(kind, [])}
+    names |= {f"{effect}({joint})" for effect in effects.get(kind, [])}
+    if kind == "payload":
+        names |= {"payload", f"payload({body})"}
+    return frozenset(names)

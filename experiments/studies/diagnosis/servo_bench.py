@@ -1,0 +1,170 @@
+"""Study: a real Dynamixel XL330 on a pendulum of known mass; its servo gain is found in a log against healthy logs.
+
+python -m experiments.studies.diagnosis.servo_bench --data FOLDER [--held sin_sin]
+
+Healthy are the logs at gain 100; diagnosed are a log at gain 200 and, as a control, a log at gain 100 that the healthy
+ones leave out. FOLDER holds kp100_*.csv and kp200_*.csv with t, position, goal_position, torque_enable, input_volts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.diagnose import Diagnosis, diagnose
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.report.text import headline
+from deepkoco.logs.recording import Recording, read_log
+from deepkoco.systems import drawing
+from deepkoco.systems.joint import angle_channel
+from deepkoco.systems.servo import Servo
+from deepkoco.systems.system import Acceleration, Channel, Delivery, Motion, Parameter, Parameters, System
+
+MASS, LENGTH, GRAVITY, VOLTS = 0.49, 0.1, 9.81, 7.4
+# PWM per encoder tick and gain is 1 / 128 of 885 units, a turn has 4096 ticks (data sheet of the XL330).
+SHARE_PER_GAIN = 4096 / (2 * np.pi) / 128 / 885  # of the full voltage, per rad and unit of the gain
+MOTIONS = ("sin_sin", "sin_time_square", "up_and_down", "lift_and_drop")
+
+
+class Xl330Bench(System):
+    """(m l^2 + J) theta'' = servo(q) - m g l sin(theta) - b theta' - (c + a |load|) sign(theta'), theta = 0 hanging."""
+
+    name, joints = "xl330_bench", 1
+    state_names, state_units = ("theta", "omega"), ("rad", "rad/s")
+    load_scale = MASS * GRAVITY * LENGTH
+
+    def __init__(self) -> None:
+        self.parameters = (
+            Parameter("servo_gain", 100.0, "1", 10.0, 1000.0, 1.0, "k, set in the drive"),
+            Parameter("stall_torque", 0.6, "N m", 0.1, 3.0, 0.3, "at full voltage"),
+            Parameter("back_emf", 0.06, "N m s/rad", 0.0, 1.0, 0.05, "k_e"),
+            Parameter("armature", 1e-3, "kg m2", 1e-6, 0.02, 1e-3, "J, behind the gear"),
+            Parameter("viscous", 0.01, "N m s/rad", 0.0, 0.5, 0.01, "b"),
+            Parameter("dry_friction", 0.02, "N m", 0.0, 0.5, 0.02, "c"),
+        )
+        self.measurements = (angle_channel(0.0005, zero_sd=0.01),)
+
+    @property
+    def commands(self) -> tuple[Channel, ...]:
+        return (
+            Channel("goal", "rad", "command", -3.2, 3.2, description="goal of the servo"),
+            Channel("enable", "1", "command", 0.0, 1.0, description="1 while on", default=1.0),
+            Channel("supply", "V", "command", 0.0, 12.0, description="supply voltage", default=VOLTS),
+        )
+
+    command_joints = (0,)
+    measured_states = (0,)
+
+    def ideal_measurement(self, state: Tensor) -> Tensor:
+        return state[..., :1]
+
+    @property
+    def delivered_scales(self) -> tuple[tuple[float, str], ...]:
+        return ((self.load_scale, "N m"),)
+
+    def delivery(self, parameters: Parameters) -> Delivery:
+        p = parameters
+        stall = p["stall_torque"]
+
+        def deliver(motion: Motion) -> tuple[Tensor, ...]:
+            goal, enable, volts = motion.efforts
+            servo = Servo(SHARE_PER_GAIN * p["servo_gain"] * stall, 0.0, stall, p["back_emf"], volts / VOLTS)
+            return (servo.torque(goal, motion.angles[0], motion.speeds[0], enable),)
+
+        return deliver
+
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        p, deliver = parameters, self.delivery(parameters)
+        mass = MASS + p.get("payload", 0.0)
+
+        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            torque = deliver(motion)[0] - mass * GRAVITY * LENGTH * torch.sin(motion.angles[0])
+            torque = torque - p["viscous"] * motion.speeds[0]
+            if motion.smoothing is not None:
+                torque = torque - p["dry_friction"] * torch.tanh(motion.speeds[0] / motion.smoothing[0])
+            if motion.loads is not None and motion.loads[0] is not None:
+                torque = torque + motion.loads[0]
+            return (torque / (mass * LENGTH**2 + p["armature"]),)
+
+        return acceleration
+
+    def dry_friction_limits(self, parameters: Parameters) -> tuple[Tensor, ...]:
+        return (parameters["dry_friction"],)
+
+    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        theta, omega = state.unbind(-1)
+        smooth = (torch.full_like(omega, self.smoothing_speeds[0]),)
+        motion = Motion((theta,), (omega,), tuple(effort.unbind(-1)), smoothing=smooth)
+        return torch.stack(torch.broadcast_tensors(omega, *self.accelerations(parameters)(motion)), -1)
+
+    def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
+        return {**parameters, "payload": mass}
+
+    def draw_on(
+        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
+    ) -> None:
+        drawing.draw_point_mass(image, float(measurement[0]) - np.pi)
+
+
+def read(folder: Path, gain: int, motion: str) -> Recording:
+    """One log of the bench."""
+    columns = {
+        "goal": ("goal_position", "rad", "command"),
+        "enable": ("torque_enable", "1", "command"),
+        "supply": ("input_volts", "V", "command"),
+        "theta": ("position", "rad", "measurement"),
+    }
+    channels = {name: dict(zip(("column", "unit", "kind"), c, strict=True)) for name, c in columns.items()}
+    mapping = {"time": {"column": "t", "unit": "s"}, "channels": channels}
+    return read_log(folder / f"kp{gain}_{motion}.csv", mapping, allow_constant_command=True)
+
+
+def summary(result: Diagnosis) -> dict:
+    """Headline, causes and residuals."""
+    return {
+        "verdict": result.verdict,
+        "headline": headline(result),
+        "causes": [
+            {
+                "class": list(c.members),
+                "given": c.given,
+                "parameters": {n: [e.value, e.low, e.high] for n, e in c.parameters.items()},
+            }
+            for c in result.causes
+        ],
+        "chi2": [result.chi2_before, result.chi2_after],
+        "doubts": result.unexplained["doubts"],
+        "best": [[c.name, round(c.delta_bic, 1)] for c in result.candidates[:5]],
+        "healthy_effects": result.data["healthy"]["effects"],
+        "refit": {n: e.value for n, e in result.refit.items()},
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--held", choices=MOTIONS, default="sin_sin", help="motion of the diagnosed logs")
+    parser.add_argument("--gains", type=int, nargs="+", default=[200, 100])
+    parser.add_argument("--window", type=float, default=1.0, help="length of a window [s]")
+    args = parser.parse_args()
+    healthy = [read(args.data, 100, motion) for motion in MOTIONS if motion != args.held]
+    system = Xl330Bench()
+    began = time.process_time()
+    baseline = learn_baseline(healthy, system, args.window)
+    for gain in args.gains:
+        log = read(args.data, gain, args.held)
+        result = diagnose([log], system, baseline=baseline, window=args.window)
+        seconds = round(time.process_time() - began, 1)
+        print(json.dumps({"gain": gain, "motion": args.held, **summary(result), "cpu_s": seconds}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

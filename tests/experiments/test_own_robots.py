@@ -1,0 +1,80 @@
+"""The study of robots of MuJoCo: fair order, the same case for the same numbers, and the judgement of a report."""
+
+import numpy as np
+import pytest
+
+from experiments.studies.diagnosis.own_robots.__main__ import counts, judge, order
+from experiments.studies.diagnosis.own_robots.cases import Case, draw_case, right_names
+from tests.oracle.mujoco_robots import cart_pole, random_arm
+from tests.oracle.mujoco_unit import Hidden
+
+
+def case(kind="damping", joint="j2", drive="position") -> Case:
+    robot = random_arm(np.random.default_rng(0), 3, drive)
+    return Case(0, 0, robot, Hidden(kind, joint, 0.1), 10.0)
+
+
+def named(*classes, verdict="cause", same=()):
+    causes = [{"name": names[0], "class": list(names)} for names in classes]
+    if causes and same:
+        causes[0]["same_as"] = [{"name": name} for name in same]
+    return {"verdict": verdict, "causes": causes}
+
+
+@pytest.mark.parametrize(("hidden", "healthy"), [(40, 20), (3, 3), (5, 0)])
+def test_every_beginning_of_the_study_has_its_share_of_healthy_cases(hidden, healthy):
+    listed = order(hidden, healthy)
+    assert sum(listed) == healthy
+    for k in range(len(listed)):
+        assert abs(sum(listed[:k]) - k * healthy / len(listed)) <= 1.0
+
+
+def test_a_case_is_the_same_whatever_was_drawn_before():
+    first, again = draw_case(7, 0, 4.0, healthy=False), draw_case(7, 0, 4.0, healthy=False)
+    assert first == again
+    assert draw_case(8, 0, 4.0, healthy=True).hidden is None
+
+
+@pytest.mark.parametrize(
+    ("answer", "right"),
+    [
+        (named(["viscous(j2)"]), True),
+        (named(["viscous(j1)"]), False),
+        (named(["gain(j2)", "viscous(j2)"], verdict="ambiguous"), True),
+        (named(["changed(com_x(link2))"], same=["damping(j2)"]), True),
+        (named(["coulomb(j2)"], ["viscous(j2)"]), False),
+        (named(["viscous(j2)"], verdict="unknown"), False),
+        (None, False),
+    ],
+)
+def test_a_hidden_effect_counts_where_the_first_cause_has_it_in_its_class(answer, right):
+    assert judge(case(), answer)["right"] == int(right)
+
+
+def test_a_healthy_unit_counts_where_nothing_is_named():
+    robot = cart_pole(np.random.default_rng(0))
+    healthy = Case(0, 0, robot, None, 0.0)
+    assert judge(healthy, named(verdict="nothing"))["right"] == 1
+    assert judge(healthy, named(["coulomb(slider)"]))["right"] == 0
+
+
+def test_names_of_an_effect_are_those_at_its_own_joint_body_and_actuator():
+    assert right_names(case("gain")) == {"gain(j2)", "changed(kp(m2))"}
+    assert right_names(case("gain", drive="motor")) == {"gain(j2)", "changed(gain(m2))"}
+    assert "changed(mass(link3))" in right_names(case("payload", "j3"))
+
+
+def test_counts_tell_apart_what_is_wrong_and_what_is_not_named():
+    rows = [
+        {"kind": "gain", "right": "1", "further": "", "verdict": "cause", "cpu_s": "3"},
+        {"kind": "gain", "right": "0", "further": "", "verdict": "unknown", "cpu_s": "5"},
+        {"kind": "", "right": "1", "further": "", "verdict": "nothing", "cpu_s": "1"},
+        {"kind": "", "right": "0", "further": "", "verdict": "cause", "cpu_s": "9"},
+    ]
+    found = counts(rows)
+    assert (found["in_class"], found["unknown"], found["healthy_named"], found["median_cpu_s"]) == (
+        1,
+        1,
+        1,
+        5.0,
+    )

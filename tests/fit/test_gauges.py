@@ -1,0 +1,118 @@
+"""Scale gauges of a motor: what multiplies out of the data is found, and one parameter fixes it."""
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
+from deepkoco.fit import fit
+from deepkoco.fit.data.windows import cut_windows
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems.joint import angle_channel
+from deepkoco.systems.system import Channel, Parameter, System
+
+
+class Motor(System):
+    """J theta'' = K / R (u - K theta') - b theta': of K, R, J, b the log gives two numbers."""
+
+    name, joint_units = "motor", ("rad",)
+    commands = (Channel("voltage", "V", "command", -12.0, 12.0),)
+    measurements = (angle_channel(0.001),)
+    measured_states = (0,)
+    load_scale = 0.3
+
+    def __init__(self, spread=0.3) -> None:
+        def own(name, value, unit, share=spread):
+            return Parameter(name, value, unit, 0.01 * value, 100.0 * value, share * value, name)
+
+        self.parameters = (
+            own("constant", 0.05, "N m/A", 0.5 * spread),
+            own("resistance", 2.0, "ohm"),
+            own("inertia", 5e-4, "kg m2"),
+            own("viscous", 2e-3, "N m s/rad"),
+        )
+
+    def ideal_measurement(self, state):
+        return state[..., :1]
+
+    def accelerations(self, parameters):
+        p = parameters
+
+        def acceleration(motion):
+            (speed,), (voltage,) = motion.speeds, motion.efforts
+            torque = (
+                p["constant"] / p["resistance"] * (voltage - p["constant"] * speed) - p["viscous"] * speed
+            )
+            return ((torque + motion.load(0)) / p["inertia"],)
+
+        return acceleration
+
+
+@pytest.fixture(scope="module")
+def log():
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 8.0, 0.01)
+    voltage = np.repeat(rng.uniform(-6.0, 6.0, 40), 20)
+    gain, damping = 0.05 / 2.0 / 5e-4, (0.05**2 / 2.0 + 2e-3) / 5e-4
+    angle, theta, omega = [], 0.0, 0.0
+    for u in voltage:  # exact for a constant voltage
+        angle.append(theta)
+        steady, decay = gain * u / damping, np.exp(-0.01 * damping)
+        theta += steady * 0.01 + (omega - steady) * (1.0 - decay) / damping
+        omega = steady + (omega - steady) * decay
+    shown = np.array(angle) + rng.normal(0.0, 0.001, len(t))
+    return Recording(
+        {"voltage": Series(t, voltage, "V", "command"), "theta": Series(t, shown, "rad", "measurement")}
+    )
+
+
+@pytest.fixture(scope="module")
+def fixed(log):
+    system = Motor()
+    windows = cut_windows([log], system, 1.0)
+    return with_gauges_fixed(baseline_from(system, windows), windows)
+
+
+def test_four_constants_of_a_motor_have_two_gauges(fixed):
+    # The log gives K / (R J) and (b + K^2 / R) / J.
+    first, second = fixed.gauges
+    assert first.fixed == "constant"
+    known = {p.name: p.value for p in Motor().parameters}
+    k2r = known["constant"] ** 2 / known["resistance"]
+    total = k2r + known["viscous"]
+    for gauge in (first, second):
+        e = {n: gauge.exponents.get(n, 0.0) for n in known}
+        assert e["constant"] - e["resistance"] - e["inertia"] == pytest.approx(0.0, abs=1e-3)
+        friction = (2.0 * e["constant"] - e["resistance"]) * k2r + e["viscous"] * known["viscous"]
+        assert friction / total - e["inertia"] == pytest.approx(0.0, abs=1e-3)
+    assert "ohmmeter" in first.text or "ohmmeter" in second.text
+
+
+def test_fixed_parameter_keeps_its_value_and_the_others_get_ratios(fixed):
+    sd = dict(zip(fixed.prior.names, np.sqrt(np.diag(fixed.prior.covariance)), strict=True))
+    tight = {n for n, s in sd.items() if s < 1e-3 * fixed.values[n]}
+    assert tight == {g.fixed for g in fixed.gauges}
+
+
+def test_tight_priors_are_left_alone(log):
+    system = Motor(spread=0.01)
+    windows = cut_windows([log], system, 1.0)
+    start = baseline_from(system, windows)
+    assert with_gauges_fixed(start, windows) is start
+
+
+def test_fit_reports_gauges_of_what_it_frees(log):
+    found = fit([log], Motor(), ["constant", "inertia", "viscous"])
+    (gauge,) = found.gauges
+    assert set(gauge.exponents) == {"constant", "inertia", "viscous"}
+    assert found.to_json()["scale_gauges"][0]["fixed"] == "constant"
+    assert fit([log], Motor(), ["inertia", "viscous"]).gauges == ()
+
+
+def test_diagnosis_says_which_measurement_settles_the_scale(log):
+    result = diagnose([log], Motor(), window=1.0, only=["coulomb"])
+    assert result.verdict == "nothing"
+    assert len(result.unexplained["scale_gauges"]) == 2
+    assert any("One measurement settles it" in text for text in result.advice)
+    assert torch.isfinite(torch.tensor(result.chi2_before))
