@@ -13,6 +13,8 @@ from deepkoco.systems import System
 
 MIN_TRAINING_WINDOWS = 4
 HELD_OUT = 4  # without hold-out logs, one window in four is held out
+# Mean squared difference of windows one stride apart over that of any two: a log below it repeats with the stride.
+REPEATED = 0.2
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,45 @@ def cut_data(
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
     order = np.cumsum(moves) - 1  # among the windows that are used
     enough = moves.sum() >= MIN_TRAINING_WINDOWS + 2
-    keep_back = moves & (order % HELD_OUT == HELD_OUT - 1) & (not holdout) & enough
+    keep_back = moves & _held_out(windows, order) & (not holdout) & enough
     train = windows.take(moves & ~keep_back)
     if holdout:
         held = cut_windows(holdout, system, length, estimate_channels(holdout, system), cover=True)
     else:
         held = windows.take(moves & keep_back) if keep_back.any() else None
     return Data(train, held, int((~moves).sum()), not holdout)
+
+
+def _held_out(windows: Windows, order: np.ndarray) -> np.ndarray:
+    """Choose the windows to hold out.
+
+    A log often repeats one motion. Where its period is as long as ``HELD_OUT`` windows, every held-out window would
+    show the same phase, and no training window would. Then the place in each group moves on from group to group.
+
+    Args:
+        windows: All windows.
+        order: (W,) number of each window among those that are used.
+    """
+    step = np.zeros(len(order), dtype=int)
+    if len(windows) and _repeats(windows, HELD_OUT):
+        step = order // HELD_OUT
+    return order % HELD_OUT == (HELD_OUT - 1 - step) % HELD_OUT
+
+
+def _repeats(windows: Windows, stride: int) -> bool:
+    """Return whether windows a stride apart in the same log show nearly the same motion."""
+    apart, alike = 0.0, 0.0
+    for c in range(windows.value.shape[1]):
+        samples = int(windows.valid[:, c].sum(-1).min()) if len(windows) else 0
+        if samples == 0:
+            continue
+        value = windows.value[:, c, :samples].numpy()
+        spread = float(value.var())
+        same = windows.log[stride:] == windows.log[:-stride]
+        if spread > 0.0 and same.any():
+            apart += 1.0
+            alike += float(((value[stride:] - value[:-stride])[same] ** 2).mean()) / (2.0 * spread)
+    return apart > 0.0 and alike / apart < REPEATED
 
 
 def describe_data(recordings: Sequence[Recording], data: Data) -> dict:

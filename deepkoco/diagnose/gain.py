@@ -42,7 +42,7 @@ class Gain:
 
     Attributes:
         channels: Errors by channel.
-        reduction: 1 - extended / refit of the first channel.
+        reduction: 1 - extended / refit, of the first channel of every joint together, each in units of its noise.
         low: Lower end of its 95 % interval, bootstrap over windows.
         high: Upper end.
         windows: Number of held-out windows.
@@ -168,8 +168,7 @@ def _measured(system: ExtendedSystem, windows: Windows, fits: Mapping[str, Fit],
             channels.append(
                 ChannelGain(channel.name, channel.unit, rms["baseline"], rms["refit"], rms["extended"])
             )
-    first = next(c for c in range(valid.shape[1]) if valid[:, c].any())
-    square = {name: (e[:, first] ** 2).sum(1) for name, e in error.items()}
+    square = {name: _judged(system, fit.residual.numpy(), valid) for name, fit in fits.items()}
     rng = np.random.default_rng(seed)
     picks = rng.integers(0, len(windows), (RESAMPLES, len(windows)))
     ratio = np.sqrt(square["extended"][picks].sum(1) / square["refit"][picks].sum(1).clip(1e-300))
@@ -185,7 +184,7 @@ def _measured(system: ExtendedSystem, windows: Windows, fits: Mapping[str, Fit],
                 curves[name][channel.name] = np.array([_rms(e[:, c], m) for m in inside])
     return Gain(
         tuple(channels),
-        1.0 - channels[0].extended / max(channels[0].refit, 1e-300),
+        float(1.0 - np.sqrt(square["extended"].sum() / max(square["refit"].sum(), 1e-300))),
         float(low),
         float(high),
         len(windows),
@@ -195,6 +194,21 @@ def _measured(system: ExtendedSystem, windows: Windows, fits: Mapping[str, Fit],
         windows,
         dict(fits),
     )
+
+
+def _judged(system: ExtendedSystem, residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Squared errors of each window (W,), in noise variances, that the reduction compares.
+
+    Each joint counts with its first measured channel: a cause at one joint may leave all others as they are. A system
+    whose channels show no joint counts with its first channel.
+    """
+    shown = [c for c in range(valid.shape[1]) if valid[:, c].any()]
+    first: dict[int, int] = {}
+    for c in shown:
+        state = system.measured_states[c]
+        first.setdefault(state % system.joints if state < 2 * system.joints else 0, c)
+    chosen = sorted(first.values())
+    return (residual[:, chosen] ** 2 * valid[:, chosen]).sum((1, 2))
 
 
 def note_on_gain(named: Sequence[str], learned: bool, as_given: bool = False) -> str:

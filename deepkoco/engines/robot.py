@@ -139,7 +139,9 @@ def register_object(thing: EngineObject, name: str | None = None) -> EngineObjec
     """
     own = name or (thing.system if isinstance(thing, RobotObject) else None)
     if own is None:
-        raise EngineError(f"a {type(thing).__name__} has no name of its own; give one: register_object(thing, name)")
+        raise EngineError(
+            f"a {type(thing).__name__} has no name of its own; give one: register_object(thing, name)"
+        )
     if OBJECTS.get(own, thing) != thing:
         raise EngineError(f'there is an object "{own}" already; give another name')
     OBJECTS[own] = thing

@@ -12,7 +12,7 @@ from deepkoco.engines.mjcf_object import MjcfObject
 from deepkoco.engines.mjcf_world import MjcfSensor, MjcfWorld
 from deepkoco.engines.mujoco_world import MujocoWorld, import_mujoco
 from deepkoco.engines.ode import World
-from deepkoco.engines.robot import OBJECTS
+from deepkoco.engines.robot import OBJECTS, RobotObject
 from deepkoco.engines.scene import Scene
 from deepkoco.engines.sensor import Sensor
 from deepkoco.graph import Node
@@ -85,12 +85,15 @@ class MujocoEngine(Engine):
             raise EngineError(
                 f"mujoco: its model of {system.name} has no effects; use the ode engine for an extended system"
             )
-        if system.name not in OBJECTS or not isinstance(system, JointSystem):
-            raise EngineError(f"mujoco: no model of {system.name}; there are {', '.join(OBJECTS)}")
+        known = OBJECTS.get(system.name)
+        if not isinstance(known, RobotObject) or not isinstance(system, JointSystem):
+            raise EngineError(
+                f"mujoco: no model of {system.name}; there are {', '.join(OBJECTS)}, and any MJCF or URDF file"
+            )
         import_mujoco()  # what is missing is told before anything runs
         world = MujocoWorld(
             system,
-            OBJECTS[system.name].body,
+            known.body,
             self.world_rate,
             self.time_step,
             self.command_limit,

@@ -12,9 +12,10 @@ from torch import Tensor
 from deepkoco.fit.data.windows import Windows, halved
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem, channel_delays
-from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch, state_steps
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
+from deepkoco.fit.tangent import state_steps
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
 

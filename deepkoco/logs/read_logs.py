@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from deepkoco.logs.formats.recordings import recordings
 from deepkoco.logs.recording import Recording, read_log
-from deepkoco.systems import System, any_system
+
+if TYPE_CHECKING:
+    from deepkoco.systems import System
 
 Logs = Recording | str | Path | Sequence[Recording | str | Path]
 """What functions take as logs: a recording, the path of a log or of a folder of logs, or a sequence of both."""
@@ -35,6 +37,8 @@ def read_logs(
         LogError: a log cannot be used, or a folder contains none.
         UnknownSystemError: there is no such system.
     """
+    from deepkoco.systems import any_system
+
     given = [logs] if isinstance(logs, Recording | str | Path) else list(logs)
     result: list[Recording] = []
     for log in given:

@@ -13,6 +13,9 @@ from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
 FAR = 5.0  # values farther than this many ranges from the others are taken as missing
+JUMP = 0.5  # step to or from a far value, relative to its distance from the others, from which it is a jump
+GAPLESS = 1.5  # values whose distances grow by at most this factor go on from each other
+FEWEST_IN_ROW = 10  # far values that may go on from the others; fewer are glitches
 LATEST = 1e11  # latest plausible time stamp [s since 1970], about the year 5000
 
 
@@ -224,7 +227,7 @@ def counting_column(log: LogFile, topic: str, resets: np.ndarray) -> str | None:
 
 
 def far_values(value: np.ndarray) -> np.ndarray:
-    """(n,) True for values that are more than `FAR` ranges away from all others (glitches)."""
+    """(n,) True for values that are more than `FAR` ranges away from all others, and reached by a jump (glitches)."""
     finite = value[np.isfinite(value)]
     if len(finite) < 20:
         return np.zeros(len(value), dtype=bool)
@@ -233,7 +236,43 @@ def far_values(value: np.ndarray) -> np.ndarray:
     if reach == 0 or not np.isfinite(reach):
         return np.abs(np.nan_to_num(value, nan=0.0)) > 1e6 * max(abs(float(high)), 1.0)
     with np.errstate(invalid="ignore"):
-        return np.isfinite(value) & ((value < low - reach) | (value > high + reach))
+        far = np.isfinite(value) & ((value < low - reach) | (value > high + reach))
+    if not far.any():
+        return far
+    distance = np.maximum(value - high, low - value)
+    limit = _reached(distance[far], float(reach))
+    return _without_motions(value, far & (distance > limit), float(low), float(high))
+
+
+def _reached(distances: np.ndarray, reach: float) -> float:
+    """Distance up to which far values go on from the others without a gap, as the speeds of short motions do.
+
+    Args:
+        distances: distances of the far values from the others.
+        reach: distance from which a value is far.
+    """
+    if len(distances) < FEWEST_IN_ROW:
+        return reach
+    for distance in np.sort(distances).tolist():
+        if distance > GAPLESS * reach:
+            break
+        reach = distance
+    return reach
+
+
+def _without_motions(value: np.ndarray, far: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Leave out stretches that a joint reaches and leaves in small steps, such as the way to where it then rests."""
+    kept = np.flatnonzero(np.isfinite(value))
+    inside, some = value[kept], far[kept]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], some, [False]]).astype(np.int8)))
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        distance = np.maximum(inside[begin:end] - high, low - inside[begin:end]).max()
+        steps = np.abs(np.diff(inside[max(begin - 1, 0) : end + 1]))
+        if end - begin < len(inside) and steps.max() < JUMP * distance:
+            some[begin:end] = False
+    result = np.zeros(len(value), dtype=bool)
+    result[kept] = some
+    return result
 
 
 def _stretches(time: np.ndarray, missing: np.ndarray) -> np.ndarray:

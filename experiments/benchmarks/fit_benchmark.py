@@ -23,8 +23,8 @@ from scipy.optimize import least_squares
 from deepkoco.excitation.record import record
 from deepkoco.fit.fit_types import Trial
 from deepkoco.fit.request import FitRequest, make_request
-from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.fit.solve.methods import TOLERANCE
+from deepkoco.fit.tangent import PARAMETER_STEP
 from deepkoco.fit.threads import one_thread
 from deepkoco.unit.unit_file import make_unit
 

@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import yaml
 
 from deepkoco.cli.command_line import main
@@ -22,7 +24,7 @@ from deepkoco.diagnose.experiment_design.families import FAMILIES, Frame
 from deepkoco.diagnose.experiment_design.rehearsal import rehearse
 from deepkoco.diagnose.experiment_design.search import judge, scan, sequences
 from deepkoco.diagnose.experiment_design.separation import smallest_pair
-from deepkoco.systems import make_system
+from deepkoco.systems import ExtendedSystem, load_system, make_system
 from deepkoco.systems.bodies.rod_pendulum import RodPendulum
 from experiments.studies.diagnosis.hidden.recorded import unit_log
 
@@ -278,3 +280,17 @@ def test_too_short_a_log_of_a_system_undefined_at_rest_is_insufficient_and_says_
     assert result.verdict == "insufficient"
     assert "Record at least" in result.advice[0]
     assert "is not finite at theta" in result.advice[0]
+
+
+def test_a_sequence_whose_simulation_diverges_exceeds_all_limits():
+    motor = Path(__file__).parents[2] / "docs" / "examples" / "motor.py"
+    stiff = ExtendedSystem(load_system(f"{motor}:BeltMotor"), (), {"stiffness": 90.0})
+    stage = make_stage(stiff, 4.0)
+    assert stage.hold is not None
+    commands = np.zeros((2, len(stage.frame.time), 1))
+    commands[1] = 6.0
+    played = rehearse(stage, commands, [stage.start.values])
+    assert played.excess[1] == np.inf
+    assert np.isfinite(played.path).all()
+    assert np.isfinite(played.commands).all()
+    assert bool(torch.isfinite(played.windows.state).all())

@@ -61,7 +61,8 @@ def test_a_healthy_unit_counts_where_nothing_is_named():
 def test_names_of_an_effect_are_those_at_its_own_joint_body_and_actuator():
     assert right_names(case("gain")) == {"gain(j2)", "changed(kp(m2))"}
     assert right_names(case("gain", drive="motor")) == {"gain(j2)", "changed(gain(m2))"}
-    assert "changed(mass(link3))" in right_names(case("payload", "j3"))
+    assert right_names(case("payload", "j3")) == {"payload", "changed(mass(link3))"}
+    assert right_names(case("payload", "j2")) == {"payload(link2)", "changed(mass(link2))"}
 
 
 def test_counts_tell_apart_what_is_wrong_and_what_is_not_named():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from deepkoco.engines import UnitEngine, make_graph
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
 from deepkoco.fit import FitError
@@ -18,7 +19,7 @@ from deepkoco.graph import (
     replay_record,
     write_episodes,
 )
-from deepkoco.graph.live import SimulatedRuntime
+from deepkoco.graph.live import SimulatedRuntime, WallClockRuntime
 from deepkoco.systems import make_system
 from deepkoco.unit import SimulatedUnit, make_unit
 
@@ -169,3 +170,43 @@ def test_an_entry_of_a_start_state_is_fitted_like_a_parameter(record):
         generations=25,
     )
     assert result.estimates["world.start[0]"].value == pytest.approx(np.pi, abs=0.02)
+
+
+@pytest.mark.timeout(90)
+def test_a_wall_clock_recording_of_a_unit_is_replayed_on_its_measured_times():
+    """The node ``world`` of the unit engine is the line to the unit: it knows no state, only measurements."""
+    graph = make_graph("rod_pendulum", UnitEngine(), control_rate=20.0)
+    hanging = {"start": torch.tensor([[np.pi, 0.0]], dtype=F64)}
+    torques = iter(2.0 * torch.sign(torch.sin(torch.arange(20) * 0.9)).to(F64).reshape(-1, 1, 1))
+    with WallClockRuntime(graph, threads=["world", "sensor"]) as runtime:
+        runtime.reset({"world": hanging, "sensor": hanging}, torch.Generator().manual_seed(0))
+        runtime.run(lambda seen: next(torques), 20)
+        episode = runtime.finish()
+    system = make_system("rod_pendulum")
+    plant, measuring = World(system, 500.0), Sensor(system, 100.0, (0.0, 0.0))
+    plant.name, measuring.name = "plant", "world"
+    replayed = replay_record(
+        (graph, episode),
+        add=[plant, measuring],
+        connect=[
+            Connection("agent", "plant", 0.004, window=3, skip=True),  # the tick of the line, on average
+            Connection("plant", "world", name="world"),
+        ],
+    )
+    timing = replayed.timing
+    for n, node in enumerate(replayed.graph.nodes):
+        if node.name != "plant":
+            start = timing.steps_of(n)[0] / timing.resolution
+            np.testing.assert_allclose(start, episode.t_start[node.name][: len(start)], atol=1e-9)
+    for e, key in enumerate(timing.layout.connections):
+        if key in replayed.episode.windows:
+            seen = timing.windows_of(e)
+            np.testing.assert_array_equal(seen, episode.windows[key][: len(seen)])
+    errors = []
+    for factor in (1.0, 3.0):
+        values = system.default_parameters()
+        values["mass"] = factor * values["mass"]
+        simulated = replayed.run({"plant": values | hanging, "world": hanging}).outputs["world"]
+        measured = episode.outputs["world"][: len(simulated)]
+        errors.append(float(np.sqrt(np.mean((simulated - measured)[:, 0] ** 2))))
+    assert errors[0] < 0.5 * errors[1]

@@ -8,7 +8,7 @@ import pytest
 
 from deepkoco.logs.checks.channel_checks import check_units
 from deepkoco.logs.recording import LogError
-from deepkoco.logs.series import Series
+from deepkoco.logs.series import Series, far_values
 from deepkoco.logs.sidecar import ChannelColumn, Column
 
 
@@ -32,3 +32,34 @@ def test_check_units_accepts_wrapped_angles_and_single_glitches():
     wild = SWING.copy()
     wild[[3, 700]] = 1e6
     assert checked(wild) == []
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_far_values_are_jumps_and_not_the_way_to_a_rest(sign):
+    """A joint that moves to a place and rests there, without and with glitches."""
+    rest = 0.0005 * np.sin(0.7 * np.arange(3000))
+    way = np.concatenate([np.full(12, 0.05), np.linspace(0.05, 0.0, 9)])
+    value = sign * np.concatenate([way, rest])
+    assert not far_values(value).any()
+    value[[1500, 3015]] += sign * np.array([0.2, -1.0])
+    value[[2, 2000]] = np.nan
+    assert np.flatnonzero(far_values(value)).tolist() == [1500, 3015]
+    value[4] += 3.0
+    assert far_values(value)[4]
+
+
+def test_far_values_keep_a_burst_of_glitches():
+    value = 0.001 * np.sin(np.arange(1000.0))
+    value[300:305] = 40.0
+    assert np.flatnonzero(far_values(value)).tolist() == [300, 301, 302, 303, 304]
+
+
+def test_far_values_are_not_the_speeds_of_short_motions():
+    """A joint that rests for most of the time; its speeds rise and fall without a gap."""
+    rng = np.random.default_rng(0)
+    value = 0.01 * rng.normal(size=4000)
+    for begin in (500, 1500, 2600):
+        value[begin : begin + 24] += 2.0 * np.sin(np.pi * np.arange(24) / 24)
+    assert not far_values(value).any()
+    value[3300] = 9.0
+    assert np.flatnonzero(far_values(value)).tolist() == [3300]

@@ -326,3 +326,15 @@ def test_read_log_refuses_a_column_without_values(tmp_path):
     frame["command"] = np.nan
     with pytest.raises(LogError, match='channel "torque" is too short: 0 samples'):
         read_log(save(tmp_path, frame), fill="drop")
+
+
+def test_one_of_several_commands_may_be_constant(tmp_path):
+    """In a motion of one joint, the goals of the others stay; a log in which nothing is commanded is refused."""
+    content = sidecar()
+    content["channels"]["other"] = {"column": "other", "unit": "N m", "kind": "command"}
+    frame = table().assign(other=0.25)
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    assert np.ptp(read_log(tmp_path / "a.csv", content).channels["other"].value) == 0
+    frame.assign(command=0.5).to_csv(tmp_path / "b.csv", index=False)
+    with pytest.raises(LogError, match=r'command "torque" is constant'):
+        read_log(tmp_path / "b.csv", content)

@@ -21,10 +21,10 @@ from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.parameter import widened
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push
-from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP, state_steps
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
+from deepkoco.fit.tangent import PARAMETER_STEP, Tangent
 
 LANES = 160  # simulations in one batch
 RIDGE = 1e-8  # relative; two doses may move the measurements in the same direction
@@ -128,17 +128,11 @@ class _Tangent:
         theta = np.array([reference.values[n] for n in problem.names])
         also = [n for n in problem.nuisances.varies if n not in free]
         columns = np.array([problem.names.index(n) for n in (*free, *also)], dtype=int)
-        steps = PARAMETER_STEP * problem.scale[columns]
-        steps = np.where(theta[columns] + steps > problem.high[columns], -steps, steps)
-        nudge = state_steps(reference.state.shape[1])
-        lanes = np.repeat(theta[None], 1 + len(columns) + len(nudge), axis=0)
-        lanes[1 + np.arange(len(columns)), columns] += steps
-        states = reference.state[None].repeat(len(lanes), 1, 1)
-        for s, size in enumerate(nudge):
-            states[1 + len(columns) + s, :, s] += size
-        predicted = problem.predict(lanes, states, reference.nuisance[None].repeat(len(lanes), 1))
-        size = torch.tensor([*steps, *nudge], dtype=torch.float64)[:, None, None, None]
-        slopes = (predicted[1:] - predicted[0]) / size * problem.weight
+        tangent = Tangent.at(problem, theta, columns, reference.state)
+        predicted = problem.predict(
+            tangent.theta, tangent.state, reference.nuisance[None].repeat(len(tangent), 1)
+        )
+        slopes = tangent.slopes(predicted, problem.weight)
         precision = torch.from_numpy(prior.precision(free))
         offset = torch.from_numpy(theta[columns[: len(free)]] - prior.mean(free))
         self.residual = (problem.windows.value - predicted[0]) * problem.weight

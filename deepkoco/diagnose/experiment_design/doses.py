@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deepkoco.diagnose.causes import Cause
-from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
+from deepkoco.fit.tangent import PARAMETER_STEP
 from deepkoco.systems import ExtendedSystem
 
 # Parameters that only choose a shape, and parameters that a similar cause of the family also has.

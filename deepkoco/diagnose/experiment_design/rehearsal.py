@@ -72,13 +72,21 @@ def rehearse(stage: Stage, feedforward: np.ndarray, units: Sequence[Mapping[str,
         states = torch.cat([states[u, u * count : (u + 1) * count] for u in range(lanes)])
     time = whole.t0[0] + whole.step * np.arange(whole.steps + 1)
     path = states.numpy()
+    excess = _excess(stage, path)
+    # A feedback can make the simulation of a stiff robot diverge: such a sequence exceeds all limits.
+    diverged = ~(np.isfinite(path).all((1, 2)) & np.isfinite(sent).all((1, 2)))
+    excess[diverged] = np.inf
+    if diverged.any():
+        sent, path = sent.copy(), path.copy()
+        sent[diverged], path[diverged] = 0.0, 0.0
+        states = torch.from_numpy(path)
     recordings = [_recording(stage, sent[k], time, path[k]) for k in range(len(sent))]
     windows = cut_windows(recordings, stage.system.base, stage.window, stage.noise)
     if len(windows):
         at = np.round((windows.t0 - whole.t0[0]) / whole.step).astype(int)
         windows = replace(windows, state=states[torch.from_numpy(windows.log), torch.from_numpy(at)])
         windows = windows.take(_kept(windows))
-    return Rehearsal(sent, time, path, _excess(stage, path), windows)
+    return Rehearsal(sent, time, path, excess, windows)
 
 
 def measured(stage: Stage, played: Rehearsal, values: Mapping[str, float]) -> Windows:

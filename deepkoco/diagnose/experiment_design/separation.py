@@ -21,9 +21,9 @@ from torch import Tensor
 from deepkoco.diagnose.experiment_design.doses import Dose
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP, state_steps
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
+from deepkoco.fit.tangent import Tangent
 from deepkoco.systems import ExtendedSystem
 
 RIDGE = 1e-9  # relative; directions of one cause may be parallel
@@ -134,23 +134,17 @@ def _columns(
     windows, names = problem.windows, problem.names
     theta = np.array([float(values[n]) for n in names])
     columns = np.array([names.index(n) for n in free], dtype=int)
-    steps = PARAMETER_STEP * problem.scale[columns]
-    steps = np.where(theta[columns] + steps > problem.high[columns], -steps, steps)
-    nudge = state_steps(windows.state.shape[1])
+    tangent = Tangent.at(problem, theta, columns, windows.state)
     directions = [dose.directions({n: float(values[n]) for n in names}, problem.system) for dose in doses]
     flat = [d for own in directions for d in own]
-    fixed = 1 + len(columns) + len(nudge)
-    lanes = np.repeat(theta[None], fixed + len(flat), axis=0)
-    lanes[1 + np.arange(len(columns)), columns] += steps
-    for i, direction in enumerate(flat):
-        lanes[fixed + i] = [direction[n] for n in names]
-    states = windows.state[None].repeat(len(lanes), 1, 1)
-    for s, size in enumerate(nudge):
-        states[1 + len(columns) + s, :, s] += size
+    fixed = len(tangent)
+    dosed = np.array([[direction[n] for n in names] for direction in flat]).reshape(-1, len(names))
+    lanes = np.concatenate([tangent.theta, dosed])
+    states = torch.cat([tangent.state, windows.state[None].repeat(len(flat), 1, 1)])
     predicted = problem.predict(lanes, states, problem.zeros.none()[None].repeat(len(lanes), 1))
     change = ((predicted - predicted[0]) * problem.weight).flatten(2)
     basis, _ = torch.linalg.qr(change[1 + len(columns) : fixed].permute(1, 2, 0))
-    own = change[1 : 1 + len(columns)] / torch.from_numpy(steps)[:, None, None]
+    own = change[1 : 1 + len(columns)] / tangent.steps[: len(columns), None, None]
     zeros = []
     for channel in problem.zeros.channels:
         column = torch.zeros_like(problem.weight)

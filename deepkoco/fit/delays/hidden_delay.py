@@ -16,9 +16,9 @@ from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.identification import NORMAL_95, Identification
 from deepkoco.fit.request import FitError, command_delays
-from deepkoco.fit.solve.levenberg_marquardt import PARAMETER_STEP
 from deepkoco.fit.solve.methods import TOLERANCE
 from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.fit.tangent import PARAMETER_STEP
 from deepkoco.fit.threads import one_thread
 from deepkoco.graph.delay import Delay, Deterministic, Gaussian, Mixture
 

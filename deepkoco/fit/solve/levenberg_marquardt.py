@@ -12,16 +12,10 @@ from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
+from deepkoco.fit.tangent import Tangent
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
-POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
-PARAMETER_STEP = 1e-5  # finite difference of a parameter, relative to its scale
 LARGEST_DAMPING = 1e8
-
-
-def state_steps(states: int) -> tuple[float, ...]:
-    """Finite differences of an initial state: positions first, then speeds."""
-    return (POSITION_STEP,) * (states // 2) + (SPEED_STEP,) * (states // 2)
 
 
 class Batch:
@@ -93,34 +87,21 @@ class Batch:
     ) -> list[NormalEquations]:
         """Simulate the active trials and their finite differences in one batch; form the normal equations."""
         problem = self.problem
-        states = initial.shape[-1]
-        nudge = state_steps(states)
-        lane_theta, lane_initial, lane_trial = [], [], []
-        steps: list[np.ndarray] = []
         varying = np.array([problem.names.index(n) for n in problem.nuisances.varies], dtype=int)
         moved = {k: np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in active}
-        for k in active:
-            columns = moved[k]
-            step = PARAMETER_STEP * problem.scale[columns]
-            step = np.where(theta[k, columns] + step > problem.high[columns], -step, step)
-            steps.append(step)
-            count = 1 + len(columns) + states
-            block = np.repeat(theta[k][None], count, axis=0)
-            block[1 + np.arange(len(columns)), columns] += step
-            start = initial[k][None].repeat(count, 1, 1)
-            for s in range(states):
-                start[1 + len(columns) + s, :, s] += nudge[s]
-            lane_theta.append(block)
-            lane_initial.append(start)
-            lane_trial += [k] * count
-        predicted = problem.predict(np.concatenate(lane_theta), torch.cat(lane_initial), nuisance[lane_trial])
+        tangents = [Tangent.at(problem, theta[k], moved[k], initial[k]) for k in active]
+        lane_trial = [k for k, tangent in zip(active, tangents, strict=True) for _ in range(len(tangent))]
+        predicted = problem.predict(
+            np.concatenate([tangent.theta for tangent in tangents]),
+            torch.cat([tangent.state for tangent in tangents]),
+            nuisance[lane_trial],
+        )
         result, at = [], 0
         for i, k in enumerate(active):
             p, columns = len(self.columns[k]), moved[k]
-            lanes = predicted[at : at + 1 + len(columns) + states]
+            lanes = predicted[at : at + len(tangents[i])]
             at += len(lanes)
-            difference = torch.cat([torch.from_numpy(steps[i]), torch.tensor(nudge, dtype=torch.float64)])
-            slopes = (lanes[1:] - lanes[0]) / difference[:, None, None, None] * problem.weight
+            slopes = tangents[i].slopes(lanes, problem.weight)
             residual = (problem.windows.value - lanes[0]) * problem.weight
             prior = self.precision[k, :p, :p]
             offset = torch.from_numpy(theta[k, self.columns[k]]) - self.mean[k, :p]

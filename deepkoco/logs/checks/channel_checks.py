@@ -32,8 +32,9 @@ def check_content(
     """Check that a log contains enough samples, time and changes of the command.
 
     Raises:
-        LogError: a channel is too short, a command is constant, or channels do not overlap.
+        LogError: a channel is too short, all commands are constant, or channels do not overlap.
     """
+    driven = any(s.kind == "command" and len(s) and np.ptp(s.value) > 0 for s in channels.values())
     for name, series in channels.items():
         wanted = min_samples if series.kind == "measurement" else 1
         if len(series) < wanted:
@@ -41,7 +42,7 @@ def check_content(
                 f'{path}: channel "{name}" is too short: {len(series)} samples, at least {wanted} needed; '
                 "record for longer"
             )
-        if series.kind == "command" and not constant_command and np.ptp(series.value) == 0:
+        if series.kind == "command" and not constant_command and not driven and np.ptp(series.value) == 0:
             raise LogError(
                 f'{path}: command "{name}" is constant ({series.value[0]:g} {series.unit}); a fit '
                 "needs a command that changes; record with an excitation (chirp, steps, prbs)"

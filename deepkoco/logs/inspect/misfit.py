@@ -150,7 +150,12 @@ def _accelerations(
 
 
 def _lost_goal(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> str | None:
-    """Say that a position does not follow the goal of its servo."""
+    """Say that a position does not follow the goal of its servo.
+
+    The findings of named joints show it for each of them, and from all logs.
+    """
+    if proposal.joints:
+        return None
     chosen = {c.channel.name: c for c in proposal.choices if c.column is not None}
     for command, joint in zip(system.commands, system.command_joints, strict=False):
         state = next(

@@ -128,7 +128,7 @@ class Proposer:
     def _pair(
         self, position: Channel | None, rate: Channel | None, joint: int, system: System, taken: set[str]
     ) -> tuple[list[Choice], Units | None, float]:
-        channels = [c for c in (position, rate) if c is not None]
+        channels = [(c, place) for c, place in ((position, 1), (rate, 2)) if c is not None]
         firsts, seconds = (self._ranked(c, joint, system, taken) for c in (position, rate))
         scored = []
         for (a, said_a, why_a), (b, said_b, why_b) in product(firsts, seconds):
@@ -140,7 +140,7 @@ class Proposer:
         best = scored[0]
         units = self._units(best[1], best[2], position, rate)
         choices = []
-        for channel, place in zip(channels, (1, 2) if position is not None else (2,), strict=True):
+        for channel, place in channels:
             probability, rival = _weight(scored, place)
             column = best[place]
             unit = channel.unit if units is None else (units.position if place == 1 else units.speed)

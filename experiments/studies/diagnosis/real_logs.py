@@ -71,6 +71,7 @@ def summary(diagnosis: Diagnosis, seconds: float) -> dict:
         "window_s": diagnosis.window_s,
         "chi2_per_sample": [diagnosis.chi2_before, diagnosis.chi2_after],
         "refit": {n: [p.value, p.low, p.high, p.unit] for n, p in diagnosis.refit.items()},
+        "model": {p.name: p.value for p in diagnosis.model.parameters},
         "candidates": [[c.name, c.delta_bic] for c in diagnosis.candidates[:10]],
         "not_identified": diagnosis.unexplained["not_identified"] if diagnosis.unexplained else [],
     }
@@ -101,7 +102,7 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
         if args.study is None:
             study, questions = study_of(folder)
         else:
-            study = read_study(args.study)
+            study = read_study(args.study, folder)
             questions = dict(study.questions)
         if args.train:
             train, test = (tuple(parse_piece(t) for t in texts) for texts in (args.train, args.test))
@@ -120,10 +121,11 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
             diagnosis = answer(folder, study, question, _say if args.progress else silent)
             figures[name] = summary(diagnosis, time.perf_counter() - began)
             figures[name]["cpu_seconds"] = round(time.process_time() - spent, 2)
-            if args.out:
-                write_report(diagnosis, args.out / _file_name(name))
+            # A report that cannot be drawn must not cost the answer.
             if kept is not None:
                 _keep(kept, figures[name])
+            if args.out:
+                write_report(diagnosis, args.out / _file_name(name))
     except (LogError, ValueError) as error:
         sys.stderr.write(f"real_logs: {error}\n")
         return 2

@@ -37,7 +37,6 @@ class Xl330Bench(System):
 
     name, joints = "xl330_bench", 1
     state_names, state_units = ("theta", "omega"), ("rad", "rad/s")
-    load_scale = MASS * GRAVITY * LENGTH
 
     def __init__(self) -> None:
         self.parameters = (
@@ -58,8 +57,17 @@ class Xl330Bench(System):
             Channel("supply", "V", "command", 0.0, 12.0, description="supply voltage", default=VOLTS),
         )
 
-    command_joints = (0,)
-    measured_states = (0,)
+    @property
+    def command_joints(self) -> tuple[int, ...]:
+        return (0,)
+
+    @property
+    def measured_states(self) -> tuple[int, ...]:
+        return (0,)
+
+    @property
+    def load_scale(self) -> float:
+        return MASS * GRAVITY * LENGTH
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         return state[..., :1]

@@ -32,11 +32,12 @@ class StudyFileError(ValueError):
     """A study file cannot be used."""
 
 
-def read_study(path: Path) -> Study:
+def read_study(path: Path, logs: Path | None = None) -> Study:
     """Read a study.
 
     Args:
         path: The YAML file.
+        logs: Folder of the logs, in which the system may be a file too.
 
     Raises:
         StudyFileError: A key is missing or unknown, or a value is of another kind.
@@ -46,7 +47,7 @@ def read_study(path: Path) -> Study:
     except YamlFileError as error:
         raise StudyFileError(str(error)) from error
     content = _mapping(content, str(path), KEYS, ("system", "sidecar", "questions"))
-    system = load_system(content["system"], (path.parent, Path()))
+    system = load_system(content["system"], (path.parent, *([logs] if logs else []), Path()))
     asked = content["questions"]
     if not isinstance(asked, Mapping) or not asked:
         raise StudyFileError(f"{path}: questions: give a name and its train logs for each question")

@@ -110,5 +110,6 @@ def right_names(case: Case) -> frozenset[str]:
     names = {f"changed({p})" for p in changed.get(kind, [])}
     names |= {f"{effect}({joint})" for effect in effects.get(kind, [])}
     if kind == "payload":
-        names |= {"payload", f"payload({body})"}
+        # Without a place it is at the tip.
+        names |= {"payload"} if joint == joint_names(model)[-1] else {f"payload({body})"}
     return frozenset(names)

@@ -1,0 +1,68 @@
+"""Finite differences of simulations in parameters and initial states, as lanes of one batch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.shooting import ShootingProblem
+
+POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
+PARAMETER_STEP = 1e-5  # finite difference of a parameter, relative to its scale
+
+
+def state_steps(states: int) -> tuple[float, ...]:
+    """Finite differences of an initial state: positions first, then speeds."""
+    return (POSITION_STEP,) * (states // 2) + (SPEED_STEP,) * (states // 2)
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Lanes to simulate around one point: the point, one for each of q parameters, one for each of S states.
+
+    Attributes:
+        theta: (1 + q + S, P) parameters of each lane.
+        state: (1 + q + S, W, S) initial states of each lane.
+        steps: (q + S,) by how much each lane but the first is moved; negative where a step up would leave the bounds.
+    """
+
+    theta: np.ndarray
+    state: Tensor
+    steps: Tensor
+
+    @staticmethod
+    def at(problem: ShootingProblem, theta: np.ndarray, columns: np.ndarray, state: Tensor) -> Tangent:
+        """Return the lanes around a point.
+
+        Args:
+            problem: Bounds and scales of the parameters.
+            theta: (P,) all parameters.
+            columns: (q,) numbers of those that are moved.
+            state: (W, S) initial states.
+        """
+        step = PARAMETER_STEP * problem.scale[columns]
+        step = np.where(theta[columns] + step > problem.high[columns], -step, step)
+        nudge = state_steps(state.shape[1])
+        count = 1 + len(columns) + len(nudge)
+        lanes = np.repeat(theta[None], count, axis=0)
+        lanes[1 + np.arange(len(columns)), columns] += step
+        starts = state[None].repeat(count, 1, 1)
+        for s, size in enumerate(nudge):
+            starts[1 + len(columns) + s, :, s] += size
+        return Tangent(lanes, starts, torch.tensor([*step, *nudge], dtype=torch.float64))
+
+    def __len__(self) -> int:
+        """Return the number of lanes."""
+        return len(self.theta)
+
+    def slopes(self, predicted: Tensor, weight: Tensor) -> Tensor:
+        """Return the whitened slopes (q + S, W, N, M), parameters first.
+
+        Args:
+            predicted: (1 + q + S, W, N, M) simulated measurements of the lanes.
+            weight: (W, N, M) weights of the measurements, in one over their noise.
+        """
+        return (predicted[1:] - predicted[0]) / self.steps[:, None, None, None] * weight

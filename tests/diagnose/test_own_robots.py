@@ -1,0 +1,64 @@
+"""Diagnoses of robots that are not in the package, from the command line, with logs of independent simulations."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deepkoco.cli.command_line import main
+from deepkoco.systems import ExtendedSystem, load_system
+from tests.oracle.own_robots import CartPoleUnit, MotorUnit
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+CART, MOTOR = f"{EXAMPLES}/cart_pole.py:CartPole", f"{EXAMPLES}/motor.py:Motor"
+BELT = f"{EXAMPLES}/motor.py:BeltMotor"
+
+
+def diagnosed(folder: Path, unit: CartPoleUnit | MotorUnit, system: str, seconds: float) -> dict[str, Any]:
+    """The report of a log of a unit."""
+    log = unit.log(folder, seconds=seconds)
+    assert main(["diagnose", str(log), "--system", system, "--out", str(folder / "report")]) == 0
+    return json.loads((folder / "report" / "report.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("unit", "system"),
+    [(CartPoleUnit(), CART), (MotorUnit(), MOTOR)],
+    ids=["cart-pole", "motor"],
+)
+def test_a_healthy_robot_of_ones_own_misses_nothing(tmp_path, unit, system):
+    assert diagnosed(tmp_path, unit, system, 6.0)["verdict"] == "nothing"
+
+
+def test_the_delay_of_a_motor_of_ones_own_is_named_with_its_size(tmp_path):
+    assert diagnosed(tmp_path, MotorUnit(delay=0.03), MOTOR, 10.0)["verdict"] == "cause"
+    model = load_system(tmp_path / "report" / "model.yaml")
+    assert model.parameter("actuation_delay.delay").value == pytest.approx(0.03, abs=5e-4)
+
+
+STUDY = {
+    "cart-pole, delay": (CartPoleUnit(delay=0.03), CART, "actuation_delay(cart).delay", 0.03, 5e-4),
+    "cart-pole, dry friction": (CartPoleUnit(coulomb=0.7), CART, "coulomb(cart).torque", 0.7, 0.02),
+    "motor, dry friction": (MotorUnit(coulomb=0.02), MOTOR, "coulomb.torque", 0.02, 0.003),
+}
+
+
+@pytest.mark.study
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("case", STUDY)
+def test_a_hidden_effect_of_a_robot_of_ones_own_is_named_with_its_size(tmp_path, case):
+    unit, system, parameter, truth, tolerance = STUDY[case]
+    assert diagnosed(tmp_path, unit, system, 20.0)["verdict"] == "cause"
+    model = load_system(tmp_path / "report" / "model.yaml")
+    assert isinstance(model, ExtendedSystem)
+    assert [e.name for e in model.effects] == [parameter.split(".")[0]]
+    assert model.parameter(parameter).value == pytest.approx(truth, abs=tolerance)
+
+
+@pytest.mark.study
+@pytest.mark.timeout(1800)
+def test_an_elastic_belt_is_unknown_to_a_stiff_model_and_nothing_to_an_elastic_one(tmp_path):
+    for name, system, verdict in (("stiff", MOTOR, "unknown"), ("elastic", BELT, "nothing")):
+        (tmp_path / name).mkdir()
+        assert diagnosed(tmp_path / name, MotorUnit(stiffness=0.6), system, 20.0)["verdict"] == verdict
