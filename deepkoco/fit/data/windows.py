@@ -263,8 +263,8 @@ def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[
 def moving(windows: Windows) -> np.ndarray:
     """(W,) True where the joint moves without a rest.
 
-    A joint at rest gives no information about its dynamics. Dry friction can hold a joint for a while inside a window,
-    whereas the smoothed friction law lets it creep. Windows with such a rest are left out too, unless too few remain.
+    A joint at rest gives no information about its dynamics. A simulation without dry friction cannot follow a window
+    in which the joint rests for a while. Windows with such a rest are left out too, unless too few remain.
     """
     moves = np.zeros(len(windows), dtype=bool)
     for c, noise in enumerate(windows.noise):
