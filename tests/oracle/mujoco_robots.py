@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import mujoco
 import numpy as np
 
 Drive = Literal["motor", "position"]
@@ -109,6 +110,11 @@ def draw_robot(rng: np.random.Generator) -> Robot:
         return cart_pole(rng)
     joints = int(rng.choice([3, 4, 5, 6], p=[0.4, 0.25, 0.2, 0.15]))
     return random_arm(rng, joints, "motor" if rng.random() < 0.5 else "position")
+
+
+def compiled(robot: Robot) -> mujoco.MjModel:
+    """The model as MuJoCo compiles it."""
+    return mujoco.MjModel.from_xml_string(robot.xml)
 
 
 def _weights(mass: np.ndarray, length: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,9 +20,6 @@ from deepkoco.systems.trees.model_file import is_urdf, read_spec
 from deepkoco.systems.trees.parameters import AXES, actuator_law, physical_moments
 from deepkoco.systems.trees.tree import Body, TreeError
 from deepkoco.systems.trees.tree_system import TreeSystem
-
-if TYPE_CHECKING:
-    import mujoco
 
 SAME = 1e-9  # relative difference below which a value of the file stays as it is
 CREEP = 1e-3  # time constant with which dry friction stops a joint in MuJoCo, at least two of its steps [s]
@@ -134,7 +131,7 @@ class _Writer:
     """Edits of one specification, each with the change that it makes."""
 
     def __init__(
-        self, robot: TreeSystem, spec: Any, model: mujoco.MjModel, result: WriteBack, values: Values
+        self, robot: TreeSystem, spec: Any, model: Any, result: WriteBack, values: Values
     ) -> None:
         self.robot, self.spec, self.model, self.result, self.values = robot, spec, model, result, values
         self.bodies = {b.id: b for b in spec.bodies}

@@ -89,7 +89,7 @@ def _draw_robot(axis: Axes, system: System, errors: list[JointError], outline: t
     for k, height in zip(order, heights, strict=True):
         axis.annotate(
             system.joint_names[k],
-            place[k],
+            (float(place[k, 0]), float(place[k, 1])),
             (high[0] + 0.22 * size, height),
             va="center",
             fontsize=9,

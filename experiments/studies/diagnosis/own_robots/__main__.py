@@ -182,7 +182,7 @@ def _read(table: Path) -> list[dict[str, Any]]:
 
 def _write(table: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, list[str](COLUMNS), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     write_whole_text(table, text.getvalue())

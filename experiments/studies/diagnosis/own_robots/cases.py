@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from tests.oracle.mujoco_doses import COARSE, dosed, strength
-from tests.oracle.mujoco_robots import Robot, draw_robot
+from tests.oracle.mujoco_robots import Robot, compiled, draw_robot
 from tests.oracle.mujoco_unit import KINDS, Hidden, joint_names, record
 
 WEAKEST, STRONGEST = 2.0, 6.0  # doses
@@ -44,7 +43,7 @@ class Case:
     @property
     def joints(self) -> int:
         """Number of joints of the robot."""
-        return len(joint_names(mujoco.MjModel.from_xml_string(self.robot.xml)))
+        return len(joint_names(compiled(self.robot)))
 
     def write(self, folder: Path, seconds: float) -> Path:
         """Record the log and write it with its sidecar and its model; return the path of the log."""
@@ -61,7 +60,7 @@ def draw_case(index: int, seed: int, seconds: float, healthy: bool) -> Case:
     robot = draw_robot(rng)
     if healthy:
         return Case(index, own, robot, None, 0.0)
-    joints = joint_names(mujoco.MjModel.from_xml_string(robot.xml))
+    joints = joint_names(compiled(robot))
     for _ in range(TRIES):
         kind, joint = str(rng.choice(KINDS)), str(rng.choice(joints))
         if robot.name == "cart_pole" and joint == "pivot" and kind in ("gain", "delay", "torque_bias"):
@@ -77,7 +76,7 @@ def right_names(case: Case) -> frozenset[str]:
     """Names of the package that say what is hidden in a case; empty for a healthy unit."""
     if case.hidden is None:
         return frozenset()
-    model = mujoco.MjModel.from_xml_string(case.robot.xml)
+    model = compiled(case.robot)
     joint = case.hidden.joint
     body = model.body(model.joint(joint).bodyid[0]).name
     drives = [
