@@ -200,7 +200,7 @@ def _least_squares(matrix: Array, right: Array, unique: bool) -> Array:
     if count == 0:
         return np.zeros(0)
     if not unique:
-        return np.linalg.lstsq(matrix, right, rcond=None)[0]
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=np.float64)
     _, solution, failed = _LEAST_SQUARES(matrix, right)
     if failed:
         raise SolverError("the plan is not unique: its least-squares problem is singular")
