@@ -130,9 +130,7 @@ def _values(system: System) -> Values:
 class _Writer:
     """Edits of one specification, each with the change that it makes."""
 
-    def __init__(
-        self, robot: TreeSystem, spec: Any, model: Any, result: WriteBack, values: Values
-    ) -> None:
+    def __init__(self, robot: TreeSystem, spec: Any, model: Any, result: WriteBack, values: Values) -> None:
         self.robot, self.spec, self.model, self.result, self.values = robot, spec, model, result, values
         self.bodies = {b.id: b for b in spec.bodies}
         self.joints = sorted(spec.joints, key=lambda j: j.id)
