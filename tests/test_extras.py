@@ -23,7 +23,7 @@ def declared(monkeypatch):
 
 
 @pytest.mark.usefixtures("declared")
-@pytest.mark.parametrize("extra", sorted(EXTRAS))
+@pytest.mark.parametrize("extra", sorted(name for name in EXTRAS if EXTRAS[name]))
 def test_every_extra_is_told_as_packages_with_their_versions(extra):
     command = extras.install_command(extra)
     packages = [Requirement(text) for text in command.removeprefix("pip install ").strip('"').split('" "')]
@@ -35,7 +35,7 @@ def test_every_extra_is_told_as_packages_with_their_versions(extra):
 
 @pytest.mark.usefixtures("declared")
 def test_extras_named_by_an_extra_are_told_too():
-    assert "mujoco==" in extras.install_command("dm_control")
+    assert "dm_control==" in extras.install_command("dev")
 
 
 def test_without_metadata_the_extra_of_a_checkout_is_told(monkeypatch):

@@ -28,7 +28,7 @@ def diagnosed(folder: Path, unit: CartPoleUnit | MotorUnit, system: str, seconds
     ids=["cart-pole", "motor"],
 )
 def test_a_healthy_robot_of_ones_own_misses_nothing(tmp_path, unit, system):
-    assert diagnosed(tmp_path, unit, system, 6.0)["verdict"] == "nothing"
+    assert diagnosed(tmp_path, unit, system, 10.0)["verdict"] == "nothing"
 
 
 def test_the_delay_of_a_motor_of_ones_own_is_named_with_its_size(tmp_path):

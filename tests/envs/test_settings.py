@@ -7,7 +7,13 @@ from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.effects import effects_of
 
 BASE = make_system("rod_pendulum")
-ALONG_A_LOG = {"backlash", "gain_drift", "periodic", "sensor_drift"}  # they need the past, or the time
+ALONG_A_LOG = {
+    "backlash",
+    "bristle",
+    "gain_drift",
+    "periodic",
+    "sensor_drift",
+}  # they need the past, or the time
 
 
 def extended(name: str) -> ExtendedSystem:

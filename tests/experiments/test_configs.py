@@ -12,7 +12,9 @@ from deepkoco.runs.environments import make_factory
 from deepkoco.runs.hydra_command import CONFIGS
 from deepkoco.runs.settings import TrainRunConfig
 
-OWN = sorted({path.stem for path in (CONFIGS / "task").glob("*.yaml")} - {"gymnasium"})
+OWN = sorted(
+    {path.stem for path in (CONFIGS / "task").glob("*.yaml")} - {"gymnasium", "robot"}
+)  # these two need more than their file
 
 
 def read(*overrides: str) -> TrainRunConfig:

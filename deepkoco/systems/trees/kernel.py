@@ -41,10 +41,7 @@ C1, C2, C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872
 C4, C5, C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
 
 
-piece = njit(inline="always", error_model="numpy")
-
-
-@piece
+@njit(inline="always", error_model="numpy")
 def _place_frames(s, turns, rotation, offset, reference, angles, first, size):
     """COS (the angle) -> COS, SIN and OFFSET of every joint."""
     for k in range(len(turns)):
@@ -78,7 +75,7 @@ def _place_frames(s, turns, rotation, offset, reference, angles, first, size):
                 s[k, COS, i], s[k, SIN, i] = np.cos(x), np.sin(x)
 
 
-@piece
+@njit(inline="always", error_model="numpy")
 def _move_frames(s, parent, turns, rotation, quick):
     """SPIN, SWING and PULL of every frame, then FORCE and TORQUE that its own body needs."""
     for k in range(len(turns)):
@@ -148,7 +145,7 @@ def _move_frames(s, parent, turns, rotation, quick):
             s[k, TORQUE + 2, i] = t2 + (w0 * l1 - w1 * l0) + (x * a1 - y * a0)
 
 
-@piece
+@njit(inline="always", error_model="numpy")
 def _gather_forces(s, parent, turns, rotation):
     """Add FORCE and TORQUE of every joint to its parent's, and take its own share from LOAD."""
     base = len(turns)
@@ -178,7 +175,7 @@ def _gather_forces(s, parent, turns, rotation):
             s[p, TORQUE + 2, i] += e6 * x + e7 * y + e8 * z + (r0 * f1 - r1 * f0)
 
 
-@piece
+@njit(inline="always", error_model="numpy")
 def _gather_inertias(s, parent, rotation):
     """Add INERTIA of every joint to its parent's."""
     base = len(parent)
@@ -231,7 +228,7 @@ def _gather_inertias(s, parent, rotation):
             s[p, INERTIA + 9, i] += y0 * e6 + y1 * e7 + y2 * e8 - (r1 * g2 + r2 * h1)
 
 
-@piece
+@njit(inline="always", error_model="numpy")
 def _fill_mass(s, mass, parent, turns, rotation, passive, which):
     """Lower triangle of the mass matrix; FORCE and TORQUE become what one unit of acceleration needs."""
     base = len(turns)
@@ -273,7 +270,7 @@ def _fill_mass(s, mass, parent, turns, rotation, passive, which):
             at = p
 
 
-@piece
+@njit(inline="always", error_model="numpy")
 def _factorise(mass, parent):
     """M = L^T D L without filling in between branches; the diagonal becomes 1 / D."""
     base = len(parent)
@@ -296,7 +293,7 @@ def _factorise(mass, parent):
             p = parent[p]
 
 
-@piece
+@njit(inline="always", error_model="numpy")
 def _solve(s, mass, parent):
     """LOAD -> acceleration."""
     base = len(parent)
