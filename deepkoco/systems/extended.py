@@ -311,6 +311,11 @@ class ExtendedSystem(System):
         return tuple(b if w is None else w if b is None else b + w for b, w in zip(base, found, strict=True))
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
+        if any(width is not None and bool((width != 0.0).any()) for width in self.output_play(parameters)):
+            raise MemoryEffectError(
+                "gear_play remembers the way of its joint: it acts along a log (diagnosis, identification) and cannot "
+                "be simulated one state at a time"
+            )
         return self._sensed(self.base.measure(state, parameters), None, parameters)
 
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:

@@ -11,6 +11,7 @@ ALONG_A_LOG = {
     "backlash",
     "bristle",
     "gain_drift",
+    "gear_play",
     "periodic",
     "sensor_drift",
 }  # they need the past, or the time

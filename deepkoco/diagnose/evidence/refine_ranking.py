@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 VALLEYS = 8  # largest number of searches along a valley
+USUAL_CHANGE = 0.3  # scale of the change of a parameter, as a share of its given value
 
 
 def front_settled(
@@ -57,22 +59,37 @@ def classed(
     """Return the ranking and the names of its winner's class, a mechanism before a changed parameter.
 
     Almost every mechanism can be written as another value of some parameter. Where the data cannot distinguish the
-    two, the mechanism leads the class.
+    two, the mechanism leads the class. The farther the parameter is from its given value, the more evidence it needs.
     """
     members = equivalent(problem, start, ranking, tuple(accepted))
     best = ranking.best
     if not is_changed(best.cause):
         return ranking, members
-    near = [
-        c
-        for c in ranking.candidates[1:]
-        if c.cause.name in members and not is_changed(c.cause) and best.delta_bic - c.delta_bic < APART
-    ]
+    least = APART + _size_charge(problem, best)
+    near = []
+    for c in ranking.candidates[1:]:
+        behind = best.delta_bic - c.delta_bic
+        if not is_changed(c.cause) and behind < least and (c.cause.name in members or behind >= APART):
+            near.append(c)
     if not near:
         return ranking, members
     others = [c for c in ranking.candidates if c is not near[0]]
     ranking = replace(ranking, candidates=(near[0], *others))
     return ranking, equivalent(problem, start, ranking, tuple(accepted))
+
+
+def _size_charge(problem: FitProblem, candidate: Candidate) -> float:
+    """Return the charge for the size of a changed parameter, as a difference of BIC: 2 log(1 + (change / scale)^2).
+
+    The prior of a change is a Cauchy distribution. Its scale is USUAL_CHANGE of the given value, or the prior standard
+    deviation of a parameter that is given as 0.
+    """
+    charge = 0.0
+    for name in candidate.cause.free:
+        given = problem.system.parameter(name)
+        scale = USUAL_CHANGE * abs(given.value) or given.prior_sd
+        charge += 2.0 * math.log1p(((candidate.fit.values[name] - given.value) / scale) ** 2)
+    return charge
 
 
 def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> Ranking:
