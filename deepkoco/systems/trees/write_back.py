@@ -21,7 +21,7 @@ from deepkoco.systems.trees.parameters import AXES, actuator_law, physical_momen
 from deepkoco.systems.trees.tree import Body, TreeError
 from deepkoco.systems.trees.tree_system import TreeSystem
 
-SAME = 1e-9  # relative difference below which a value of the file stays as it is
+SAME = 1e-6  # relative difference below which a value of the file stays as it is: MJCF is written with six digits
 CREEP = 1e-3  # time constant with which dry friction stops a joint in MuJoCo, at least two of its steps [s]
 POINT = 1e-8  # inertia of a point mass in the file, per mass [m2]: a body needs one
 Values = Mapping[str, float]
