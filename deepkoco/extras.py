@@ -22,6 +22,20 @@ def install_command(extra: str) -> str:
     return f"pip install {packages}" if packages else f'pip install -e ".[{extra}]" in the checkout'
 
 
+def dependency_command(package: str) -> str:
+    """A command that installs a package that deepkoco itself depends on, in the version that it asks for.
+
+    Args:
+        package: Name of the package.
+    """
+    try:
+        declared = [Requirement(text) for text in requires(DISTRIBUTION) or ()]
+    except PackageNotFoundError:
+        declared = []
+    version = next((str(r.specifier) for r in declared if r.name == package and r.marker is None), "")
+    return f'pip install "{package}{version}"'
+
+
 def _packages(extra: str) -> Iterator[str]:
     """The requirements of an extra, those of extras that it names among them."""
     try:

@@ -13,7 +13,7 @@ from deepkoco.engines.engine import EngineError
 from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.mjcf import HingedBody, model_xml
 from deepkoco.engines.start import start_state
-from deepkoco.extras import install_command
+from deepkoco.extras import dependency_command
 from deepkoco.graph import Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters
@@ -130,7 +130,7 @@ class _Simulator:
 
 
 def import_mujoco() -> Any:
-    """The module, which comes with an extra.
+    """The module, imported by the first who needs it.
 
     Raises:
         EngineError: It is not installed.
@@ -138,5 +138,5 @@ def import_mujoco() -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise EngineError(f"the mujoco engine needs MuJoCo: {install_command('mujoco')}") from error
+        raise EngineError(f"the mujoco engine needs MuJoCo: {dependency_command('mujoco')}") from error
     return mujoco

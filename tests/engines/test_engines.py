@@ -144,9 +144,9 @@ def test_a_machine_that_is_held_runs_in_one_environment(engine):
         world.init({}, torch.Generator(), 2)
 
 
-def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
+def test_without_mujoco_the_package_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(EngineError, match='pip install "mujoco=='):
+    with pytest.raises(EngineError, match='pip install "mujoco'):
         make_graph("rod_pendulum", "mujoco")
 
 
