@@ -84,6 +84,7 @@ def lead(diagnosis: Diagnosis) -> str:
         return " ".join(diagnosis.advice)
     if diagnosis.verdict == "nothing":
         doubts = "".join(f" {text}" for text in diagnosis.unexplained.get("doubts") or ())
+        doubts += "".join(f" {text}" for text in _minor_texts(diagnosis))
         return (
             f"After a refit of the simulation's own parameters, only {noise_of(diagnosis)} is left. "
             f"No cause of the catalogue lowers the BIC enough to be named.{doubts}"
@@ -105,7 +106,15 @@ def lead(diagnosis: Diagnosis) -> str:
         others = [spoken(n) for n in cause.members[1:]]
         if others:
             text += f" These data cannot distinguish {spoken(cause.name)} from {' or '.join(others)}."
-    return f"{text} {beside_causes(diagnosis)}".strip()
+    return " ".join([text, *_minor_texts(diagnosis), beside_causes(diagnosis)]).strip()
+
+
+def _minor_texts(diagnosis: Diagnosis) -> list[str]:
+    """Return why significant causes are not named, one sentence or two for each."""
+    return [
+        spoken(minor["name"]) + minor["text"].removeprefix(minor["name"])
+        for minor in diagnosis.unexplained.get("minor", ())
+    ]
 
 
 def noise_of(diagnosis: Diagnosis) -> str:
