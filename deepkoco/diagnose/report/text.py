@@ -9,7 +9,7 @@ from rich.table import Table
 
 from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
 from deepkoco.diagnose.causes.parameter import SCALED
-from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding
+from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding, Moved
 from deepkoco.pages.units import in_one_unit
 from deepkoco.systems.effects.effect import COMMON
 
@@ -32,7 +32,7 @@ def headline(diagnosis: Diagnosis) -> str:
     named = _named(diagnosis.causes)
     explained = "The simulation explains this log up to noise"
     if diagnosis.moved:
-        values = " and ".join(new_value(m.name, m.given, m.estimate) for m in diagnosis.moved)
+        values = " and ".join(_moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
     return {
         "cause": named,
@@ -41,6 +41,17 @@ def headline(diagnosis: Diagnosis) -> str:
         "unknown": "The simulation differs from this log, and no cause of the catalogue explains the difference",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
+
+
+def _moved_value(moved: Moved) -> str:
+    """Return a moved parameter as a clause, and the sum of which it is a part if only that sum shows."""
+    text = new_value(moved.name, moved.given, moved.estimate)
+    if not moved.sum_with:
+        return text
+    sums = [moved.sum_given + moved.estimate.value - moved.given, moved.sum_given]
+    (now, before), unit = in_one_unit(sums, moved.estimate.unit)
+    parts = " and ".join(spoken(n) for n in (moved.name, *moved.sum_with))
+    return f"{text}; only the sum of {parts} shows in the motion, it is {now} {unit}, not {before} {unit}"
 
 
 def _named(causes: Sequence[Finding]) -> str:
