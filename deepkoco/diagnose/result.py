@@ -22,6 +22,7 @@ from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise
 from deepkoco.diagnose.verdict.judgement import Judgement
+from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
@@ -128,6 +129,7 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
         "white": final.chi2 / train.samples <= limit and left.lag_one <= alike,
         "spectrum": spectrum_of(remaining),
         "doubts": list(judgement.doubts),
+        "minor": minor_causes(explanation.found),
         "allowed_by_healthy_logs": list(explanation.joined),
         "not_fitted": list(judgement.unfitted),
         "lost_commands_not_searched": why_not_searched(train, base.start.losing),
