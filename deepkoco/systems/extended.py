@@ -21,6 +21,7 @@ from deepkoco.systems.joint import JointSystem, TorqueLaw
 from deepkoco.systems.joint_memory import JointMemory, Remembering
 from deepkoco.systems.origins import find_stored, origin_of, stored_origin
 from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
+from deepkoco.systems.rollout import EffectLoad, Rollout
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
@@ -199,6 +200,27 @@ class ExtendedSystem(System):
             for placed in self._at("memory")
         ]
         return JointMemory(parts)
+
+    def rollout(self, parameters: Parameters) -> Rollout | None:
+        base = self.base.rollout(self._body(parameters))
+        # Steady dry friction is given with its levels.
+        loads = [placed for placed in self._at("load") if not placed.effect.steady]
+        if base is None or self._at("memory") or not all(base.knows(placed.effect.name) for placed in loads):
+            return None
+        return base.with_loads(
+            [
+                EffectLoad(
+                    placed.effect.name,
+                    placed.joint(self),
+                    placed.source(self),
+                    tuple(
+                        torch.as_tensor(parameters[f"{placed.name}.{p.name}"], dtype=torch.float64)
+                        for p in placed.parameters(self.base)
+                    ),
+                )
+                for placed in loads
+            ]
+        )
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
         return self.base.inverse_inertia(self._body(parameters))

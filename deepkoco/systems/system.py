@@ -16,6 +16,7 @@ from torch import Tensor
 from deepkoco.systems.declaration import Declared
 from deepkoco.systems.drawing import Point, canvas, draw_bars
 from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.rollout import Rollout
 from deepkoco.systems.typical_loads import typical_loads
 
 Parameters = Mapping[str, Tensor]
@@ -421,6 +422,10 @@ class System(metaclass=Declared):
     def per_speed_squared_units(self) -> tuple[str, ...]:
         """Unit of a load per squared speed of each joint."""
         return tuple(f"{load} s2/{u}2" for load, u in zip(self.load_units, self.state_units, strict=False))
+
+    def rollout(self, parameters: Parameters) -> Rollout | None:
+        """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""
+        return None
 
     def delivery(self, parameters: Parameters) -> Delivery | None:
         """What actuators deliver, for each command that drives a joint; None where it is the effort itself."""

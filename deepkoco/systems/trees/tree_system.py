@@ -46,6 +46,7 @@ from deepkoco.systems.trees.parameters import (
     time_constant,
 )
 from deepkoco.systems.trees.picture import choose_view, lines
+from deepkoco.systems.trees.rollout import TreeRollout
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
@@ -242,6 +243,12 @@ class TreeSystem(System):
         numbers = _Numbers.of(self, parameters, steady=True)
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         return self._law(numbers._replace(passive=passive))
+
+    def rollout(self, parameters: Parameters) -> TreeRollout | None:
+        numbers = _Numbers.of(self, parameters, steady=True)
+        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
+        fast = numbers._replace(passive=passive).fast(self._arrays)
+        return None if fast is None else TreeRollout(fast)
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
         joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
