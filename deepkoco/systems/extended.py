@@ -247,8 +247,8 @@ class ExtendedSystem(System):
         for placed in self._at("memory"):
             if not self._at_null(placed, parameters):
                 raise MemoryEffectError(
-                    f"{placed.name} remembers the way of its joint: it acts along a log (diagnosis, identification) "
-                    "and cannot be simulated one state at a time"
+                    f"{placed.name} remembers the way of its joint: it acts along a log and in an environment, and "
+                    "has no derivative at a single state"
                 )
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
@@ -335,10 +335,13 @@ class ExtendedSystem(System):
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         if any(width is not None and bool((width != 0.0).any()) for width in self.output_play(parameters)):
             raise MemoryEffectError(
-                "gear_play remembers the way of its joint: it acts along a log (diagnosis, identification) and cannot "
-                "be simulated one state at a time"
+                "gear_play remembers the way of its joint: it acts along a log and in an environment, and a single "
+                "state does not say what its sensors show"
             )
         return self._sensed(self.base.measure(state, parameters), None, parameters)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        return self._sensed(self.base.measure_shown(shown, parameters), None, parameters)
 
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure_at(state, time, parameters), time, parameters)
