@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from deepkoco.systems.system import (
     Outline,
     Parameter,
     Parameters,
+    PayloadWay,
     System,
     Timing,
 )
@@ -33,6 +35,7 @@ from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_m
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import read_model
+from deepkoco.systems.trees.outside_forces import OutsideForce, force_name, outside_forces, with_forces
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
@@ -43,9 +46,11 @@ from deepkoco.systems.trees.parameters import (
     joint_value,
     link_inertias,
     payload_name,
+    payload_place_name,
     time_constant,
 )
 from deepkoco.systems.trees.picture import choose_view, lines
+from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
@@ -121,6 +126,7 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
+        self.force_sites = tuple(body.name for body in tree.bodies)
         self._least_inertias = least_inertias(tree)
         nominal = _Numbers.of(self, {}, steady=True)
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
@@ -279,6 +285,7 @@ class TreeSystem(System):
         drives = self._drives()
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            motion = with_forces(motion, tree.joints, numbers.forces, self._arrays)
             if fast is not None and is_plain(_all_of(motion)):
                 return fast(motion, smooth)
             given = forces(motion)
@@ -304,8 +311,16 @@ class TreeSystem(System):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.with_payload_at(self.tip, mass, parameters)
 
-    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+    def with_payload_at(
+        self, site: str, mass: Tensor, parameters: Parameters, along: Tensor | None = None
+    ) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
+
+        Args:
+            site: A site of the model, or a body: then the mass is at its centre of mass, or ``along`` its link.
+            mass: (...) [kg].
+            parameters: Those before.
+            along: (...) distance from the body's joint along its link, see `payload_way` [m].
 
         Raises:
             TreeError: There is no such place.
@@ -314,7 +329,38 @@ class TreeSystem(System):
             raise TreeError(f'{self.name} has no place "{site}"; it has: {", ".join(self.payload_sites)}')
         name = payload_name(site)
         before = parameters.get(name)
-        return {**parameters, name: mass if before is None else before + mass}
+        placed = {} if along is None else {payload_place_name(site): along}
+        return {**parameters, **placed, name: mass if before is None else before + mass}
+
+    def payload_way(self, site: str) -> PayloadWay | None:
+        return self._payload_ways.get(site)
+
+    @cached_property
+    def _payload_ways(self) -> dict[str, PayloadWay]:
+        return payload_ways(self.tree)
+
+    def force_parameters(self, site: str) -> tuple[Parameter, ...]:
+        return self._force_parameters.get(site, ())
+
+    @cached_property
+    def _force_parameters(self) -> dict[str, tuple[Parameter, ...]]:
+        return force_parameters(self.tree, self._load_scales)
+
+    def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
+        """Parameters under a force at the centre of mass of a body.
+
+        Args:
+            site: One of `force_sites`.
+            force: x, y or z -> (...) component along that axis of the world [N].
+            parameters: Those before; a force that they have already is added to.
+
+        Raises:
+            TreeError: There is no such body.
+        """
+        if site not in self.force_sites:
+            raise TreeError(f'{self.name} has no body "{site}"; it has: {", ".join(self.force_sites)}')
+        added = {force_name(site, axis): value for axis, value in force.items()}
+        return {**parameters, **{n: v + parameters[n] if n in parameters else v for n, v in added.items()}}
 
     def outline(self, angles: np.ndarray) -> Outline:
         return lines(self.tree, angles, self._view)
@@ -381,6 +427,7 @@ class _Numbers(NamedTuple):
     gravity: Triple
     passive: dict[str, list[Scalar]]
     laws: list[Law]
+    forces: tuple[OutsideForce, ...]
 
     @staticmethod
     def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
@@ -391,7 +438,8 @@ class _Numbers(NamedTuple):
         if steady:
             added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
-        return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
+        inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
+        return _Numbers(inertias, system.gravity(parameters), passive, laws, forces)
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:
         """The compiled loop; None where it cannot be used."""
