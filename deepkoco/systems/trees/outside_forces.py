@@ -1,14 +1,14 @@
 r"""Forces with fixed directions in the world, at points of a tree: the loads J^T F that they put on its joints.
 
-A force F at the point x puts z . ((x - o) x F) on a hinge with the axis z through o, and z . F on a slide. This holds for
-each joint between the point and the base.
+A force F at the point x puts z . ((x - o) x F) on a hinge with the axis z through o, and z . F on a slide. This holds
+for each joint between the point and the base.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -28,26 +28,12 @@ from deepkoco.systems.trees.scalars import (
     turned,
     turned_back,
 )
-from deepkoco.systems.trees.tree import Joint, Tree
+from deepkoco.systems.trees.tree import Joint, OutsideForce, Tree
 
 if TYPE_CHECKING:
     from deepkoco.systems.trees.fast import TreeArrays
 
 AXES = ("x", "y", "z")
-
-
-class OutsideForce(NamedTuple):
-    """One force.
-
-    Attributes:
-        joint: Index of the joint with which its point moves.
-        point: In the joint's frame [m].
-        force: In the frame of the base [N]; each entry a number or of a shape that broadcasts against the motion's.
-    """
-
-    joint: int
-    point: Triple
-    force: Triple
 
 
 def force_name(site: str, axis: str) -> str:
@@ -56,8 +42,8 @@ def force_name(site: str, axis: str) -> str:
 
 
 def outside_forces(tree: Tree, parameters: Parameters) -> tuple[OutsideForce, ...]:
-    """Forces at the bodies of a tree, where the parameters have any of their components."""
-    found = []
+    """Forces that hold bodies up against gravity, and those of which the parameters have any component."""
+    found = list(tree.supports)
     for site in body_places(tree):
         own = [parameters.get(force_name(site.name, axis)) for axis in AXES]
         if any(x is not None for x in own):
