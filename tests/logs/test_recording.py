@@ -67,10 +67,12 @@ def test_read_log_converts_units_to_those_of_the_system(tmp_path):
     assert [series.unit for series in recording.channels.values()] == ["N m", "rad", "rad/s"]
 
 
-@pytest.mark.parametrize("unit, factor", [("s", 1.0), ("ns", 1e9)])
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ns", 1e9)])
 def test_times_that_are_dates_count_from_the_begin_of_the_log(tmp_path, unit, factor):
     frame = table()
-    moved = frame.assign(t=(factor * (1_700_000_000.25 + frame["t"])).astype("int64" if factor > 1 else float))
+    moved = frame.assign(
+        t=(factor * (1_700_000_000.25 + frame["t"])).astype("int64" if factor > 1 else float)
+    )
     moved.loc[10:20, "theta"] = np.nan
     path = save(tmp_path, moved, sidecar(time={"column": "t", "unit": unit}))
     recording = read_log(path, fill="hold")
