@@ -25,6 +25,7 @@ from deepkoco.systems.trees.scalars import (
     inward,
     outward,
     plus,
+    sub,
     turned,
     turned_back,
 )
@@ -73,7 +74,7 @@ def joint_loads(
         force, seen, motions = given.force, [], []
         for k in reversed(path):
             joint = joints[k]
-            moved = angles[k] - joint.reference if joint.reference else angles[k]
+            moved = sub(angles[k], joint.reference)
             cosine, sine = (1.0, 0.0) if joint.slides else (torch.cos(moved), torch.sin(moved))
             force = turned_back(cosine, sine, inward(joint.frame.rotation, force))
             seen.append(force)
@@ -90,13 +91,20 @@ def joint_loads(
 
 
 def with_forces(
-    motion: Motion, joints: Sequence[Joint], forces: Sequence[OutsideForce], arrays: TreeArrays
+    motion: Motion, joints: Sequence[Joint], forces: Sequence[OutsideForce], arrays: TreeArrays | None
 ) -> Motion:
-    """A motion with the loads of forces added to its outside loads."""
+    """A motion with the loads of forces added to its outside loads.
+
+    Args:
+        motion: The motion.
+        joints: J joints.
+        forces: Any number of forces.
+        arrays: Numbers of the same joints for the compiled loop; None where a parameter changes them.
+    """
     if not forces:
         return motion
     own = [x for force in forces for x in force.force]
-    if is_plain([*own, *motion.angles]):
+    if arrays is not None and is_plain([*own, *motion.angles]):
         loads: Sequence[Scalar] = _compiled(arrays, forces, motion.angles)
     else:
         like = torch.zeros_like(motion.angles[0])

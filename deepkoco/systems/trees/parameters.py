@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepkoco.systems.system import Parameter, Parameters
 from deepkoco.systems.trees.dynamics import NONE, Inertia, rotated, shifted
+from deepkoco.systems.trees.geometry import products_of_inertia
 from deepkoco.systems.trees.places import point_along
 from deepkoco.systems.trees.scalars import ZERO, Scalar, Triple, add, mul, outward, plus
 from deepkoco.systems.trees.tree import Actuator, Body, Joint, Matrix, Tree
@@ -102,7 +103,7 @@ def body_inertia(body: Body, parameters: Parameters) -> Inertia:
         [_value(parameters, f"inertia_{a}({body.name})", body.moments[i]) for i, a in enumerate(AXES)]
     )
     axes = _product(body.frame.rotation, body.axes)
-    central = rotated(axes, (*moments, 0.0, 0.0, 0.0))
+    central = rotated(axes, (*moments, *products_of_inertia(body, parameters)))
     centre = plus(body.frame.offset, outward(body.frame.rotation, com))
     return shifted(Inertia(mass, ZERO, central), centre)  # pyright: ignore[reportArgumentType]
 

@@ -33,9 +33,10 @@ from deepkoco.systems.system import (
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
+from deepkoco.systems.trees.geometry import geometry_parameters, shaped, turned_forces, turned_inertias
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import read_model
-from deepkoco.systems.trees.outside_forces import OutsideForce, force_name, outside_forces, with_forces
+from deepkoco.systems.trees.outside_forces import force_name, outside_forces, with_forces
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
@@ -55,7 +56,7 @@ from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scal
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
 from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
-from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
+from deepkoco.systems.trees.tree import Actuator, Joint, OutsideForce, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
 ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
@@ -133,7 +134,8 @@ class TreeSystem(System):
         self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        self.parameters = settings.parameters(visible_parameters(self, declared_parameters(tree)))
+        declared = visible_parameters(self, declared_parameters(tree))
+        self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
@@ -250,8 +252,8 @@ class TreeSystem(System):
         return self._law(numbers._replace(passive=passive))
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
-        fast = own.fast(self._arrays)
+        own = _Numbers.of(self, parameters, steady=True)
+        joints, fast = own.joints, own.fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
             if fast is not None and is_plain(motion.angles):
@@ -264,12 +266,12 @@ class TreeSystem(System):
         self, parameters: Parameters
     ) -> Callable[[Motion, Sequence[Tensor]], tuple[Tensor, ...]]:
         """(motion, accelerations) -> outside load on each joint [N m or N] under which it moves so."""
-        tree, own = self.tree, _Numbers.of(self, parameters)
+        own = _Numbers.of(self, parameters)
         law = self._law(own)
 
         def loads(motion: Motion, accelerations: Sequence[Tensor]) -> tuple[Tensor, ...]:
             missing = [a - b for a, b in zip(accelerations, law(motion), strict=True)]
-            mass = mass_matrix(tree.joints, own.inertias, own.passive["armature"], motion.angles)
+            mass = mass_matrix(own.joints, own.inertias, own.passive["armature"], motion.angles)
             rows = range(self.joints)
             return tuple(total([mul(mass[max(j, k)][min(j, k)], missing[k]) for k in rows]) for j in rows)
 
@@ -279,13 +281,14 @@ class TreeSystem(System):
         tree, passive = self.tree, numbers.passive
         smooth = self.smoothing_speeds
         fast = numbers.fast(self._arrays)
-        dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
+        arrays = self._arrays if numbers.as_given else None
+        dynamics = forward_dynamics(numbers.joints, numbers.inertias, passive["armature"], numbers.gravity)
         forces = actuator_forces(tree.actuators, numbers.laws)
         resisting = passive_loads(passive, smooth)
         drives = self._drives()
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
-            motion = with_forces(motion, tree.joints, numbers.forces, self._arrays)
+            motion = with_forces(motion, numbers.joints, numbers.forces, arrays)
             if fast is not None and is_plain(_all_of(motion)):
                 return fast(motion, smooth)
             given = forces(motion)
@@ -428,6 +431,8 @@ class _Numbers(NamedTuple):
     passive: dict[str, list[Scalar]]
     laws: list[Law]
     forces: tuple[OutsideForce, ...]
+    joints: tuple[Joint, ...]
+    as_given: bool  # whether the joints are those of the file
 
     @staticmethod
     def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
@@ -439,10 +444,16 @@ class _Numbers(NamedTuple):
             added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
         inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
-        return _Numbers(inertias, system.gravity(parameters), passive, laws, forces)
+        gravity, shape = system.gravity(parameters), shaped(tree, parameters)
+        if shape is None:
+            return _Numbers(inertias, gravity, passive, laws, forces, tree.joints, True)
+        inertias, forces = turned_inertias(shape, inertias), turned_forces(shape, forces)
+        return _Numbers(inertias, gravity, passive, laws, forces, shape.joints, False)
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:
-        """The compiled loop; None where it cannot be used."""
+        """The compiled loop; None where it cannot be used: it knows the joints of the file only."""
+        if not self.as_given:
+            return None
         flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
         flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
         flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
