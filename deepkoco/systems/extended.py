@@ -28,8 +28,10 @@ from deepkoco.systems.system import (
     CommandTiming,
     InverseInertia,
     Motion,
+    Parameter,
     ParameterError,
     Parameters,
+    PayloadWay,
     System,
     Timing,
 )
@@ -82,6 +84,7 @@ class ExtendedSystem(System):
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
         self.payload_sites, self.tip = base.payload_sites, base.tip
+        self.force_sites = base.force_sites
         self.effects: tuple[PlacedEffect, ...] = tuple(e for name, e in known.items() if name in effects)
         declared = list(base.parameters)
         for placed in self.effects:
@@ -352,8 +355,21 @@ class ExtendedSystem(System):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
 
-    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
-        return self.base.with_payload_at(site, mass, parameters)
+    def with_payload_at(
+        self, site: str, mass: Tensor, parameters: Parameters, along: Tensor | None = None
+    ) -> Parameters:
+        if along is None:
+            return self.base.with_payload_at(site, mass, parameters)
+        return self.base.with_payload_at(site, mass, parameters, along)
+
+    def payload_way(self, site: str) -> PayloadWay | None:
+        return self.base.payload_way(site)
+
+    def force_parameters(self, site: str) -> tuple[Parameter, ...]:
+        return self.base.force_parameters(site)
+
+    def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
+        return self.base.with_force_at(site, force, parameters)
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)
