@@ -69,6 +69,7 @@ class Cause:
         searched: Whether it was searched for at many places in time, which the penalty charges.
         choices: Number of discrete values that were tried, which the penalty charges.
         valley: Values -> other values along a valley of the cost, by full names; None where there is none.
+        also: Parameters that a fit frees too at sites where the effect has them.
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
         shape: Those of ``free`` that say where, when or in which form it acts, and not how much of it there is.
@@ -94,6 +95,7 @@ class Cause:
     traced: bool = False
     shape: tuple[str, ...] = ()
     tolerance: Tolerance = share_of_usual
+    also: tuple[str, ...] = ()
     effect: str = ""
     joint: int | None = None
     index: int = 0
@@ -123,6 +125,8 @@ class Cause:
         # If the effect has other parameters on this system (a tilt in a plane has two), all of them are freed.
         same = all(n in declared for n in self.free)
         cause = self if same else replace(self, free=tuple(declared))
+        if more := tuple(n for n in self.also if same and n in declared):
+            cause = replace(self, free=(*self.free, *more))
         return cause._called(placed.name, placed.name, joint, placed.index)
 
     def on_joint(self, joint: int, system: System) -> Cause:
