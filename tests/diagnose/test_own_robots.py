@@ -49,17 +49,7 @@ STUDY = {
 
 @pytest.mark.study
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(
-            c, marks=pytest.mark.xfail(reason="named as stribeck, with an excess of 3 % near standstill")
-        )
-        if c == "motor, dry friction"
-        else c
-        for c in STUDY
-    ],
-)
+@pytest.mark.parametrize("case", STUDY)
 def test_a_hidden_effect_of_a_robot_of_ones_own_is_named_with_its_size(tmp_path, case):
     unit, system, parameter, truth, tolerance = STUDY[case]
     assert diagnosed(tmp_path, unit, system, 20.0)["verdict"] == "cause"

@@ -13,7 +13,7 @@ from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
-from deepkoco.diagnose.residuals.residuals import SLOTS
+from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 HOPEFUL = 0.9  # share of what the winner explains, from which a simpler cause is fitted to convergence
@@ -62,15 +62,16 @@ def classed(
 ) -> tuple[Ranking, tuple[str, ...]]:
     """Return the ranking and the names of its winner's class, the simpler cause and the mechanism first.
 
-    A cause with more parameters must explain clearly more than a simpler one: below ``LEAST_SHARE`` of the whole, it
-    only describes the form of the simpler one. Dry friction is an example, of which a log shows some excess near
-    standstill.
+    Where a model error is left, a cause with more parameters must explain clearly more than a simpler one: below
+    ``LEAST_SHARE`` of the whole, it only describes the form of the simpler one. Dry friction is an example, of which a
+    log shows some excess near standstill.
 
     Almost every mechanism can be written as another value of some parameter. Where the data cannot distinguish the
     two, the mechanism leads the class. The farther the parameter is from its given value, the more evidence it needs.
     """
     simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
-    if simple:
+    left = ranking.best.fit.chi2 / problem.windows.samples > white_limit(problem.windows) * start.floor
+    if simple and left:
         first = min(simple, key=lambda c: (c.cause.size, -c.delta_bic))
         ranking = replace(ranking, candidates=(first, *(c for c in ranking.candidates if c is not first)))
     members = equivalent(problem, start, ranking, tuple(accepted))
