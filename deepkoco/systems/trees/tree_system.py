@@ -262,7 +262,7 @@ class TreeSystem(System):
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
         own = _Numbers.of(self, parameters, steady=True)
-        joints, fast = own.joints, own.fast(self._arrays)
+        joints, fast = own.joints, own.without_forces().fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
             if fast is not None and is_plain(motion.angles):
@@ -289,7 +289,7 @@ class TreeSystem(System):
     def _law(self, numbers: _Numbers) -> Acceleration:
         tree, passive = self.tree, numbers.passive
         smooth = self.smoothing_speeds
-        fast = numbers.fast(self._arrays)
+        fast = numbers.without_forces().fast(self._arrays)
         arrays = self._arrays if numbers.as_given else None
         dynamics = forward_dynamics(numbers.joints, numbers.inertias, passive["armature"], numbers.gravity)
         forces = actuator_forces(tree.actuators, numbers.laws)
@@ -459,9 +459,13 @@ class _Numbers(NamedTuple):
         inertias, forces = turned_inertias(shape, inertias), turned_forces(shape, forces)
         return _Numbers(inertias, gravity, passive, laws, forces, shape.joints, False)
 
+    def without_forces(self) -> _Numbers:
+        """The same, for callers that add the loads of the forces themselves."""
+        return self._replace(forces=())
+
     def fast(self, arrays: TreeArrays) -> FastLaw | None:
-        """The compiled loop; None where it cannot be used: it knows the joints of the file only."""
-        if not self.as_given:
+        """The compiled loop; None where it cannot be used: it knows the joints of the file, and no outside forces."""
+        if not self.as_given or self.forces:
             return None
         flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
         flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
