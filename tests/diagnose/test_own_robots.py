@@ -40,6 +40,18 @@ def test_the_delay_of_a_motor_of_ones_own_is_named_with_its_size(tmp_path):
     assert model.parameter("actuation_delay.delay").value == pytest.approx(0.03, abs=5e-4)
 
 
+def test_only_the_sum_of_two_inertias_of_a_motor_is_told(tmp_path):
+    report = diagnosed(tmp_path, MotorUnit(load_inertia=2.2e-4), MOTOR, 10.0)
+    assert report["verdict"] == "nothing"
+    (moved,) = report["fit"]["moved"]
+    assert (moved["name"], moved["sum_with"]) == ("load_inertia", ["motor_inertia"])
+    assert moved["sum_given"] == pytest.approx(2e-4)
+    assert moved["value"] == pytest.approx(2.2e-4, rel=0.01)
+    assert (
+        "only the sum of load inertia and motor inertia" in (tmp_path / "report" / "report.html").read_text()
+    )
+
+
 STUDY = {
     "cart-pole, delay": (CartPoleUnit(delay=0.03), CART, "actuation_delay(cart).delay", 0.03, 5e-4),
     "cart-pole, dry friction": (CartPoleUnit(coulomb=0.7), CART, "coulomb(cart).torque", 0.7, 0.02),

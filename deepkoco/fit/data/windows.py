@@ -238,8 +238,11 @@ def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[
     if period is None or any(p is None or abs(p - period) > ONE_RATE * period for p in periods):
         return length / steps, steps, False
     share = longest * (1.0 + SLIGHTLY) / period
-    step = period * math.floor(share) if share >= 1.0 else period / math.ceil(1.0 / share)
-    return step, max(round(length / step), 1), True
+    if share >= 1.0:
+        step = period * math.floor(share)
+        return step, max(round(length / step), 1), True
+    parts = math.ceil(1.0 / share)
+    return period / parts, parts * max(round(length / period), 1), True
 
 
 def regular_period(t: np.ndarray) -> float | None:
