@@ -62,7 +62,8 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     change = {n: best.values[n] - start.values[n] for n in chosen}
     if max(abs(change[n]) / sd[n] for n in chosen) < FAR:
         return ()
-    return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen)
+    # A change within a data sheet's standard deviation is no news.
+    return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen if abs(change[n]) >= sd[n])
 
 
 def _moved(
