@@ -34,7 +34,7 @@ def front_settled(
         behind = ranking.best.delta_bic - other.delta_bic
         if behind < 0.0 or behind - _overpaid(ranking, other) >= NEAR or not other.cause.free:
             continue
-        if other.fit.converged and not _pulled_back(problem, start, other):
+        if other.fit.converged and other.fit.exact and not _pulled_back(problem, start, other):
             continue
         others[k] = _better(other, settled(problem, start, accepted, other), ranking)
         if others[k].delta_bic > winner.delta_bic:

@@ -13,10 +13,11 @@ from deepkoco.diagnose.causes import Cause, catalogue, is_changed
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
-from deepkoco.diagnose.evidence.screening import StartPoint, screen
+from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 
 # Fall of the BIC that the first cause needs, and each further one. Both were calibrated on logs of units in
 # which nothing is wrong (results/diagnose/), with other seeds than the tests use.
@@ -59,7 +60,8 @@ def rank(
     listed = [(cause, place) for cause in tried for place in cause.starts(hints.for_cause(cause))]
     slips = [(cause, place) for cause, place in listed if not cause.free]
     prior = prior_with(problem, start, accepted, reference.values)
-    promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free])
+    tangent = Linearised(problem, reference, prior)
+    promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
     promising = _promising(promises)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
@@ -80,14 +82,29 @@ def rank(
         )
         for p in promising
     ]
-    trials += _slipped(problem, start, accepted, reference, slips)
-    fits = _fit_best(problem, trials, reference)
+    # With many parameters, the candidates of a reference share its slopes.
+    known = tangent.kept() if trials and problem.keeps_slopes(trials) else None
+    slipped = _slipped(problem, start, accepted, reference, slips)
+    if known is None:
+        trials += slipped
+        fits = _fit_best(problem, trials, reference)
+    else:
+        fits = _fit_best(problem, trials, reference, known)
+        fits |= _fit_best(problem, slipped, reference)
+        trials += slipped
     if strained(problem, start, reference) and promising:
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
         before = {n: start.values[n] for n in start.prior.names}
         values = [{**reference.values, **before, **p.values} for p in promising]
-        states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
+        known = None
+        if problem.keeps_slopes(trials):
+            foot = {**reference.values, **before}
+            state, cost = problem.fit_states(foot, reference.state)
+            states, costs = state.expand(len(values), -1, -1), cost.expand(len(values), -1)
+            known = problem.slopes_at(foot, reference.free, state, reference.nuisance)
+        else:
+            states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
         free = {p.cause.name: p.cause.free for p in promising}
         footholds = [
             _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
@@ -95,13 +112,20 @@ def rank(
             if bool(torch.isfinite(costs[k]).all())
         ]
         # First fit each cause alone, so that the baseline's parameters cannot absorb it as they did in the refit.
-        alone = problem.fit([replace(t, free=tuple(free[t.name])) for t in footholds], ITERATIONS, CLOSE)
+        alone = problem.fit(
+            [replace(t, free=tuple(free[t.name])) for t in footholds],
+            ITERATIONS,
+            CLOSE,
+            known,
+            exact=False,
+            renewals=0,
+        )
         footholds = [
             replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
             for t, fit in zip(footholds, alone, strict=True)
         ]
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
-        for name, fit in _fit_best(problem, footholds, reference).items():
+        for name, fit in _fit_best(problem, footholds, reference, known).items():
             if name not in fits or fit.cost < fits[name].cost:
                 fits[name] = fit
     promised = _best(promises)
@@ -112,7 +136,11 @@ def rank(
     # promised more than the winner's fall of the cost may only converge slowly.
     best = ranking.best.cause.name if ranking.candidates else ""
     won = reference.cost - min((fit.cost for fit in fits.values()), default=reference.cost)
-    unsettled = [n for n, f in fits.items() if not f.converged and (n == best or promised.get(n, 0.0) > won)]
+    unsettled = [
+        n
+        for n, f in fits.items()
+        if (not f.converged and (n == best or promised.get(n, 0.0) > won)) or (n == best and not f.exact)
+    ]
     if unsettled:
         first = {name: next(t for t in trials if t.name == name) for name in unsettled}
         longer = [
@@ -124,11 +152,20 @@ def rank(
     return replace(ranking, unfitted=unfitted)
 
 
-def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> dict[str, Fit]:
-    """Return the fit of each name: a few iterations of every trial, then more for the best trial of each name."""
+def _fit_best(
+    problem: FitProblem, trials: Sequence[Trial], reference: Fit, known: FrozenSlopes | None = None
+) -> dict[str, Fit]:
+    """Return the fit of each name: a few iterations of every trial, then more for the best trial of each name.
+
+    Args:
+        problem: The windows.
+        trials: The trials; several may have one name.
+        reference: Fit whose cost they lower.
+        known: Slopes near their starts, which the first iterations keep.
+    """
     if not trials:
         return {}
-    scouts = problem.fit(trials, SCOUTING, CLOSE)
+    scouts = problem.fit(trials, SCOUTING, CLOSE, known, exact=False, renewals=None if known is None else 0)
     best: dict[str, tuple[Fit, Trial]] = {}
     for trial, scout in zip(trials, scouts, strict=True):
         if trial.name not in best or scout.cost < best[trial.name][0].cost:
@@ -140,7 +177,7 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
         if not scout.converged and reference.cost - scout.cost > PROMISING_SHARE * won:
             running.append(name)
             longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
-    longer = problem.fit(longer, ITERATIONS, CLOSE)
+    longer = problem.fit(longer, ITERATIONS, CLOSE, known, exact=False)
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
 
@@ -201,7 +238,7 @@ def _trial(
     reference: Fit,
 ) -> Trial:
     prior = prior_with(problem, start, [*accepted, cause], values)
-    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance)
+    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance, cause.free)
 
 
 def without_events_first(
