@@ -54,6 +54,7 @@ from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, lo
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
+LONGEST_STEP = 0.01  # of a fit [s]; see deepkoco.fit.data.windows
 ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
 SPEED_NOISE, RATE_NOISE = 0.05, 5e-3  # [rad/s, m/s]
 TILT_SD, LARGEST_TILT = 0.05, 0.5  # of the base [rad]
@@ -123,6 +124,7 @@ class TreeSystem(System):
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
         self._least_inertias = least_inertias(tree)
+        self._longest_step = 0.0  # of the nominal values, which follow
         nominal = _Numbers.of(self, {}, steady=True)
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
         self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
@@ -396,7 +398,8 @@ class _Numbers(NamedTuple):
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
         if steady:
-            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            step = min(system.longest_step, LONGEST_STEP)
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
         return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
 
