@@ -21,6 +21,8 @@ from deepkoco.fit.tangent import Tangent, state_steps
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
 
+MANY_STATES = 8  # in a window, from which a fit of states keeps slopes for a second iteration
+
 
 class FitProblem(ShootingProblem):
     """Windows of measurements of one system, to which trials are fitted.
@@ -201,22 +203,28 @@ class FitProblem(ShootingProblem):
         sets, count, size = state.shape
         nudge = state_steps(size)
         theta = np.array([[float(v[n]) for n in self.names] for v in values])
-        theta = np.tile(theta, (1 + size, 1))
         nuisance = self.nuisances.none().repeat(sets, 1) if nuisance is None else nuisance
-        nuisance = nuisance.repeat(1 + size, 1)
         best, trial = state.clone(), state.clone()
         cost = torch.full((sets, count), torch.inf, dtype=torch.float64)
         damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
         hessian = torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1)
         gradient = torch.zeros(sets, count, size, dtype=torch.float64)
         differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
-        for _ in range(iterations):
-            lanes = trial.repeat(1 + size, 1, 1, 1)
-            for s in range(size):
+        kept: Tensor | None = None
+        for iteration in range(iterations):
+            # With many states, every second iteration from the third on keeps the slopes of the one before.
+            fresh = size < MANY_STATES or iteration < 2 or iteration % 2 == 0
+            count_lanes = 1 + size if fresh else 1
+            lanes = trial.repeat(count_lanes, 1, 1, 1)
+            for s in range(count_lanes - 1):
                 lanes[1 + s, :, :, s] += nudge[s]
-            predicted = self.predict(theta, lanes.flatten(0, 1), nuisance).unflatten(0, (1 + size, sets))
+            predicted = self.predict(
+                np.tile(theta, (count_lanes, 1)), lanes.flatten(0, 1), nuisance.repeat(count_lanes, 1)
+            ).unflatten(0, (count_lanes, sets))
             residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
-            slope = ((predicted[1:] - predicted[0]) / differences * self.weight).flatten(3)
+            if fresh or kept is None:
+                kept = ((predicted[1:] - predicted[0]) / differences * self.weight).flatten(3)
+            slope = kept
             now = (residual**2).sum(-1)
             curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
             downhill = torch.einsum("skwm,kwm->kws", slope, residual)

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -18,6 +18,9 @@ from deepkoco.systems.drawing import Point, canvas, draw_bars
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.rollout import Rollout
 from deepkoco.systems.typical_loads import typical_loads
+
+if TYPE_CHECKING:
+    from deepkoco.systems.effects.effect import Effect
 
 Parameters = Mapping[str, Tensor]
 
@@ -426,6 +429,10 @@ class System(metaclass=Declared):
     def rollout(self, parameters: Parameters) -> Rollout | None:
         """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""
         return None
+
+    def rolls(self, effect: Effect) -> bool:
+        """Whether :meth:`rollout` can be had together with an effect, if it can be had at all."""
+        return True
 
     def delivery(self, parameters: Parameters) -> Delivery | None:
         """What actuators deliver, for each command that drives a joint; None where it is the effort itself."""

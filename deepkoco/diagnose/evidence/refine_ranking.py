@@ -15,6 +15,7 @@ from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
 from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
+SURE = 2.0 * APART  # BIC difference from which a fit that kept the slopes of another point is not repeated
 VALLEYS = 8  # largest number of searches along a valley
 USUAL_CHANGE = 0.3  # scale of the change of a parameter, as a share of its given value
 
@@ -34,7 +35,8 @@ def front_settled(
         behind = ranking.best.delta_bic - other.delta_bic
         if behind < 0.0 or behind - _overpaid(ranking, other) >= NEAR or not other.cause.free:
             continue
-        if other.fit.converged and other.fit.exact and not _pulled_back(problem, start, other):
+        sure = other.fit.exact or behind - _overpaid(ranking, other) >= SURE
+        if other.fit.converged and sure and not _pulled_back(problem, start, other):
             continue
         others[k] = _better(other, settled(problem, start, accepted, other), ranking)
         if others[k].delta_bic > winner.delta_bic:

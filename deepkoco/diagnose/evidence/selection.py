@@ -32,6 +32,7 @@ SLIPS = 4  # unit conversion constants that are fitted in full
 SLIP_ITERATIONS = 6
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
+FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 STARTS = 3  # largest number of starts of one cause
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
@@ -177,8 +178,22 @@ def _fit_best(
         if not scout.converged and reference.cost - scout.cost > PROMISING_SHARE * won:
             running.append(name)
             longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
-    longer = problem.fit(longer, ITERATIONS, CLOSE, known, exact=False)
+    longer = problem.fit(longer, ITERATIONS, CLOSE) if known is None else _fit_front(problem, longer, known)
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
+
+
+def _fit_front(problem: FitProblem, trials: Sequence[Trial], known: FrozenSlopes) -> list[Fit]:
+    """Fit trials with known slopes, then the best of them with slopes of their own."""
+    fits = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
+    front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:FRONT]
+    again = [
+        replace(trials[k], values=fits[k].values, state=fits[k].state, nuisance=fits[k].nuisance)
+        for k in front
+    ]
+    for k, fit in zip(front, problem.fit(again, ITERATIONS, CLOSE, exact=False), strict=True):
+        if fit.cost <= fits[k].cost:
+            fits[k] = fit
+    return fits
 
 
 def _best(promises: Sequence[StartPoint]) -> dict[str, float]:

@@ -48,6 +48,22 @@ class FrozenSlopes:
         across = torch.bmm(flat.permute(1, 0, 2), own)
         return FrozenSlopes(tuple(names), flat, own, whole @ whole.T, across, own.mT @ own)
 
+    def after(self, moved: Tensor, states: Tensor, missed: Tensor) -> FrozenSlopes:
+        """Return slopes that also predict a step that was simulated (Broyden's update, window by window).
+
+        Args:
+            moved: (q + z,) step of the parameters and nuisances in units of their scales, divided by these scales.
+            states: (W, S) the same of the initial states.
+            missed: (W, NM) change of the measurements that these slopes did not predict, over the sum of the squared
+                steps in units of the scales, in each window.
+        """
+        rows = self.rows + moved[:, None, None] * missed
+        own = self.states + missed[..., None] * states[:, None, :]
+        whole = rows.flatten(1)
+        return FrozenSlopes(
+            self.names, rows, own, whole @ whole.T, torch.bmm(rows.permute(1, 0, 2), own), own.mT @ own
+        )
+
     def equations(
         self,
         problem: ShootingProblem,

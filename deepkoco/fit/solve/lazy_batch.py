@@ -1,10 +1,10 @@
 """Levenberg-Marquardt with slopes that are kept as long as they predict the steps: for many parameters.
 
 A simulation for each of 70 parameters and 12 initial states costs as much as 80 steps with known slopes. Steps use the
-slopes of an earlier point, while they lower the cost by about as much as these slopes predict. Otherwise, and before a
-fit is called converged, the slopes are computed again (a chord method with restarts).
+slopes of an earlier point, mended by what each step has shown, while they lower the cost by about as much as these
+slopes predict. Otherwise, and before a fit is called converged, the slopes are computed again.
 
-Source: Kelley, Solving Nonlinear Equations with Newton's Method (2003), ch. 2: chord and Shamanskii methods.
+Source: Kelley, Solving Nonlinear Equations with Newton's Method (2003), ch. 2 and 4: chord and Broyden's methods.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from deepkoco.fit.tangent import Tangent
 MANY = 20  # parameters and initial states from which slopes are kept
 POOR = 0.5  # share of the predicted fall of the cost below which they are computed again
 LANES = 256  # simulations in one batch
+# Scale of a change of an initial state [rad or m, per s], beside prior standard deviations of parameters, when what a
+# step has shown is shared out.
+POSITION_SCALE, SPEED_SCALE = 0.1, 1.0
 STEPS = 3  # with kept slopes, for each iteration that is allowed
 
 
@@ -62,6 +65,7 @@ class LazyBatch(Batch):
         self.renewing = np.full(count, known is None)
         self.predicted = np.full(count, np.inf)
         self.left = np.zeros(count, dtype=int)
+        self.fresh: list[dict[str, Tensor]] = [{}] * count
 
     def run(self, iterations: int) -> list[Fit]:
         points = self.theta.copy(), self.initial.clone(), self.nuisance.clone()
@@ -89,6 +93,8 @@ class LazyBatch(Batch):
         first = self.normal[k] is None
         fresh, self.renewing[k] = bool(self.renewing[k]), False
         if normal.finite and decrease >= 0:
+            if not (first or fresh) and self.most != 0:
+                normal = self._mended(k, normal, points)
             self.normal[k], self.cost[k] = normal, normal.cost
             self.theta[k], self.initial[k], self.nuisance[k] = (part[k] for part in points)
             self.current[k] = fresh
@@ -107,6 +113,34 @@ class LazyBatch(Batch):
                 self._settle(k)
             self.done[k] |= self.damping[k] > LARGEST_DAMPING
         self.history[k].append(float(self.cost[k]))
+
+    def _mended(
+        self, k: int, normal: NormalEquations, points: tuple[np.ndarray, Tensor, Tensor]
+    ) -> NormalEquations:
+        """Mend the slopes by what the step to a point has shown; return the equations there."""
+        slopes, before, problem = self.slopes[k], self.normal[k], self.problem
+        assert slopes is not None
+        assert before is not None
+        columns = np.array([problem.names.index(n) for n in slopes.names], dtype=int)
+        spread = np.concatenate([problem.scale[columns], problem.nuisances.spread])
+        own = torch.from_numpy(points[0][k, columns] - self.theta[k, columns])
+        own = torch.cat([own, points[2][k] - self.nuisance[k]])
+        states = points[1][k] - self.initial[k]
+        shown = (before.residual - normal.residual).flatten(1)
+        expected = (own @ slopes.rows.flatten(1)).view_as(shown) + (slopes.states @ states[..., None])[..., 0]
+        for name, slope in self.fresh[k].items():
+            i = problem.names.index(name)
+            there = slopes.rows[slopes.names.index(name)] if name in slopes.names else 0.0
+            expected = expected + float(points[0][k, i] - self.theta[k, i]) * (slope.flatten(1) - there)
+        half = states.shape[1] // 2
+        scale = torch.tensor([POSITION_SCALE] * half + [SPEED_SCALE] * half, dtype=torch.float64)
+        kept = torch.tensor([n not in self.fresh[k] for n in slopes.names] + [True] * len(points[2][k]))
+        moved = torch.where(kept, own / torch.from_numpy(spread), 0.0)
+        size = (moved**2).sum() + ((states / scale) ** 2).sum(1)
+        missed = (shown - expected) / size.clamp_min(1e-30)[:, None]
+        slopes = slopes.after(moved / torch.from_numpy(spread), states / scale**2, missed)
+        self.slopes[k] = slopes
+        return self._built(k, normal.residual, points[0][k], points[2][k])
 
     def _ask_for_slopes(self, k: int) -> bool:
         """Let the next simulations give the slopes at the best point, if the trial may have them."""
@@ -192,8 +226,14 @@ class LazyBatch(Batch):
             self.slopes[k] = slopes_at(problem, tangent, lanes, free)
         else:
             fresh = dict(zip(moved, tangent.slopes(lanes, problem.weight), strict=True))
-        p, slopes = len(free), self.slopes[k]
+        self.fresh[k] = fresh
+        return self._built(k, residual, theta, nuisance)
+
+    def _built(self, k: int, residual: Tensor, theta: np.ndarray, nuisance: Tensor) -> NormalEquations:
+        """Normal equations of a trial at a point, with the slopes that it has."""
+        free, slopes = self.trials[k].free, self.slopes[k]
         assert slopes is not None
+        p = len(free)
         prior = self.precision[k, :p, :p]
         offset = torch.from_numpy(theta[self.columns[k]]) - self.mean[k, :p]
-        return slopes.equations(problem, free, fresh, residual, prior, offset, nuisance)
+        return slopes.equations(self.problem, free, self.fresh[k], residual, prior, offset, nuisance)

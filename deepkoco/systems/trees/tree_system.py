@@ -13,6 +13,7 @@ from torch import Tensor
 
 from deepkoco.systems import drawing
 from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
@@ -46,7 +47,7 @@ from deepkoco.systems.trees.parameters import (
     time_constant,
 )
 from deepkoco.systems.trees.picture import choose_view, lines
-from deepkoco.systems.trees.rollout import TreeRollout
+from deepkoco.systems.trees.rollout import KINDS, TreeRollout
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
@@ -251,6 +252,11 @@ class TreeSystem(System):
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         fast = numbers._replace(passive=passive).fast(self._arrays)
         return None if fast is None else TreeRollout(fast)
+
+    def rolls(self, effect: Effect) -> bool:
+        if effect.place == "load":
+            return effect.steady or effect.name in KINDS
+        return effect.place != "memory"
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
         joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
