@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import erf
 
 SHARES = (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # in load scales
-HEALTHY = 5e-4  # half-normal scale of a unit without healthy logs
-LOOSER = 10.0  # times that beside healthy logs, which show how large it is
+HEALTHY = 1e-4  # half-normal scale of a unit without healthy logs
+LOOSER = 50.0  # times that beside healthy logs, which show how large it is
 UNKNOWN = 0.05  # half-Cauchy scale of an unknown fault
 
 
@@ -28,6 +29,15 @@ class Amplitudes:
     in_time: np.ndarray
     log_healthy: np.ndarray
     log_unknown: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.of_motion)
+
+    def near(self, number: int) -> np.ndarray:
+        """Return which pairs differ from one of them by one step of the grid at most, in each size."""
+        step = np.log(1.05 * max(b / a for a, b in itertools.pairwise(SHARES[1:])))
+        sizes = (self.of_motion, self.in_time)
+        return np.all([np.abs(np.log(size / size[number])) <= step for size in sizes], axis=0)
 
     @staticmethod
     def grid(beside_healthy: bool) -> Amplitudes:

@@ -22,10 +22,9 @@ from deepkoco.fit.tangent import PARAMETER_STEP
 
 WIDE = 0.5  # Cauchy scale of a change, in declared standard deviations of an effect
 CHANGED = 0.2  # and of a parameter of the system, in standard deviations of its wide prior
-TOLERANCE = (
-    1.0 / 200.0
-)  # what any unit has of an effect, in Cauchy scales; 0.05 % of the load for dry friction
-LOOSER = 10.0  # times that beside healthy logs, which tell how much this unit has
+TOLERANCE = 1e-3  # what any unit has of an effect, in Cauchy scales: 0.01 % of the load for dry friction
+LOOSER = 50.0  # times that beside healthy logs, which tell how much this unit has
+RUNS, FRICTION_RUNS = 0.02, 0.1  # usual standard deviations from log to log, in shares of a parameter
 FREE_SHAPE = 10  # values of a shape that a log tells apart
 SHAPES = (
     "frequency",
@@ -203,3 +202,18 @@ def tolerances(catalogue: Catalogue, beside_healthy: bool) -> tuple[np.ndarray, 
     own = len(catalogue.base)
     inside = [k for k, c in enumerate(catalogue.coordinates) if k >= own and c.tolerated]
     return np.array(inside, dtype=int), np.array([share * catalogue.coordinates[k].wide for k in inside])
+
+
+def spreads(problem: FitProblem, catalogue: Catalogue, inside: np.ndarray) -> np.ndarray:
+    """Return the usual standard deviations from log to log of base parameters and tolerated changes.
+
+    They are 2 % of a parameter, 10 % of a friction, and at most its declared standard deviation. A parameter that is 0
+    has a tenth of its declared standard deviation, and a tolerated change the tolerance of a unit without healthy logs.
+    """
+    own = []
+    for name in catalogue.base:
+        parameter = problem.system.parameter(name)
+        share = FRICTION_RUNS if "s/rad" in parameter.unit or "s/m" in parameter.unit else RUNS
+        size = share * abs(parameter.value) if parameter.value else 0.1 * parameter.prior_sd
+        own.append(min(size, parameter.prior_sd))
+    return np.array([*own, *(TOLERANCE * catalogue.coordinates[k].wide for k in inside)])

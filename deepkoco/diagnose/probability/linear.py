@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
-from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.coordinates import Coordinate
-from deepkoco.diagnose.probability.gram import Gram, WindowSums
-from deepkoco.diagnose.probability.normal import Changes, Normal
+from deepkoco.diagnose.probability.gram import WindowSums
+from deepkoco.diagnose.probability.normal import Changes
+from deepkoco.diagnose.probability.unit import UnitPrior
 from deepkoco.diagnose.probability.wide import Freed, freed
 
 NEGLIGIBLE = -30.0  # log prior of an amplitude, below that of the likeliest, from which it is left out
@@ -24,36 +23,30 @@ class Linearisation:
     Attributes:
         sums: Products of all columns; changes first, then the weights of the smooth function of the motion.
         coordinates: The changes.
-        healthy: Prior of what any unit has.
-        inside: Number of the change that each coordinate of ``healthy`` moves.
-        at: Values of the changes at the point of linearisation.
-        weights: Values of the weights of the smooth function there.
+        unit: Prior of what any unit has: base parameters, tolerated changes, weights.
+        inside: Number of the column that each of them moves.
+        here: Their values at the point of linearisation.
+        at: Values of the changes there.
     """
 
     sums: WindowSums
     coordinates: Sequence[Coordinate]
-    healthy: Normal
+    unit: UnitPrior
     inside: np.ndarray
+    here: np.ndarray
     at: np.ndarray
-    weights: np.ndarray
 
-    def changes(self, of_motion: float, gram: Gram) -> Changes:
-        """Return the likelihood of the changes for one size of the function of the motion."""
-        own, weights = len(self.coordinates), self.sums.coordinates - len(self.coordinates)
-        precision = np.full(weights, of_motion**-2)
-        prior = Normal(
-            np.concatenate([self.healthy.mean, -self.weights]),
-            scipy.linalg.block_diag(self.healthy.precision, np.diag(precision)),
-            self.healthy.log_det + float(np.log(precision).sum()),
-        )
-        found = Changes.of(gram, prior, np.concatenate([self.inside, own + np.arange(weights)]))
-        return Changes(found.information[:own, :own], found.pull[:own], found.log_nothing)
-
-    def at_all(self, amplitudes: Amplitudes, keep: np.ndarray) -> list[Changes | None]:
-        """Return the likelihood of the changes at each pair of amplitudes; None where it is not asked for."""
-        grams = {r: self.sums.at(r) for r in np.unique(amplitudes.in_time[keep]).tolist()}
-        pairs = zip(amplitudes.of_motion.tolist(), amplitudes.in_time.tolist(), keep.tolist(), strict=True)
-        return [self.changes(s, grams[r]) if wanted else None for s, r, wanted in pairs]
+    def at_all(self, keep: np.ndarray) -> list[Changes | None]:
+        """Return the likelihood of the changes for each size of the model error; None where it is not asked for."""
+        own, sizes = len(self.coordinates), self.unit.amplitudes
+        grams = {r: self.sums.at(r) for r in np.unique(sizes.in_time[keep]).tolist()}
+        found: list[Changes | None] = [None] * len(keep)
+        for a in np.flatnonzero(keep):
+            prior = self.unit.normal(int(a))
+            prior = replace(prior, mean=prior.mean - self.here)
+            every = Changes.of(grams[float(sizes.in_time[a])], prior, self.inside)
+            found[a] = Changes(every.information[:own, :own], every.pull[:own], every.log_nothing)
+        return found
 
     def freed(self, changes: Changes, sets: np.ndarray) -> Freed:
         """Return the evidence of sets (K, k) of changes, filled with -1."""

@@ -8,6 +8,8 @@ Source: Rahimi and Recht, Random features for large-scale kernel machines (2007)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -65,8 +67,22 @@ def in_time(responses: np.ndarray, joints: int) -> np.ndarray:
     return responses @ np.kron(np.eye(joints), root)
 
 
+def ranges_of(problem: FitProblem, missing: Sequence[MissingTorque]) -> tuple[np.ndarray, ...]:
+    """Return lowest and highest angle, speed and effort of each joint, (2, 3) each."""
+    found = []
+    for joint in missing:
+        motion = motion_of(problem.windows, joint, problem.system)
+        parts = (motion.theta, motion.omega, motion.command)
+        found.append(np.array([[p.min() for p in parts], [p.max() for p in parts]]))
+    return tuple(found)
+
+
 def of_motion(
-    problem: FitProblem, responses: np.ndarray, missing: tuple[MissingTorque, ...], seed: int = 0
+    problem: FitProblem,
+    responses: np.ndarray,
+    missing: Sequence[MissingTorque],
+    ranges: Sequence[np.ndarray],
+    seed: int = 0,
 ) -> np.ndarray:
     """Return responses (W, NM, J D) to the weights of smooth functions of angle, speed and effort.
 
@@ -74,21 +90,18 @@ def of_motion(
         problem: The windows.
         responses: (W, NM, J K) to the load in each slot.
         missing: Motion of each joint in the slots.
-        seed: Of the random cosines; the same for all logs of a unit.
+        ranges: Lowest and highest angle, speed and effort of each joint, the same for all logs of a unit.
+        seed: Of the random cosines, the same for all logs of a unit.
     """
     rng = np.random.default_rng([seed, 51])
     found = []
-    for joint in missing:
+    for joint, (low, high) in zip(missing, ranges, strict=True):
         motion = motion_of(problem.windows, joint, problem.system)
         wave = rng.standard_normal((3, FEATURES)) / SMOOTH
         phase = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
-        scaled = np.stack([_unit_range(c) for c in (motion.theta, motion.omega, motion.command)], -1)
+        motions = np.stack([motion.theta, motion.omega, motion.command], -1)
+        scaled = (motions - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9)
         cosine = np.sqrt(2.0 / FEATURES) * np.cos(scaled @ wave + phase)
         slots = responses[:, :, joint.joint * SLOTS : (joint.joint + 1) * SLOTS]
         found.append(slots @ cosine.reshape(len(problem.windows), SLOTS, FEATURES))
     return np.concatenate(found, axis=2)
-
-
-def _unit_range(value: np.ndarray) -> np.ndarray:
-    low, high = float(value.min()), float(value.max())
-    return (value - 0.5 * (low + high)) / max(0.5 * (high - low), 1e-9)

@@ -17,7 +17,7 @@ from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.probability.coordinates import Catalogue, is_shape
 from deepkoco.diagnose.probability.explanations import Explanation
 from deepkoco.diagnose.probability.gram import WindowSums
-from deepkoco.diagnose.probability.normal import Normal
+from deepkoco.diagnose.probability.unit import UnitPrior
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.tangent import Tangent
 
@@ -35,19 +35,20 @@ class Fixed:
         origin: The point.
         linear: (W, n, l) columns that stay as they are there: tolerated changes, then weights of the smooth function.
         responses: (W, n, m) of independent unit loads in time.
-        healthy: Prior of the base parameters (as differences from the origin) and of the tolerated changes.
+        unit: Prior of base parameters, tolerated changes and weights.
     """
 
     catalogue: Catalogue
     origin: Fit
     linear: np.ndarray
     responses: np.ndarray
-    healthy: Normal
+    unit: UnitPrior
 
     @property
-    def tolerated(self) -> int:
-        """Number of tolerated changes."""
-        return len(self.healthy.mean) - len(self.catalogue.base)
+    def here(self) -> np.ndarray:
+        """Values of base parameters, tolerated changes and weights at the point."""
+        own = [self.origin.values[n] for n in self.catalogue.base]
+        return np.concatenate([own, np.zeros(self.linear.shape[2])])
 
 
 @dataclass
@@ -56,8 +57,7 @@ class Refit:
 
     Attributes:
         explanation: The explanation.
-        of_motion: Standard deviation of the smooth function of the motion, in load scales.
-        in_time: And of the function of time.
+        amplitude: Number of the size of the model error.
         names: Parameter of each nonlinear coordinate: base parameters, freed changes, shapes.
         value: (v,) of the nonlinear coordinates; differences from the origin for base parameters, changes, shapes.
         weights: (l,) of the linear columns.
@@ -70,8 +70,7 @@ class Refit:
     """
 
     explanation: Explanation
-    of_motion: float
-    in_time: float
+    amplitude: int
     names: tuple[str, ...]
     value: np.ndarray
     weights: np.ndarray
@@ -88,23 +87,14 @@ class Refit:
         return len(self.names) - len(self.explanation.columns) - len(shapes_of(self.explanation))
 
 
-def started(
-    problem: FitProblem,
-    fixed: Fixed,
-    explanation: Explanation,
-    mode: np.ndarray,
-    of_motion: float,
-    in_time: float,
-) -> Refit:
+def started(fixed: Fixed, explanation: Explanation, mode: np.ndarray, amplitude: int) -> Refit:
     """Return a refit that starts at the origin with the changes of a linearised search.
 
     Args:
-        problem: The windows.
         fixed: What all refits share.
         explanation: The explanation.
         mode: Values of its changes, in the order of its columns.
-        of_motion: Standard deviation of the smooth function of the motion, in load scales.
-        in_time: And of the function of time.
+        amplitude: Number of the size of the model error.
     """
     coordinates = [fixed.catalogue.coordinates[c] for c in explanation.columns]
     shapes = shapes_of(explanation)
@@ -112,7 +102,7 @@ def started(
     at = np.clip(mode, [c.low for c in coordinates], [c.high for c in coordinates])
     value = np.concatenate([np.zeros(len(fixed.catalogue.base)), at, list(shapes.values())])
     weights = np.zeros(fixed.linear.shape[2])
-    return Refit(explanation, of_motion, in_time, names, value, weights, fixed.origin.state.clone())
+    return Refit(explanation, amplitude, names, value, weights, fixed.origin.state.clone())
 
 
 def shapes_of(explanation: Explanation) -> dict[str, float]:
@@ -266,7 +256,7 @@ def _equations(problem, fixed, refit, value, weights, tangent, predicted) -> _Eq
     columns = np.concatenate([columns, fixed.linear], axis=2)
     sums = WindowSums(columns, slopes[:, :, len(distinct) :], fixed.responses, residual)
     precision, offset, penalty = _prior(problem, fixed, refit, value, weights)
-    products = sums.products(refit.in_time)
+    products = sums.products(float(fixed.unit.amplitudes.in_time[refit.amplitude]))
     z = columns.shape[2]
     cost = float(products[:, z, z].sum()) + penalty
     return _Equations(products, precision, offset, cost, len(value), sums) if np.isfinite(cost) else None
@@ -275,15 +265,13 @@ def _equations(problem, fixed, refit, value, weights, tangent, predicted) -> _Eq
 def _prior(problem, fixed, refit, value, weights) -> tuple[np.ndarray, np.ndarray, float]:
     """Return precision, offset and -2 log density of the prior at a point."""
     own, freed = len(fixed.catalogue.base), len(refit.explanation.columns)
-    v, tolerated = len(value), fixed.tolerated
+    v = len(value)
     z = v + len(weights)
     precision, offset = np.zeros((z, z)), np.zeros(z)
-    shared = np.concatenate([np.arange(own), v + np.arange(tolerated)])
-    precision[np.ix_(shared, shared)] = fixed.healthy.precision
-    offset[shared] = np.concatenate([value[:own], weights[:tolerated]]) - fixed.healthy.mean
-    rest = v + tolerated + np.arange(len(weights) - tolerated)
-    precision[rest, rest] = refit.of_motion**-2
-    offset[rest] = weights[tolerated:]
+    shared = np.concatenate([np.arange(own), v + np.arange(len(weights))])
+    healthy = fixed.unit.normal(refit.amplitude)
+    precision[np.ix_(shared, shared)] = healthy.precision
+    offset[shared] = np.concatenate([value[:own], weights]) + fixed.here - healthy.mean
     shapes = shapes_of(refit.explanation)
     sd = np.array([p.prior_sd for p in declared(problem, list(shapes))])
     place = own + freed + np.arange(len(shapes))

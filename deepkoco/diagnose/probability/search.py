@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.coordinates import Item
 from deepkoco.diagnose.probability.explanations import Explanation, log_prior, sets_of
 from deepkoco.diagnose.probability.linear import NEGLIGIBLE, Linearisation, log_sum
@@ -35,18 +34,18 @@ class Scored:
     mode: np.ndarray
 
 
-def search(linear: Linearisation, items: Sequence[Item], amplitudes: Amplitudes, causes: int) -> list[Scored]:
+def search(linear: Linearisation, items: Sequence[Item], causes: int) -> list[Scored]:
     """Score nothing, unknown, every single cause and all sets of up to three, best first.
 
     Args:
         linear: The likelihood.
         items: Causes from each of their starts.
-        amplitudes: Sizes of the model error.
         causes: Number of causes of the catalogue.
     """
+    amplitudes = linear.unit.amplitudes
     top = np.maximum(amplitudes.log_healthy, amplitudes.log_unknown)
     keep = top > top.max() + NEGLIGIBLE
-    changes = linear.at_all(amplitudes, keep)
+    changes = linear.at_all(keep)
     nothing = np.array([-np.inf if c is None else c.log_nothing for c in changes])
     healthy, unknown = nothing + amplitudes.log_healthy, nothing + amplitudes.log_unknown
     found = [
