@@ -10,9 +10,10 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, refit_sharply
-from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.priors import strained
+from deepkoco.diagnose.evidence.screening import SAME
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.answer import Answer, Weighed
@@ -60,6 +61,7 @@ def with_evidence(result: Diagnosis, request: DiagnosisRequest, base: Refitted) 
         base: Its refitted baseline.
     """
     request.progress("probabilities of causes")
+    began = time.process_time()
     healthy = base.learned.healthy
     causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
     try:
@@ -72,7 +74,7 @@ def with_evidence(result: Diagnosis, request: DiagnosisRequest, base: Refitted) 
             answer = probabilities(problem, reference, healthy.before, causes, unit)
     except (DivergedError, np.linalg.LinAlgError) as error:
         return replace(result, evidence={"failed": str(error)})
-    return replace(result, evidence=answer.to_json())
+    return replace(result, evidence=replace(answer, seconds=time.process_time() - began).to_json())
 
 
 def probabilities(
@@ -126,6 +128,7 @@ def linearised(
     hints = Hints(start.system.base, problem.windows, missing, chi2, strained(problem, start, origin))
     listed = coordinates_of(problem, start.prior.names, origin.values, causes, hints)
     columns = columns_at(problem, origin, listed.coordinates)
+    listed = _without_doubles(problem, listed, columns.changes)
     responses, own = slot_responses(problem, origin), len(listed.base)
     ranges = ranges_of(problem, missing) if healthy is None else healthy.ranges
     smooth, sudden = of_motion(problem, responses, missing, ranges), in_time(responses, problem.system.joints)
@@ -148,6 +151,26 @@ def linearised(
     )
     tried = len({i.cause.name for i in listed.items})
     return Point(fixed, search(linear, listed.items, tried), tried)
+
+
+def _without_doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray) -> Catalogue:
+    """Leave out changed parameters to which another cause adds, as added friction does to friction itself."""
+    kept = []
+    for item in listed.items:
+        if is_changed(item.cause):
+            own = changes[:, :, item.columns[0]]
+            unit = problem.system.parameter(item.cause.free[0]).unit
+            rivals = (
+                k
+                for k, c in enumerate(listed.coordinates)
+                if k >= len(listed.base)
+                and c.tolerated
+                and problem.system.parameter(c.parameter).unit == unit
+            )
+            if any(np.linalg.norm(changes[:, :, k] - own) <= SAME * np.linalg.norm(own) for k in rivals):
+                continue
+        kept.append(item)
+    return replace(listed, items=tuple(kept))
 
 
 def _in_order(listed: Catalogue, healthy: HealthyUnit) -> np.ndarray:
