@@ -207,13 +207,12 @@ def tolerances(catalogue: Catalogue, beside_healthy: bool) -> tuple[np.ndarray, 
 def spreads(problem: FitProblem, catalogue: Catalogue, inside: np.ndarray) -> np.ndarray:
     """Return the usual standard deviations from log to log of base parameters and tolerated changes.
 
-    They are 2 % of a parameter, 10 % of a friction, and at most its declared standard deviation. A parameter that is 0
-    has a tenth of its declared standard deviation, and a tolerated change the tolerance of a unit without healthy logs.
+    They are 2 % of a parameter and 10 % of a friction. A parameter that is 0 has a tenth of its declared standard
+    deviation, and a tolerated change the tolerance of a unit without healthy logs.
     """
     own = []
     for name in catalogue.base:
         parameter = problem.system.parameter(name)
         share = FRICTION_RUNS if "s/rad" in parameter.unit or "s/m" in parameter.unit else RUNS
-        size = share * abs(parameter.value) if parameter.value else 0.1 * parameter.prior_sd
-        own.append(min(size, parameter.prior_sd))
+        own.append(share * abs(parameter.value) if parameter.value else 0.1 * parameter.prior_sd)
     return np.array([*own, *(TOLERANCE * catalogue.coordinates[k].wide for k in inside)])
