@@ -164,6 +164,7 @@ class Diagnosis:
         final: Baseline parameters of `model`, with intervals; a parameter kept as given has an interval of width 0.
         moved: Where nothing is missing: parameters far from their given values with which the simulation explains the
             log.
+        evidence: Answer of the method of probabilities, which decides nothing; None where it did not run.
     """
 
     verdict: Verdict
@@ -188,6 +189,7 @@ class Diagnosis:
     details: Details | None = None
     final: dict[str, Estimate] = field(default_factory=dict)
     moved: tuple[Moved, ...] = ()
+    evidence: dict[str, Any] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -246,6 +248,7 @@ class Diagnosis:
                 "seed": self.seed,
                 "versions": self.versions,
                 "seconds": self.seconds,
+                **({} if self.evidence is None else {"evidence": self.evidence}),
             }
         )
 

@@ -27,6 +27,7 @@ from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.fit.fit import Fit
+from deepkoco.fit.solve.gauges import text_of_gauges
 from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.output.versions import versions
@@ -166,7 +167,7 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
         classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
     return (
         *not_fitted(judgement.unfitted),
-        *(f"{g.text} Until then, {g.fixed} keeps its value as given." for g in base.start.gauges),
+        *text_of_gauges(base.start.gauges),
         *always_there(explanation.joined),
         *classes,
         *level_advice(base.train, request.system),

@@ -20,6 +20,7 @@ from deepkoco.systems.rollout import Rollout
 from deepkoco.systems.typical_loads import typical_loads
 
 if TYPE_CHECKING:
+    from deepkoco.systems.effects.effect import Effect
     from deepkoco.systems.joint_memory import JointMemory
 
 Parameters = Mapping[str, Tensor]
@@ -476,6 +477,10 @@ class System(metaclass=Declared):
     def rollout(self, parameters: Parameters) -> Rollout | None:
         """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""
         return None
+
+    def rolls(self, effect: Effect) -> bool:
+        """Whether :meth:`rollout` can be had together with an effect, if it can be had at all."""
+        return True
 
     def delivery(self, parameters: Parameters) -> Delivery | None:
         """What actuators deliver, for each command that drives a joint; None where it is the effort itself."""

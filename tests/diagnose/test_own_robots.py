@@ -24,13 +24,16 @@ def diagnosed(folder: Path, unit: CartPoleUnit | MotorUnit, system: str, seconds
 
 @pytest.mark.parametrize(
     ("unit", "system"),
-    [(CartPoleUnit(), CART), (MotorUnit(), MOTOR)],
-    ids=["cart-pole", "motor"],
+    [
+        pytest.param(CartPoleUnit(), CART, id="cart-pole"),
+        pytest.param(MotorUnit(), MOTOR, id="motor", marks=pytest.mark.study),
+    ],
 )
 def test_a_healthy_robot_of_ones_own_misses_nothing(tmp_path, unit, system):
     assert diagnosed(tmp_path, unit, system, 10.0)["verdict"] == "nothing"
 
 
+@pytest.mark.study
 def test_the_delay_of_a_motor_of_ones_own_is_named_with_its_size(tmp_path):
     assert diagnosed(tmp_path, MotorUnit(delay=0.03), MOTOR, 10.0)["verdict"] == "cause"
     model = load_system(tmp_path / "report" / "model.yaml")

@@ -78,6 +78,23 @@ def expected_gaps(
     for candidate in others:
         fit: Fit = candidate.fit
         prior = prior_with(problem, start, [*accepted, candidate.cause], fit.values)
-        trials.append(Trial(candidate.cause.name, prior.names, prior, fit.values, fit.state, fit.nuisance))
+        trials.append(
+            Trial(
+                candidate.cause.name,
+                prior.names,
+                prior,
+                fit.values,
+                fit.state,
+                fit.nuisance,
+                candidate.cause.free,
+            )
+        )
+    known = None
+    if clean.keeps_slopes(trials):
+        # All candidates imitate one motion, so they share the slopes there.
+        best = winner.fit
+        known = clean.slopes_at(best.values, best.free, best.state, best.nuisance)
     # Both costs contain the penalty of the prior; only the difference counts.
-    return [max(fit.cost - winner.fit.penalty, 0.0) for fit in clean.fit(trials, 10)]
+    return [
+        max(fit.cost - winner.fit.penalty, 0.0) for fit in clean.fit(trials, 10, known=known, exact=False)
+    ]

@@ -17,6 +17,7 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 HOPEFUL = 0.9  # share of what the winner explains, from which a simpler cause is fitted to convergence
+SURE = 2.0 * APART  # BIC difference from which a fit that kept the slopes of another point is not repeated
 VALLEYS = 8  # largest number of searches along a valley
 USUAL_CHANGE = 0.3  # scale of the change of a parameter, as a share of its given value
 
@@ -38,7 +39,8 @@ def front_settled(
             continue
         if behind - _overpaid(ranking, other) >= NEAR and not _simpler(ranking.best, other, HOPEFUL):
             continue
-        if other.fit.converged and not _pulled_back(problem, start, other):
+        sure = other.fit.exact or behind - _overpaid(ranking, other) >= SURE
+        if other.fit.converged and sure and not _pulled_back(problem, start, other):
             continue
         others[k] = _better(other, settled(problem, start, accepted, other), ranking)
         if others[k].delta_bic > winner.delta_bic:

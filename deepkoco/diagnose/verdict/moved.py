@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
+SHARED = 30  # sets of parameters from which all are first fitted with the same slopes of the initial states
+FITTED = 4  # of these sets are then fitted with slopes of their own
 MOST = 3  # parameters that are named
 FAR = 2.0  # standard deviations of the prior from which a moved parameter is news
 
@@ -50,8 +53,8 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     while best is None or best.chi2 > enough:
         if len(chosen) == MOST:
             return ()
-        further = [n for n in names if n not in chosen]
-        fits = _fits(problem, start, best, refit, [(*chosen, n) for n in further])
+        sets = [(*chosen, n) for n in names if n not in chosen]
+        fits = _fits(problem, start, best, refit, sets)
         if not fits:
             return ()
         best = min(fits, key=lambda fit: fit.chi2)
@@ -62,7 +65,8 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     change = {n: best.values[n] - start.values[n] for n in chosen}
     if max(abs(change[n]) / sd[n] for n in chosen) < FAR:
         return ()
-    return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen)
+    # A change within a data sheet's standard deviation is no news.
+    return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen if abs(change[n]) >= sd[n])
 
 
 def _moved(
@@ -117,5 +121,16 @@ def _fits(
         base = start.values if best is None else best.values
         # From the value of the refit, whose initial states are at hand; a large step from the value given may diverge.
         values = {**base, names[-1]: refit.values[names[-1]]}
-        trials.append(Trial(",".join(names), names, Prior.of(declared), values, refit.state, refit.nuisance))
+        trials.append(
+            Trial(",".join(names), names, Prior.of(declared), values, refit.state, refit.nuisance, names)
+        )
+    if len(trials) > SHARED:
+        # The slopes of the refit show which few are worth a fit of their own.
+        known = problem.slopes_at(refit.values, (), refit.state, refit.nuisance)
+        rough = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
+        best_first = sorted(range(len(rough)), key=lambda k: rough[k].chi2)[:FITTED]
+        trials = [
+            replace(trials[k], values=rough[k].values, state=rough[k].state, nuisance=rough[k].nuisance)
+            for k in best_first
+        ]
     return [fit for fit in problem.fit(trials, ITERATIONS, CLOSE) if not fit.diverged]

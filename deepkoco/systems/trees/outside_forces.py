@@ -43,11 +43,12 @@ def force_name(site: str, axis: str) -> str:
 
 
 def outside_forces(tree: Tree, parameters: Parameters) -> tuple[OutsideForce, ...]:
-    """Forces that hold bodies up against gravity, and those of which the parameters have any component."""
+    """Forces that hold bodies up against gravity, and those of which the parameters have a component other than 0."""
     found = list(tree.supports)
     for site in body_places(tree):
         own = [parameters.get(force_name(site.name, axis)) for axis in AXES]
-        if any(x is not None for x in own):
+        acting = [v for v in own if v is not None and not (is_plain([v]) and not v.any())]
+        if acting:
             x, y, z = (0.0 if v is None else v for v in own)
             found.append(OutsideForce(site.joint, site.offset, (x, y, z)))
     return tuple(found)

@@ -1,16 +1,19 @@
 """The compiled loop over all steps of a simulation, against the steps of the simulator in torch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from deepkoco.fit.data.noise import Noise
 from deepkoco.fit.data.windows import CommandSeries, Windows
+from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.simulate.simulator import integrate
 from deepkoco.systems import ExtendedSystem
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.trees import TreeSystem
-from deepkoco.systems.trees.rollout import KINDS
+from deepkoco.systems.trees.rollout import KINDS, TreeRollout
 
 ARM = """
 <mujoco model="arm">
@@ -97,3 +100,26 @@ def test_effects_that_remember_the_way_of_a_joint_have_no_compiled_rollout(arm):
 def test_rollout_leaves_gradients_to_torch(arm):
     values = {n: v.clone().requires_grad_() for n, v in arm.default_parameters().items()}
     assert arm.rollout(values) is None
+
+
+def test_lanes_with_an_effect_that_the_loop_does_not_know_leave_the_others_in_it(arm, monkeypatch):
+    rng = np.random.default_rng(5)
+    windows = three_windows(arm, rng)
+    stamps = torch.linspace(0.0, SECONDS, 9, dtype=torch.float64).expand(3, 6, 9)
+    windows = replace(windows, t=stamps, value=torch.zeros(3, 6, 9, dtype=torch.float64), valid=stamps >= 0.0)
+    problem = ShootingProblem(ExtendedSystem(arm, ("bristle(shoulder)", "viscous(elbow)")), windows)
+    values = {p.name: p.value for p in problem.system.parameters}
+    theta = np.repeat([[values.get(n, 0.0) for n in problem.names]], 4, axis=0)
+    theta[1, problem.names.index("bristle(shoulder).level")] = 0.4
+    theta[3, problem.names.index("viscous(elbow).change")] = 0.2
+    start = torch.from_numpy(rng.normal(size=(4, 3, 6)))
+    none = problem.nuisances.none().repeat(4, 1)
+    run, lanes = TreeRollout.run, []
+    monkeypatch.setattr(
+        TreeRollout, "run", lambda self, given: lanes.append(given.start[0].shape[1]) or run(self, given)
+    )
+    found = problem.predict(theta, start, none)
+    assert lanes == [3]
+    for k in range(4):
+        alone = problem.predict(theta[[k]], start[[k]], none[[k]])
+        torch.testing.assert_close(found[[k]], alone, rtol=1e-9, atol=1e-9)
