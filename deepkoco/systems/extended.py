@@ -28,8 +28,10 @@ from deepkoco.systems.system import (
     CommandTiming,
     InverseInertia,
     Motion,
+    Parameter,
     ParameterError,
     Parameters,
+    PayloadWay,
     System,
     Timing,
 )
@@ -82,6 +84,7 @@ class ExtendedSystem(System):
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
         self.payload_sites, self.tip = base.payload_sites, base.tip
+        self.force_sites = base.force_sites
         self.effects: tuple[PlacedEffect, ...] = tuple(e for name, e in known.items() if name in effects)
         declared = list(base.parameters)
         for placed in self.effects:
@@ -247,8 +250,8 @@ class ExtendedSystem(System):
         for placed in self._at("memory"):
             if not self._at_null(placed, parameters):
                 raise MemoryEffectError(
-                    f"{placed.name} remembers the way of its joint: it acts along a log (diagnosis, identification) "
-                    "and cannot be simulated one state at a time"
+                    f"{placed.name} remembers the way of its joint: it acts along a log and in an environment, and "
+                    "has no derivative at a single state"
                 )
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
@@ -335,10 +338,13 @@ class ExtendedSystem(System):
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         if any(width is not None and bool((width != 0.0).any()) for width in self.output_play(parameters)):
             raise MemoryEffectError(
-                "gear_play remembers the way of its joint: it acts along a log (diagnosis, identification) and cannot "
-                "be simulated one state at a time"
+                "gear_play remembers the way of its joint: it acts along a log and in an environment, and a single "
+                "state does not say what its sensors show"
             )
         return self._sensed(self.base.measure(state, parameters), None, parameters)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        return self._sensed(self.base.measure_shown(shown, parameters), None, parameters)
 
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure_at(state, time, parameters), time, parameters)
@@ -349,8 +355,21 @@ class ExtendedSystem(System):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
 
-    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
-        return self.base.with_payload_at(site, mass, parameters)
+    def with_payload_at(
+        self, site: str, mass: Tensor, parameters: Parameters, along: Tensor | None = None
+    ) -> Parameters:
+        if along is None:
+            return self.base.with_payload_at(site, mass, parameters)
+        return self.base.with_payload_at(site, mass, parameters, along)
+
+    def payload_way(self, site: str) -> PayloadWay | None:
+        return self.base.payload_way(site)
+
+    def force_parameters(self, site: str) -> tuple[Parameter, ...]:
+        return self.base.force_parameters(site)
+
+    def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
+        return self.base.with_force_at(site, force, parameters)
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)

@@ -18,6 +18,7 @@ from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
+from deepkoco.fit.solve.prior import Prior
 
 # Fall of the BIC that the first cause needs, and each further one. Both were calibrated on logs of units in
 # which nothing is wrong (results/diagnose/), with other seeds than the tests use.
@@ -33,6 +34,7 @@ SLIP_ITERATIONS = 6
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
 FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
+MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 STARTS = 3  # largest number of starts of one cause
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
@@ -93,11 +95,17 @@ def rank(
         fits = _fit_best(problem, trials, reference, known)
         fits |= _fit_best(problem, slipped, reference)
         trials += slipped
-    if strained(problem, start, reference) and promising:
+    far_away = strained(problem, start, reference)
+    far = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
+    if far_away and (promising or far):
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
+        also = {p.cause.name for p in promising}
+        far = [p for p in far if p.cause.name not in also][:MOST_AS_GIVEN]
+        promises += far
+        from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
-        values = [{**reference.values, **before, **p.values} for p in promising]
+        values = [{**reference.values, **before, **p.values} for p in from_given]
         known = None
         if problem.keeps_slopes(trials):
             foot = {**reference.values, **before}
@@ -106,10 +114,10 @@ def rank(
             known = problem.slopes_at(foot, reference.free, state, reference.nuisance)
         else:
             states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
-        free = {p.cause.name: p.cause.free for p in promising}
+        free = {p.cause.name: p.cause.free for p in from_given}
         footholds = [
             _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
-            for k, p in enumerate(promising)
+            for k, p in enumerate(from_given)
             if bool(torch.isfinite(costs[k]).all())
         ]
         # First fit each cause alone, so that the baseline's parameters cannot absorb it as they did in the refit.
@@ -125,6 +133,7 @@ def rank(
             replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
             for t, fit in zip(footholds, alone, strict=True)
         ]
+        trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
         for name, fit in _fit_best(problem, footholds, reference, known).items():
             if name not in fits or fit.cost < fits[name].cost:
@@ -151,6 +160,30 @@ def rank(
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     return replace(ranking, unfitted=unfitted)
+
+
+def _screened_as_given(
+    problem: FitProblem,
+    start: Baseline,
+    reference: Fit,
+    prior: Prior,
+    listed: Sequence[tuple[Cause, Mapping[str, float]]],
+) -> list[StartPoint]:
+    """Return the promising starts at the baseline's values before the refit.
+
+    Where several parameters together imitate a cause, the refit has moved them there, and the score test at the refit
+    sees nothing of it: a payload within a link is another mass and another inertia of it.
+    """
+    values = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
+    state, costs = problem.fit_states(values, reference.state)
+    if not bool(torch.isfinite(costs).all()):
+        return []
+    there = replace(reference, values=values, state=state)
+    pairs = [pair for pair in listed if pair[0].free and not is_changed(pair[0])]
+    first: dict[str, StartPoint] = {}
+    for point in _promising(screen(problem, there, prior, pairs)):
+        first.setdefault(point.cause.name, point)
+    return sorted(first.values(), key=lambda p: -p.promise)
 
 
 def _fit_best(

@@ -13,6 +13,8 @@ from deepkoco.systems.dry_friction import CLOSE, SWEEPS
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.rollout import EffectLoad, RolloutInput, RolloutResult
 from deepkoco.systems.trees.fast import FastLaw, common_shape
+from deepkoco.systems.trees.outside_forces import force_parts, force_table
+from deepkoco.systems.trees.tree import OutsideForce
 
 KINDS = ("viscous", "quadratic", "spring", "cogging", "periodic", "crosstalk", "stribeck", "load_friction")
 """Effects whose loads the loop knows, in the order of its constants."""
@@ -23,11 +25,14 @@ class TreeRollout:
 
     Args:
         law: Its equations of motion without dry friction.
+        forces: Outside forces.
         loads: Loads of effects.
     """
 
-    def __init__(self, law: FastLaw, loads: Sequence[EffectLoad] = ()) -> None:
-        self._law, self._loads = law, tuple(loads)
+    def __init__(
+        self, law: FastLaw, forces: Sequence[OutsideForce] = (), loads: Sequence[EffectLoad] = ()
+    ) -> None:
+        self._law, self._forces, self._loads = law, tuple(forces), tuple(loads)
 
     def knows(self, kind: str) -> bool:
         """Whether the loop can add the loads of effects of this name."""
@@ -37,7 +42,7 @@ class TreeRollout:
         """The same with loads of effects; None where their values are no plain numbers."""
         if not is_plain([v for load in loads for v in load.values]):
             return None
-        return TreeRollout(self._law, (*self._loads, *loads))
+        return TreeRollout(self._law, self._forces, (*self._loads, *loads))
 
     def run(self, given: RolloutInput) -> RolloutResult | None:
         """Simulate; None where a tensor is no plain number."""
@@ -50,9 +55,9 @@ class TreeRollout:
         steps, windows, lanes = given.begin[0].shape if given.begin else (0, 0, 0)
         listed = [v for load in self._loads for v in load.values]
         levels = given.friction.steady
-        numbers = common_shape(
-            (law.shape, *(tuple(v.shape) for v in (*listed, *(x for x in levels if x is not None))))
-        )
+        pulls = force_parts(self._forces)
+        drawn = (*listed, *(x for x in levels if x is not None), *(x for x in pulls if isinstance(x, Tensor)))
+        numbers = common_shape((law.shape, *(tuple(v.shape) for v in drawn)))
         values = np.zeros((len(self._loads), MOST_VALUES, *numbers))
         for row, load in enumerate(self._loads):
             for column, value in enumerate(load.values):
@@ -83,7 +88,9 @@ class TreeRollout:
             tree, np.ascontiguousarray(group), own,
             np.array([KINDS.index(load.kind) for load in self._loads], np.int64),
             np.array([(load.joint, load.source) for load in self._loads], np.int64).reshape(-1, 2),
-            values.reshape(len(self._loads), MOST_VALUES, groups), np.array(given.friction.joints, np.int64),
+            values.reshape(len(self._loads), MOST_VALUES, groups),
+            np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
+            np.array(given.friction.joints, np.int64),
             steady.reshape(joints, groups), given.step, start, np.ascontiguousarray(time), begin, slope, loads,
             1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, value, left, right,
         )  # fmt: skip

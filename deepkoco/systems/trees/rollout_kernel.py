@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from deepkoco.systems.dry_friction_loop import rub_element
+from deepkoco.systems.trees.force_kernel import add_joint_loads
 from deepkoco.systems.trees.kernel import (
     COS,
     INERTIA,
@@ -119,7 +120,7 @@ def _accelerations(
     """Write the accelerations (J, LANES) of a block; the factors of the mass matrix stay in ``mass``."""
     parent, turns, rotation, offset, reference, limits, drives, gear, force_limits = tree
     inertia, gravity, passive, law = own
-    kinds, places, values, varies = effects
+    kinds, places, values, varies, pulled, pulls = effects
     joints = len(turns)
     for i in range(LANES):
         for row in range(3):
@@ -147,6 +148,14 @@ def _accelerations(
             load -= passive[k, 1, i] * speed[k, i]
             load -= passive[k, 2, i] * (angle[k, i] - passive[k, 3, i])
             s[k, LOAD, i] = load + (push[k, i] - steady[k, i] * direction[k, i])
+    if len(pulled):
+        for k in range(joints):
+            for i in range(LANES):
+                level[k, i] = 0.0
+        add_joint_loads(parent, turns, rotation, offset, reference, pulled, pulls, which, angle, level)
+        for k in range(joints):
+            for i in range(LANES):
+                s[k, LOAD, i] += level[k, i]
     if len(kinds):
         for k in range(joints):
             for i in range(LANES):
@@ -211,7 +220,7 @@ def _runge_kutta(
 def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, scratch, level):
     """Levels of dry friction (J, LANES) at a share of the speed."""
     drives, gear, force_limits = tree[6:]
-    kinds, places, values, varies = effects
+    kinds, places, values, varies = effects[:4]
     joints = len(angle)
     for k in range(joints):
         for i in range(LANES):
@@ -232,6 +241,8 @@ def tree_rollout(
     kinds,  # (E,) of the effects
     places,  # (E, 2) joint of the load, and joint of the actuator that it follows
     values,  # (E, MOST_VALUES, G) parameters of the effects
+    pulled,  # (K,) joint of each outside force
+    pulls,  # (K, 6, G) force in the base's frame [N], then its point in the joint's frame [m]
     rubbing,  # (R,) joints with dry friction
     steady,  # (J, G) levels of dry friction that depend on parameters alone
     step,  # [s]
@@ -264,6 +275,7 @@ def tree_rollout(
     own_inertia, own_gravity = np.empty((joints, 10, LANES)), np.empty((3, LANES))
     own_passive, own_law = np.empty((joints, 5, LANES)), np.empty((max(motors, 1), 6, LANES))
     own_values, own_steady = np.empty((len(kinds), MOST_VALUES, LANES)), np.zeros((joints, LANES))
+    own_pulls = np.empty((len(pulled), 6, LANES))
     room, friction = np.zeros((14, joints, LANES)), np.empty((4, len(rubbing), LANES))
     angle, speed, q, v, first, last, push = room[0], room[1], room[2], room[3], room[4], room[5], room[6]
     direction, held, slide, stick, scratch, end, moved = (
@@ -276,7 +288,7 @@ def tree_rollout(
         is_rubbing[rubbing[r]] = True
     turned = np.zeros(LANES, np.bool_)
     own = (own_inertia, own_gravity, own_passive, own_law)
-    effects = (kinds, places, own_values, varies)
+    effects = (kinds, places, own_values, varies, pulled, own_pulls)
     for at in range(0, count, LANES):
         size = min(LANES, count - at)
         for i in range(LANES):
@@ -297,6 +309,9 @@ def tree_rollout(
             for m in range(len(kinds)):
                 for row in range(MOST_VALUES):
                     own_values[m, row, i] = values[m, row, g]
+            for m in range(len(pulled)):
+                for row in range(6):
+                    own_pulls[m, row, i] = pulls[m, row, g]
         for k in range(joints):
             for i in range(size):
                 value[k, 0, at + i], value[joints + k, 0, at + i] = angle[k, i], speed[k, i]
