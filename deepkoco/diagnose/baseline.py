@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.run_to_run import RunToRun
@@ -14,6 +15,7 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import sharpen_noise
 from deepkoco.logs.recording import Recording
@@ -23,6 +25,9 @@ from deepkoco.systems.effects.learned import is_weight
 
 OPEN = 0.1  # relative standard deviation of a prior from which it leaves a scale open
 FIXED = 1e-4  # and of one that fixes it
+FEW_WINDOWS = (
+    20  # of a log, or half the number of parameters, that give a fit of many parameters its start values
+)
 
 
 @dataclass(frozen=True)
@@ -180,14 +185,25 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
         free: Parameters to free; None frees all that the prior covers.
     """
     names = start.prior.names if free is None else free
-    halves = halved(windows)
+    few = _few_windows(windows, len(names))
+    halves = halved(windows.take(few))
     short = FitProblem(start.system, halves)
     state, _ = short.fit_states(start.values, halves.state)
     first = short.fit_one(Trial("half windows", names, start.prior, start.values, state))
     problem = FitProblem(start.system, windows)
-    guess = first.state[::2]
+    guess = windows.state.clone()
+    guess[torch.from_numpy(few)] = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
     return problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
+
+
+def _few_windows(windows: Windows, parameters: int) -> np.ndarray:
+    """Return the windows that a first fit needs: all, or an even choice where there are many for few parameters."""
+    most = max(FEW_WINDOWS, parameters // 2)
+    size = len(windows)
+    if parameters + windows.state.shape[1] < MANY or size <= most:
+        return np.arange(size)
+    return np.unique(np.linspace(0, size - 1, most).astype(int))
 
 
 def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
