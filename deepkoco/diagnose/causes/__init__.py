@@ -15,7 +15,7 @@ from deepkoco.diagnose.causes.actuator import (
     TORQUE_BIAS,
     UNIT_SLIP,
 )
-from deepkoco.diagnose.causes.body import LENGTH, PAYLOAD, TILT
+from deepkoco.diagnose.causes.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC, SPRING
@@ -75,6 +75,7 @@ CAUSES: dict[str, Cause] = {
         PAYLOAD,
         LENGTH,
         TILT,
+        FORCE,
         SENSOR_BIAS,
         SENSOR_SCALE,
         SENSOR_DRIFT,

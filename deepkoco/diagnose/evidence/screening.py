@@ -100,8 +100,12 @@ def _doses(
         if silent and name in place:
             continue
         step = PARAMETER_STEP * problem.scale[j]
-        if name.endswith((".frequency", ".centre")):
-            continue  # it changes nothing while the amplitude or the stiffness is zero
+        if name.endswith(".frequency"):
+            continue  # it changes nothing while the amplitude is zero
+        if name.endswith(".centre"):
+            # It changes nothing while the stiffness is zero. A stiffness about another centre is the second direction.
+            result.append({**result[-1], name: at[name] + problem.scale[j]})
+            continue
         step = -step if at[name] + step > problem.high[j] else step
         result.append({**at, name: at[name] + step})
     return result

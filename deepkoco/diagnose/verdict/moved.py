@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes.parameter import widened
-from deepkoco.diagnose.diagnosis import Moved
+from deepkoco.diagnose.diagnosis import Estimate, Moved
+from deepkoco.diagnose.evidence.screening import SAME
 from deepkoco.diagnose.evidence.selection import CLOSE, DETECTION, ITERATIONS
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.verdict.findings import estimates
@@ -55,10 +59,52 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     if best is None or not chosen:
         return ()
     found = estimates(problem, best, chosen, deflation)
-    away = {n: abs(best.values[n] - start.values[n]) / sd[n] for n in chosen}
-    if max(away.values()) < FAR:
+    change = {n: best.values[n] - start.values[n] for n in chosen}
+    if max(abs(change[n]) / sd[n] for n in chosen) < FAR:
         return ()
-    return tuple(Moved(n, start.values[n], found[n], away[n]) for n in chosen)
+    return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen)
+
+
+def _moved(
+    problem: FitProblem, start: Baseline, best: Fit, name: str, found: Estimate, sd: Mapping[str, float]
+) -> Moved:
+    """Return a changed parameter, or the likeliest of those that would do the same.
+
+    Only the sum of two inertias on one shaft shows in the motion. The change is then most likely in the one that is
+    known least.
+    """
+    change = best.values[name] - start.values[name]
+    alike = _same_change(problem, best, name, start.values[name], sd)
+    likely = min((name, *alike), key=lambda n: abs(change) / sd[n])
+    given = start.values[likely]
+    shift = given - start.values[name]
+    estimate = Estimate(found.value + shift, found.low + shift, found.high + shift, found.unit)
+    others = tuple(n for n in (name, *alike) if n != likely)
+    total = sum(start.values[n] for n in (name, *alike)) if others else 0.0
+    return Moved(likely, given, estimate, abs(change) / sd[likely], others, total)
+
+
+def _same_change(
+    problem: FitProblem, fit: Fit, name: str, given: float, names: Iterable[str]
+) -> tuple[str, ...]:
+    """Return the other parameters of which the same change gives the same measurements."""
+    size, unit, system = fit.values[name] - given, problem.system.parameter(name).unit, problem.system
+    others = []
+    for n in names:
+        p = system.parameter(n)
+        if n != name and "." not in n and p.unit == unit and p.low <= fit.values[n] + size <= p.high:
+            others.append(n)
+    if not others:
+        return ()
+    without = {**fit.values, name: given}
+    lanes = [fit.values, without, *({**without, n: fit.values[n] + size} for n in others)]
+    theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
+    shown = problem.predict(theta, fit.state.repeat(len(lanes), 1, 1), fit.nuisance.repeat(len(lanes), 1))
+    shown = shown * problem.weight
+    moved = (shown[1] - shown[0]).norm()
+    return tuple(
+        n for n, own in zip(others, shown[2:], strict=True) if (own - shown[0]).norm() <= SAME * moved
+    )
 
 
 def _fits(

@@ -13,7 +13,7 @@ from deepkoco.systems.effects.actuator import (
     TORQUE_BIAS,
     UNIT_SLIP,
 )
-from deepkoco.systems.effects.body import LENGTH, PAYLOAD, TILT
+from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.systems.effects.disturbance import COGGING, PERIODIC, SPRING
 from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
@@ -59,6 +59,7 @@ EFFECTS: dict[str, Effect] = {
         PAYLOAD,
         LENGTH,
         TILT,
+        FORCE,
         GEAR_PLAY,
         SCALED,
         SENSOR_SCALE,
