@@ -47,6 +47,16 @@ def test_a_broken_row_is_named_by_its_line_of_the_file(tmp_path, head):
         read(tmp_path, head + ROWS + "0.03,1\n" + ROWS)
 
 
+@pytest.mark.parametrize("ending", [".csv", ".txt", ".tsv"])
+@pytest.mark.parametrize("head", ["t  q u\n", "# t q u\n"])
+def test_spaces_between_columns_are_read_as_numpy_writes_them(tmp_path, head, ending):
+    path = tmp_path / f"log{ending}"
+    path.write_text(head + " 0.00 1.5  -2\n 0.01 1.25 3\n")
+    log = open_log(path)
+    assert list(log.table("").frame.columns) == ["t", "q", "u"]
+    np.testing.assert_array_equal(log.values("", "u"), [-2.0, 3.0])
+
+
 def test_a_row_of_text_that_is_no_unit_stays_a_row(tmp_path):
     log = read(tmp_path, "t,q,note\n0.0,1,m\n0.1,2,s\n")
     assert len(log.table("").frame) == 2
@@ -58,7 +68,8 @@ def test_a_head_is_read_or_left_alone_and_no_row_is_lost(text):
     head = read_head(text)
     kept, before = head.text.split("\n"), text.split("\n")
     assert len(kept) + head.ahead == len(before)
-    assert kept[1:] == before[head.ahead + 1 :]
+    rows = [line.lstrip("#%").split() for line in kept[1:]]
+    assert rows == [line.lstrip("#%").split() for line in before[head.ahead + 1 :]]
 
 
 def test_times_of_a_day_go_on_after_midnight(tmp_path):

@@ -1,4 +1,4 @@
-"""What can stand around the header of a CSV: comments above it, and a row of units below it."""
+"""What other programs make of a CSV: comments above the header, a row of units below it, spaces between columns."""
 
 from __future__ import annotations
 
@@ -28,11 +28,15 @@ class Head(NamedTuple):
 
 
 def read_head(text: str) -> Head:
-    """Take comments above the header away, and put a row of units into the names of the columns."""
+    """Take comments above the header away, put a row of units into the names, and read spaces as tabs."""
     lines = text.split("\n")
+    if spaced := _spaced(lines):
+        lines = ["\t".join(line.lstrip("#%").split()) if line.strip() else line for line in lines]
+        text = "\n".join(lines)
     ahead, notes = _comments(lines)
+    notes += ["read spaces as the separators of the columns"] if spaced else []
     if ahead < 0:
-        return Head(text, 0, ())
+        return Head(text, 0, tuple(notes))
     header, rest = lines[ahead].strip(), lines[ahead + 1 :]
     if header.startswith(COMMENT):
         header = header.lstrip("#%/ \t")
@@ -49,6 +53,14 @@ def read_head(text: str) -> Head:
     if not notes:
         return Head(text, 0, ())
     return Head("\n".join([header, *rest]), ahead, tuple(notes))
+
+
+def _spaced(lines: list[str]) -> bool:
+    """Whether spaces alone stand between the names of the first line, and between as many numbers of the second."""
+    if len(lines) < 2 or any(delimiter in line for line in lines[:2] for delimiter in DELIMITERS):
+        return False
+    names, numbers = lines[0].lstrip("#%").split(), lines[1].split()
+    return len(names) > 1 and len(names) == len(numbers) and _numeric(numbers) and not _numeric(names)
 
 
 def _comments(lines: list[str]) -> tuple[int, list[str]]:
