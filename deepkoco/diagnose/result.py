@@ -22,10 +22,12 @@ from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise
 from deepkoco.diagnose.verdict.judgement import Judgement
+from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.fit.fit import Fit
+from deepkoco.fit.solve.gauges import text_of_gauges
 from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.output.versions import versions
@@ -128,6 +130,7 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
         "white": final.chi2 / train.samples <= limit and left.lag_one <= alike,
         "spectrum": spectrum_of(remaining),
         "doubts": list(judgement.doubts),
+        "minor": minor_causes(explanation.found),
         "allowed_by_healthy_logs": list(explanation.joined),
         "not_fitted": list(judgement.unfitted),
         "lost_commands_not_searched": why_not_searched(train, base.start.losing),
@@ -160,7 +163,7 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
         classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
     return (
         *not_fitted(judgement.unfitted),
-        *(f"{g.text} Until then, {g.fixed} keeps its value as given." for g in base.start.gauges),
+        *text_of_gauges(base.start.gauges),
         *always_there(explanation.joined),
         *classes,
         *level_advice(base.train, request.system),

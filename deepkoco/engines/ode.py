@@ -12,6 +12,8 @@ from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System, rk4_step
+from deepkoco.systems.plain import is_plain, needs_gradient
+from deepkoco.systems.stick_slip import Joints, StickSlip
 
 
 class World(Node):
@@ -22,6 +24,9 @@ class World(Node):
     need not fit the ticks of anything. Commands are cut to the limits given here and to the system's.
 
     The start state is the parameter ``start`` (B, S), or what the runtime's reset gives as ``initial``.
+
+    Under ``rk4`` dry friction is a constraint, as along a log: joints stick. Where gradients are wanted the sign of dry
+    friction is smoothed instead, because a joint that sticks has none; ``semi_implicit_euler`` smooths it always.
 
     Args:
         system: Dynamics; a command of the graph is (..., M).
@@ -55,6 +60,8 @@ class World(Node):
             for limit, channel in zip(command_limit, channels, strict=True)
         )
         self.advance_by = {"rk4": self._rk4, "semi_implicit_euler": self._semi_implicit_euler}[integrator]
+        rubbing, remembering = StickSlip.sizes(system) if integrator == "rk4" else (0, 0)
+        self.carried = {"rest": rubbing, "memory": remembering} if rubbing or remembering else {}
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         idle = torch.zeros(batch, len(self.limits), dtype=torch.float64)
@@ -62,6 +69,11 @@ class World(Node):
             "state": start_state(self.system, parameters, batch),
             "effort": self.system.effort_of(idle),
             "started": torch.zeros(batch, dtype=torch.bool),
+            **{
+                name: torch.zeros(batch, width, dtype=torch.float64)
+                for name, width in self.carried.items()
+                if width
+            },
         }
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
@@ -82,13 +94,48 @@ class World(Node):
         held = torch.where(lag > 0, lag, 1.0)
         decay = torch.where(lag > 0, torch.exp(-dt / held), 0.0)
         mean = target + (state["effort"] - target) * torch.where(lag > 0, held / dt * (1.0 - decay), 0.0)
-        after = self.advance_by(state["state"], mean, dt, parameters)
-        started = state["started"]
+        started, carried = state["started"], {}
+        if self.carried and not needs_gradient([state["state"], mean, *parameters.values()]):
+            after, carried = self._stick_slip(state, mean, dt, parameters)
+        else:
+            after = self.advance_by(state["state"], mean, dt, parameters)
         now = torch.where(started[:, None], after, state["state"])
         if target.ndim > 1:
             started = started[:, None]
         delivered = torch.where(started, target + (state["effort"] - target) * decay, state["effort"])
-        return {"state": now, "effort": delivered, "started": torch.ones_like(state["started"])}, now
+        fixed = {"state": now, "effort": delivered, "started": torch.ones_like(state["started"])}
+        return {**state, **fixed, **carried}, now
+
+    def _stick_slip(
+        self, state: State, effort: Tensor, dt: float, parameters: Parameters
+    ) -> tuple[Tensor, State]:
+        """State after a tick in which joints can stick, and what is carried to the next one."""
+        joints, started = self.system.joints, state["started"]
+        before = state["state"]
+        batch = before[..., 0]
+        parts = before.unbind(-1)
+        angles, speeds, further = parts[:joints], parts[joints : 2 * joints], before[..., 2 * joints :]
+        efforts = (effort,) if effort.ndim == 1 else effort.unbind(-1)
+        law = StickSlip(self.system, parameters)
+        rest, memory = (state[name].unbind(-1) if self.carried[name] else () for name in ("rest", "memory"))
+        now = law.tick(Joints(angles, speeds, rest, memory), efforts, dt)
+        if memory:
+            # The first tick only finds what effects remember at the start.
+            remembered = now.memory
+            if not (is_plain([batch]) and bool(started.all())):
+                first = law.first_memory(angles, speeds, efforts)
+                pairs = zip(remembered, first, strict=True)
+                remembered = tuple(torch.where(started, a, b) for a, b in pairs)
+            now = now._replace(memory=remembered)
+        if further.shape[-1]:
+            further = rk4_step(self.system, before, effort, dt, parameters)[..., 2 * joints :]
+        after = self._joined(_stacked(now.angles, batch), _stacked(now.speeds, batch), further)
+        carried = {}
+        if rest:
+            carried["rest"] = torch.where(started[:, None], _stacked(now.rest, batch), state["rest"])
+        if memory:
+            carried["memory"] = _stacked(now.memory, batch)
+        return after, carried
 
     def _rk4(self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters) -> Tensor:
         after = rk4_step(self.system, state, effort, dt, parameters)
@@ -111,3 +158,8 @@ class World(Node):
 
     def _limited(self, speed: Tensor) -> Tensor:
         return speed.clamp(-self.speed_limit, self.speed_limit) if math.isfinite(self.speed_limit) else speed
+
+
+def _stacked(values: tuple[Tensor, ...], batch: Tensor) -> Tensor:
+    """Values, each a scalar or (B,), as (B, K)."""
+    return torch.stack([value + torch.zeros_like(batch) for value in values], -1)

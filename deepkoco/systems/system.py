@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +16,12 @@ from torch import Tensor
 from deepkoco.systems.declaration import Declared
 from deepkoco.systems.drawing import Point, canvas, draw_bars
 from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.rollout import Rollout
 from deepkoco.systems.typical_loads import typical_loads
+
+if TYPE_CHECKING:
+    from deepkoco.systems.effects.effect import Effect
+    from deepkoco.systems.joint_memory import JointMemory
 
 Parameters = Mapping[str, Tensor]
 
@@ -317,6 +322,12 @@ class System(metaclass=Declared):
         limits = self.dry_friction_limits(parameters)
         return DryFriction(limits, tuple(j for j, limit in enumerate(limits) if limit is not None))
 
+    def joint_memory(self, parameters: Parameters) -> JointMemory:
+        """What effects remember of the ways of the joints; nothing for a plain system."""
+        from deepkoco.systems.joint_memory import JointMemory
+
+        return JointMemory(())
+
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
         """As :meth:`accelerations`, without the dry friction that :meth:`dry_friction_limits` declares.
 
@@ -463,6 +474,14 @@ class System(metaclass=Declared):
         """Unit of a load per squared speed of each joint."""
         return tuple(f"{load} s2/{u}2" for load, u in zip(self.load_units, self.state_units, strict=False))
 
+    def rollout(self, parameters: Parameters) -> Rollout | None:
+        """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""
+        return None
+
+    def rolls(self, effect: Effect) -> bool:
+        """Whether :meth:`rollout` can be had together with an effect, if it can be had at all."""
+        return True
+
     def delivery(self, parameters: Parameters) -> Delivery | None:
         """What actuators deliver, for each command that drives a joint; None where it is the effort itself."""
         return None
@@ -516,6 +535,10 @@ class System(metaclass=Declared):
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         """Noise-free measurements (..., N) of a state (..., S), in the order of ``measurements``."""
         return self.ideal_measurement(state)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        """As :meth:`measure`, of a state (..., S) with the positions and speeds behind the :meth:`output_play`."""
+        return self.measure(shown, parameters)
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         """What sensors without any error measure (..., N) of a state (..., S): by default the `measured_states`."""

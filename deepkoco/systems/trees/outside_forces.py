@@ -114,19 +114,30 @@ def with_forces(
     return motion._replace(loads=tuple(a if b is None else a + b for a, b in zip(loads, given, strict=True)))
 
 
+def force_parts(forces: Sequence[OutsideForce]) -> list[Scalar]:
+    """Force [N] and point [m] of each, one number after the other."""
+    return [x for force in forces for x in (*force.force, *force.point)]
+
+
+def force_table(parts: Sequence[Scalar], shape: Sequence[int]) -> np.ndarray:
+    """`force_parts` of K forces as an array (K, 6, G), for G sets of parameters of a shape."""
+    table = np.empty((len(parts) // 6, 6, math.prod(shape)))
+    for row, part in zip(table.reshape(-1, table.shape[-1]), parts, strict=True):
+        row[:] = part.detach().expand(tuple(shape)).reshape(-1).numpy() if isinstance(part, Tensor) else part
+    return table
+
+
 def _compiled(
     arrays: TreeArrays, forces: Sequence[OutsideForce], angles: Sequence[Tensor]
 ) -> tuple[Tensor, ...]:
     """As `joint_loads`, in one compiled loop that skips elements without any force."""
     from deepkoco.systems.trees.force_kernel import add_joint_loads
 
-    parts = [x for force in forces for x in (*force.force, *force.point)]
+    parts = force_parts(forces)
     sizes = [x.shape for x in parts if isinstance(x, Tensor)]
     own = torch.broadcast_shapes(*sizes) if sizes else torch.Size()
     shape = torch.broadcast_shapes(own, *(x.shape for x in angles))
-    table = np.empty((len(forces), 6, math.prod(own)))
-    for row, part in zip(table.reshape(-1, table.shape[-1]), parts, strict=True):
-        row[:] = part.detach().expand(own).reshape(-1).numpy() if isinstance(part, Tensor) else part
+    table = force_table(parts, own)
     group = np.ascontiguousarray(np.broadcast_to(np.arange(math.prod(own)).reshape(own), shape)).ravel()
     q = np.stack([x.detach().expand(shape).reshape(-1).numpy() for x in angles])
     result = np.zeros(q.shape)

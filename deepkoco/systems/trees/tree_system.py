@@ -14,6 +14,7 @@ from torch import Tensor
 
 from deepkoco.systems import drawing
 from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
@@ -52,6 +53,7 @@ from deepkoco.systems.trees.parameters import (
 )
 from deepkoco.systems.trees.picture import choose_view, lines
 from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
+from deepkoco.systems.trees.rollout import KINDS, TreeRollout
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
@@ -59,6 +61,7 @@ from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, lo
 from deepkoco.systems.trees.tree import Actuator, Joint, OutsideForce, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
+LONGEST_STEP = 0.01  # of a fit [s]; see deepkoco.fit.data.windows
 ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
 SPEED_NOISE, RATE_NOISE = 0.05, 5e-3  # [rad/s, m/s]
 TILT_SD, LARGEST_TILT = 0.05, 0.5  # of the base [rad]
@@ -129,6 +132,7 @@ class TreeSystem(System):
         self.payload_sites = tuple(site.name for site in tree.sites)
         self.force_sites = tuple(body.name for body in tree.bodies)
         self._least_inertias = least_inertias(tree)
+        self._longest_step = 0.0  # of the nominal values, which follow
         nominal = _Numbers.of(self, {}, steady=True)
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
         self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
@@ -250,6 +254,19 @@ class TreeSystem(System):
         numbers = _Numbers.of(self, parameters, steady=True)
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         return self._law(numbers._replace(passive=passive))
+
+    def rollout(self, parameters: Parameters) -> TreeRollout | None:
+        numbers = _Numbers.of(self, parameters, steady=True)
+        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
+        fast = numbers._replace(passive=passive).without_forces().fast(self._arrays)
+        if fast is None or not is_plain([x for force in numbers.forces for x in force.force]):
+            return None
+        return TreeRollout(fast, numbers.forces)
+
+    def rolls(self, effect: Effect) -> bool:
+        if effect.place == "load":
+            return effect.steady or effect.name in KINDS
+        return effect.place != "memory"
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
         own = _Numbers.of(self, parameters, steady=True)
@@ -441,7 +458,8 @@ class _Numbers(NamedTuple):
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
         if steady:
-            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            step = min(system.longest_step, LONGEST_STEP)
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
         inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
         gravity, shape = system.gravity(parameters), shaped(tree, parameters)
