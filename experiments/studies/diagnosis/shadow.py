@@ -23,6 +23,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.fit import window_length
@@ -34,6 +36,7 @@ from experiments.studies.diagnosis.hidden.cases import CONDITIONS, make_case, re
 from experiments.studies.diagnosis.hidden.measures import wilson
 from experiments.studies.diagnosis.own_robots.cases import draw_case, right_names
 from tests.oracle.machines import MACHINES
+from tests.oracle.mujoco_robots import compiled, draw_robot
 
 COLUMNS = (
     "index",
@@ -96,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--system", choices=[*sorted(MACHINES), "mujoco"], default="rod_pendulum")
     parser.add_argument("--condition", choices=CONDITIONS, default="clean")
     parser.add_argument("--seconds", type=float, default=30.0, help="length of a log [s]")
+    parser.add_argument("--joints", type=int, default=2, help="most joints of a robot whose unit is MuJoCo")
     parser.add_argument("--most", type=float, default=1e9, metavar="MINUTES", help="start no case after this")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -125,9 +129,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def question(index: int, args: argparse.Namespace) -> Question | None:
     """Draw and record a case; None for a robot that is too large to be asked about here."""
     if args.system == "mujoco":
-        case = draw_case(index, args.seed, args.seconds, healthy=index % 3 == 2)
-        if case.joints > 2:
+        # The robot is the first draw of a case. To dose an effect on a robot that is left out would only cost time.
+        robot = draw_robot(np.random.default_rng([1000 * args.seed + index, 21]))
+        if compiled(robot).nv > args.joints:
             return None
+        case = draw_case(index, args.seed, args.seconds, healthy=index % 3 == 2)
         logs = args.out / "logs"
         logs.mkdir(exist_ok=True)
         path = case.write(logs, args.seconds)
