@@ -27,6 +27,7 @@ import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.probability.ask import evidence_of
 from deepkoco.fit import window_length
 from deepkoco.fit.threads import one_thread
 from deepkoco.output.whole_file import write_whole_text
@@ -100,6 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--condition", choices=CONDITIONS, default="clean")
     parser.add_argument("--seconds", type=float, default=30.0, help="length of a log [s]")
     parser.add_argument("--joints", type=int, default=2, help="most joints of a robot whose unit is MuJoCo")
+    parser.add_argument("--alone", action="store_true", help="ask the method of probabilities only")
     parser.add_argument("--most", type=float, default=1e9, metavar="MINUTES", help="start no case after this")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -113,7 +115,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         asked = question(index, args)
         if asked is None:
             continue
-        row = {"index": index, "system": args.system, "condition": args.condition, **answered(asked)}
+        row = {
+            "index": index,
+            "system": args.system,
+            "condition": args.condition,
+            **(alone(asked) if args.alone else answered(asked)),
+        }
         rows.append(row)
         _write(table, rows)
         sys.stdout.write(" ".join(f"{row[c]}" for c in COLUMNS if c != "probabilities") + "\n")
@@ -171,15 +178,31 @@ def answered(asked: Question) -> dict[str, Any]:
         return row | {"note": f"{type(error).__name__}: {error}"}
     spent = time.process_time() - began
     named = _named(result)
-    row |= {"verdict": result.verdict, "named": json.dumps(named)}
+    row |= {"verdict": result.verdict, "named": json.dumps(named), "cpu_present": round(spent, 1)}
     row["first_right"] = int(bool(named) and any(names & set(named[0]) for names in asked.right))
     found = result.evidence
     if found is None or "failed" in found:
-        return row | {"cpu_present": round(spent, 1), "note": (found or {}).get("failed", "no evidence")}
+        return row | {"note": (found or {}).get("failed", "no evidence")}
+    row["cpu_present"] = round(spent - found["cpu_s"], 1)
+    return row | _told(asked, found)
+
+
+def alone(asked: Question) -> dict[str, Any]:
+    """Ask the method of probabilities only; one row of the study, plain values only."""
+    row: dict[str, Any] = {c: "" for c in COLUMNS[3:]}
+    row |= {"kind": asked.kind, "hidden": asked.hidden, "ES": round(asked.strength, 3)}
+    try:
+        answer = evidence_of(asked.logs, asked.system, asked.healthy)
+    except Exception as error:  # one broken case must not end a study
+        return row | {"note": f"{type(error).__name__}: {error}"}
+    return row | _told(asked, answer.to_json())
+
+
+def _told(asked: Question, found: Mapping[str, Any]) -> dict[str, Any]:
     chances = {c["name"]: c["probability"] for c in found["causes"]}
     true = [sum(chances.get(n, 0.0) for n in names) for names in asked.right]
     inside = [all(names & set(e) for names in asked.right) for e in found["credible_set"]]
-    return row | {
+    return {
         "top": " + ".join(found["explanations"][0]["causes"]) or "nothing",
         "nothing": round(found["nothing"], 4),
         "unknown": round(chances.get("unknown", 0.0), 4),
@@ -188,7 +211,6 @@ def answered(asked: Question) -> dict[str, Any]:
         "set_size": len(found["credible_set"]),
         "probabilities": json.dumps({n: round(p, 4) for n, p in chances.items() if p > LEAST}),
         "stationary": int(found["explanations"][0]["stationary"]),
-        "cpu_present": round(spent - found["cpu_s"], 1),
         "cpu_evidence": round(found["cpu_s"], 1),
     }
 
@@ -205,32 +227,29 @@ def _named(result: Diagnosis) -> list[list[str]]:
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Both tables: measures of each method, and what stated probabilities are worth."""
     told = [r for r in rows if str(r["top"])]
-    controls = [r for r in told if r["kind"] == "control"]
-    clear = [r for r in told if r["kind"] == "single" and float(r["ES"]) >= CLEAR]
-    weak = [r for r in told if r["kind"] == "single" and float(r["ES"]) < CLEAR]
-    pairs = [r for r in told if r["kind"] == "pair"]
-    outside = [r for r in told if r["kind"] == "outside"]
+    both = _by_kind([r for r in rows if str(r["verdict"])])
+    kinds = _by_kind(told)
     present = {
-        "false alarms": wilson([r["verdict"] != "nothing" for r in controls]),
-        "names a cause of a healthy unit": wilson([bool(json.loads(r["named"])) for r in controls]),
-        "singles, first in class": wilson([_in_first(r) for r in clear]),
-        "weak singles, first in class": wilson([_in_first(r) for r in weak]),
-        "pairs, both named": wilson([_all_named(r) for r in pairs]),
-        "outside, unknown": wilson([r["verdict"] == "unknown" for r in outside]),
-        "outside, names a cause": wilson([bool(json.loads(r["named"])) for r in outside]),
-        "median CPU s": _median([float(r["cpu_present"]) for r in told]),
+        "false alarms": wilson([r["verdict"] != "nothing" for r in both["control"]]),
+        "names a cause of a healthy unit": wilson([bool(json.loads(r["named"])) for r in both["control"]]),
+        "singles, first in class": wilson([_first_right(r) for r in both["single"]]),
+        "weak singles, first in class": wilson([_first_right(r) for r in both["weak"]]),
+        "pairs, both named": wilson([_all_named(r) for r in both["pair"]]),
+        "outside, unknown": wilson([r["verdict"] == "unknown" for r in both["outside"]]),
+        "outside, names a cause": wilson([bool(json.loads(r["named"])) for r in both["outside"]]),
+        "median CPU s": _median([float(r["cpu_present"]) for r in rows if str(r["cpu_present"])]),
     }
     evidence = {
-        "false alarms": wilson([float(r["nothing"]) < NAMED for r in controls]),
-        "names a cause of a healthy unit": wilson([bool(_over(r)) for r in controls]),
-        "singles, first in class": wilson([_top_right(r) for r in clear]),
-        "singles, in the 95 % set": wilson([bool(int(r["in_set"])) for r in clear]),
-        "weak singles, first in class": wilson([_top_right(r) for r in weak]),
-        "weak singles, in the 95 % set": wilson([bool(int(r["in_set"])) for r in weak]),
-        "pairs, both named": wilson([min(json.loads(r["true"])) > NAMED for r in pairs]),
-        "pairs, in the 95 % set": wilson([bool(int(r["in_set"])) for r in pairs]),
-        "outside, unknown": wilson([float(r["unknown"]) > NAMED for r in outside]),
-        "outside, names a cause": wilson([bool(_over(r)) for r in outside]),
+        "false alarms": wilson([float(r["nothing"]) < NAMED for r in kinds["control"]]),
+        "names a cause of a healthy unit": wilson([bool(_over(r)) for r in kinds["control"]]),
+        "singles, first in class": wilson([_top_right(r) for r in kinds["single"]]),
+        "singles, in the 95 % set": wilson([_in_set(r) for r in kinds["single"]]),
+        "weak singles, first in class": wilson([_top_right(r) for r in kinds["weak"]]),
+        "weak singles, in the 95 % set": wilson([_in_set(r) for r in kinds["weak"]]),
+        "pairs, both named": wilson([min(json.loads(r["true"])) > NAMED for r in kinds["pair"]]),
+        "pairs, in the 95 % set": wilson([_in_set(r) for r in kinds["pair"]]),
+        "outside, unknown": wilson([float(r["unknown"]) > NAMED for r in kinds["outside"]]),
+        "outside, names a cause": wilson([bool(_over(r)) for r in kinds["outside"]]),
         "mean size of the 95 % set": round(sum(int(r["set_size"]) for r in told) / max(len(told), 1), 2),
         "median CPU s": _median([float(r["cpu_evidence"]) for r in told]),
     }
@@ -288,8 +307,23 @@ def _over(row: Mapping[str, Any]) -> list[str]:
     return [n for n, p in json.loads(row["probabilities"]).items() if p > NAMED and n != "unknown"]
 
 
-def _in_first(row: Mapping[str, Any]) -> bool:
+def _by_kind(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Rows by what is hidden; single causes of little strength are "weak"."""
+    found: dict[str, list[Mapping[str, Any]]] = {
+        k: [] for k in ("control", "single", "weak", "pair", "outside")
+    }
+    for r in rows:
+        weak = r["kind"] == "single" and float(r["ES"]) < CLEAR
+        found["weak" if weak else r["kind"]].append(r)
+    return found
+
+
+def _first_right(row: Mapping[str, Any]) -> bool:
     return bool(int(row["first_right"]))
+
+
+def _in_set(row: Mapping[str, Any]) -> bool:
+    return bool(int(row["in_set"]))
 
 
 def _all_named(row: Mapping[str, Any]) -> bool:
