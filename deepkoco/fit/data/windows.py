@@ -22,10 +22,9 @@ STEPS_PER_PERIOD = 50
 HISTORY = 0.1  # commands must be known for this time before a window, because of delays and lags [s]
 WARM_UP = 0.15  # or this share of a window; a slow lag then forgets commands from before the log
 SLIGHTLY = 0.01  # share by which a step may be longer, so that a window has whole periods of the commands
-EVEN, MOSTLY = (
-    0.02,
-    0.9,
-)  # commands are regular if so many gaps differ from the typical one by this share at most
+FAST = 3.0  # commands in the longest step, from which a step holds several
+EVEN = 0.02  # relative difference from the typical gap up to which a gap between commands is regular
+MOSTLY = 0.9  # share of regular gaps from which the commands are regular
 ONE_RATE = 1e-3  # relative difference of the rates of two logs up to which they are one rate
 EARLY = 1e-6  # share of a step by which a command may be before the start of a window
 MIN_SAMPLES = 6  # smallest number of samples of a channel in a window
@@ -239,8 +238,9 @@ def cut_windows(
 def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[float, int, bool]:
     """Return the integration step [s], the steps of a window, and whether steps begin at commands.
 
-    A step takes the commands in it as linear in time. This is exact if they change at its ends, and nearly so if they
-    change in its middle. Where a joint turns under dry friction, a change elsewhere moves the instant of turning.
+    A step takes the commands in it as linear in time. This is exact if they change at its ends only. Where a joint
+    turns under dry friction, a change inside moves the instant of turning. Commands at a high rate change little from
+    one to the next, so a step may then hold several.
 
     Args:
         stamps: Times of the commands of each log [s].
@@ -254,7 +254,7 @@ def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[
         return length / steps, steps, False
     share = longest * (1.0 + SLIGHTLY) / period
     if share >= 1.0:
-        step = period * math.floor(share)
+        step = period * (math.floor(share) if share >= FAST else 1)
         return step, max(round(length / step), 1), True
     parts = math.ceil(1.0 / share)
     return period / parts, parts * max(round(length / period), 1), True
