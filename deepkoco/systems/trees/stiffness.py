@@ -99,7 +99,7 @@ def longest_step(tree: Tree, armatures: Sequence[float], laws: Sequence[Law]) ->
     damping, full = (np.array(x, dtype=float) for x in resistances(tree.actuators, passive, laws))
     shown = np.minimum(full, np.array(passive["stiffness"], dtype=float) + _limits(tree))
     values = _small_motions(inverse, damping, shown + weights)
-    swings = np.abs(values.imag) > np.abs(values.real)
+    swings = np.abs(np.imag(values)) > np.abs(np.real(values))
     turn = float(np.abs(values[swings]).max(initial=0.0)) / SWING
     fastest = np.abs(_small_motions(inverse, damping, full + weights))
     return 1.0 / max(turn, float(fastest.max(initial=0.0)) / STABLE, 1e-3)
