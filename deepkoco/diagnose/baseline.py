@@ -17,7 +17,7 @@ from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.residual_noise import sharpen_noise
+from deepkoco.fit.solve.residual_noise import with_sharp_noise
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
@@ -209,7 +209,7 @@ def _few_windows(windows: Windows, parameters: int) -> np.ndarray:
 def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from the residuals, and refit once more under that noise."""
     rough = refit(start, windows)
-    windows = replace(windows, noise=sharpen_noise(windows, rough))
+    windows = with_sharp_noise(windows, rough)
     problem = FitProblem(start.system, windows)
     trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.nuisance)
     return windows, problem.fit_one(trial)
@@ -259,6 +259,7 @@ def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows
         windows,
         noise=tuple(n._replace(sd=math.sqrt(floor) * n.sd) for n in windows.noise),
         varies={n: sd / math.sqrt(correlation) for n, sd in windows.varies.items()},
+        stamp_sd=tuple(math.sqrt(floor) * sd for sd in windows.stamp_sd),
     )
 
 

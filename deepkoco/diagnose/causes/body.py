@@ -21,6 +21,7 @@ PAYLOAD = Cause(
     lambda motion: np.sin(motion.theta),
     _starts,
     also=("along",),
+    also_summary="A point mass is fixed to a link; a wide interval of `along` says that it is the mass or its place.",
 )
 FORCE = Cause(
     "force",

@@ -70,6 +70,7 @@ class Cause:
         choices: Number of discrete values that were tried, which the penalty charges.
         valley: Values -> other values along a valley of the cost, by full names; None where there is none.
         also: Parameters that a fit frees too at sites where the effect has them.
+        also_summary: The sentence for the report at these sites.
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
         shape: Those of ``free`` that say where, when or in which form it acts, and not how much of it there is.
@@ -96,6 +97,7 @@ class Cause:
     shape: tuple[str, ...] = ()
     tolerance: Tolerance = share_of_usual
     also: tuple[str, ...] = ()
+    also_summary: str = ""
     effect: str = ""
     joint: int | None = None
     index: int = 0
@@ -126,7 +128,7 @@ class Cause:
         same = all(n in declared for n in self.free)
         cause = self if same else replace(self, free=tuple(declared))
         if more := tuple(n for n in self.also if same and n in declared):
-            cause = replace(self, free=(*self.free, *more))
+            cause = replace(self, free=(*self.free, *more), summary=self.also_summary or self.summary)
         return cause._called(placed.name, placed.name, joint, placed.index)
 
     def on_joint(self, joint: int, system: System) -> Cause:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, hold, track
@@ -23,6 +25,7 @@ from deepkoco.systems import Channel, System
 STEP = 0.1  # between compared samples [s]
 SPREAD = 0.15  # half of the time over which a speed is taken [s]
 GOAL_ZERO = 0.2  # difference of goal and position above which their zeros differ [rad or m]
+NAMED = 0.95  # probability that a column with the name of an actuator is its command
 LOOSE = 0.5  # probability that an effort without the name of a joint drives the next joint in the order
 LEAST = 3.0  # evidence of a proposal for each joint [nats], compared with other systems
 
@@ -60,7 +63,10 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     by_number = {joint.number: joint for joint in joints}
     measured = [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
     commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
-    choices = [*measured, *_with_loose_efforts(system, commanded, loose_efforts(survey.columns, found))]
+    commanded = [_by_name(survey, choice) for choice in commanded]
+    taken = {c.column.label for c in commanded if c.column is not None}
+    loose = [column for column in loose_efforts(survey.columns, found) if column.label not in taken]
+    choices = [*measured, *_with_loose_efforts(system, commanded, loose)]
     clocks = [survey.clock(c.column) for c in choices if c.column is not None]
     time = next((clock.unit for clock in clocks if clock is not None), "s")
     score = LEAST * sum(joint.match.probability for joint in joints)
@@ -345,6 +351,26 @@ def _command(
     scale, offset = _frame(finding, scaling, direction)
     offset += finding.sign * shift / (scaling.factor / scaling.scale)
     return _chosen(channel, column, scaling, finding, reasons, scale, offset)
+
+
+def _by_name(survey: Survey, choice: Choice) -> Choice:
+    """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`."""
+    if choice.column is not None:
+        return choice
+    names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
+    for column in survey.columns:
+        plain = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", column.name).strip().lower()
+        if column.usable and plain in names:
+            unit = column.hints.unit
+            return Choice(
+                choice.channel,
+                column,
+                unit or choice.channel.unit,
+                unit is not None,
+                NAMED,
+                ("the same name",),
+            )
+    return choice
 
 
 def _with_loose_efforts(
