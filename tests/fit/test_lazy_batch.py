@@ -74,11 +74,12 @@ def test_equations_of_kept_slopes_are_those_of_new_ones(arm, trial):
     usual.run(1)
     kept = LazyBatch(arm, [trial], known=known, exact=False, renewals=0)
     kept.run(1)
+    found, wanted = kept.normal[0], usual.normal[0]
+    assert found is not None
+    assert wanted is not None
     for name in ("hpp", "hps", "hss", "gp", "gs"):
-        torch.testing.assert_close(
-            getattr(kept.normal[0], name), getattr(usual.normal[0], name), rtol=1e-9, atol=1e-6
-        )
-    assert kept.normal[0].cost == pytest.approx(usual.normal[0].cost, rel=1e-12)
+        torch.testing.assert_close(getattr(found, name), getattr(wanted, name), rtol=1e-9, atol=1e-6)
+    assert found.cost == pytest.approx(wanted.cost, rel=1e-12)
 
 
 def test_a_fit_that_diverges_at_its_start_ends_without_slopes():

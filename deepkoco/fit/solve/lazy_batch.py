@@ -78,7 +78,7 @@ class LazyBatch(Batch):
             active = np.flatnonzero(~self.done)
             if len(active) == 0:
                 break
-            for k, normal in zip(active, self._evaluate(active, *points), strict=True):
+            for k, normal in zip(active.tolist(), self._evaluate(active, *points), strict=True):
                 if self.normal[k] is not None and self.renewing[k]:
                     self._renew(k, normal)
                 else:
@@ -86,8 +86,9 @@ class LazyBatch(Batch):
                 if not self.done[k] and not self.renewing[k] and iteration < last:
                     self._propose(k, points)
                 if self.renewing[k]:
-                    for part, best in zip(points, (self.theta, self.initial, self.nuisance), strict=True):
-                        part[k] = best[k]
+                    points[0][k], points[1][k], points[2][k] = (
+                        self.theta[k], self.initial[k], self.nuisance[k]
+                    )  # fmt: skip
         return [replace(self._result(k), exact=bool(self.current[k])) for k in range(len(self.trials))]
 
     def _tolerance(self, k: int) -> float:
@@ -180,12 +181,11 @@ class LazyBatch(Batch):
 
     def _propose(self, k: int, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
         try:
-            *step, gain = self._step(int(k))
+            theta, initial, nuisance, gain = self._step(k)
         except DivergedError:
             self.done[k] = True
             return
-        for part, moved in zip(points, step, strict=True):
-            part[k] = moved
+        points[0][k], points[1][k], points[2][k] = theta, initial, nuisance
         self.predicted[k] = gain
         if gain < 0.25 * self._tolerance(k):
             self._settle(k)
@@ -199,7 +199,8 @@ class LazyBatch(Batch):
             return []
         promise = normal.gp[:p] ** 2 / torch.diagonal(normal.hpp)[:p].clamp_min(1e-300)
         matters = promise >= MATTERS * promise.max()
-        known = self.slopes[k].names if self.slopes[k] is not None else ()
+        slopes = self.slopes[k]
+        known = () if slopes is None else slopes.names
         return [
             n
             for n, yes in zip(free, matters.tolist(), strict=True)

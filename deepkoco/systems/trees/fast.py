@@ -127,7 +127,8 @@ class FastLaw:
         """Index of the parameters of each element of a batch."""
         if shape not in self._groups:
             own = np.arange(math.prod(self.shape)).reshape(self.shape)
-            self._groups[shape] = np.ascontiguousarray(np.broadcast_to(own, shape)).ravel()
+            # A copy: the loop is compiled again for arrays that cannot be written.
+            self._groups[shape] = np.array(np.broadcast_to(own, shape)).ravel()
         return self._groups[shape]
 
 

@@ -68,7 +68,8 @@ class TreeRollout:
                 steady[j] = level.numpy()
         groups, count = math.prod(numbers), windows * lanes
         shape = (windows, lanes)
-        group = np.broadcast_to(np.arange(groups).reshape(numbers), shape).ravel()
+        # Copies: the loop is compiled again for arrays that cannot be written, as views of one value are.
+        group = np.array(np.broadcast_to(np.arange(groups).reshape(numbers), shape)).ravel()
         start = np.stack([x.expand(shape).numpy() for x in given.start]).reshape(2 * joints, count)
         begin, slope = (_stacked(x, (steps, *shape)) for x in (given.begin, given.slope))
         loads = np.empty((0, steps, count))
@@ -83,15 +84,15 @@ class TreeRollout:
         own = tuple(
             _in_groups(x, law.shape, numbers) for x in (law.inertia, law.gravity, law.passive, law.law)
         )
-        time = np.broadcast_to(given.time.numpy(), shape).ravel()
+        time = np.array(np.broadcast_to(given.time.numpy(), shape)).ravel()
         tree_rollout(
-            tree, np.ascontiguousarray(group), own,
+            tree, group, own,
             np.array([KINDS.index(load.kind) for load in self._loads], np.int64),
             np.array([(load.joint, load.source) for load in self._loads], np.int64).reshape(-1, 2),
             values.reshape(len(self._loads), MOST_VALUES, groups),
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
             np.array(given.friction.joints, np.int64),
-            steady.reshape(joints, groups), given.step, start, np.ascontiguousarray(time), begin, slope, loads,
+            steady.reshape(joints, groups), given.step, start, time, begin, slope, loads,
             1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, value, left, right,
         )  # fmt: skip
         return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))
@@ -108,7 +109,7 @@ def _in_groups(table: np.ndarray, had: tuple[int, ...], wanted: tuple[int, ...])
         return table
     rows = table.shape[:-1]
     whole = np.broadcast_to(table.reshape(*rows, *[1] * (len(wanted) - len(had)), *had), (*rows, *wanted))
-    return np.ascontiguousarray(whole).reshape(*rows, -1)
+    return np.array(whole).reshape(*rows, -1)
 
 
 def _parts(table: np.ndarray, shape: tuple[int, int]) -> tuple[Tensor, ...]:

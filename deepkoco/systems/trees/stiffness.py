@@ -25,7 +25,7 @@ from deepkoco.systems.trees.tree import Actuator, Tree
 SWING = 0.5  # turn of the fastest swinging motion in one integration step [rad]: 5e-4 rad of phase error
 # Decay of the fastest motion, and turn of a swing that no log shows, in one step. The Runge-Kutta method is stable to
 # 2.78. A log shows no error of a decay within a few milliseconds: commands that jump inside a step leave larger ones.
-STABLE = 1.8
+STABLE = 1.9
 LARGEST = 2.5  # the same where a fit changes the parameters
 FASTEST, FASTEST_SWING = 1000.0, 500.0  # [1/s, rad/s]
 # Smallest swing in which a servo is followed [rad, m]. What a drive of limited force exerts there bounds
@@ -99,7 +99,7 @@ def longest_step(tree: Tree, armatures: Sequence[float], laws: Sequence[Law]) ->
     damping, full = (np.array(x, dtype=float) for x in resistances(tree.actuators, passive, laws))
     shown = np.minimum(full, np.array(passive["stiffness"], dtype=float) + _limits(tree))
     values = _small_motions(inverse, damping, shown + weights)
-    swings = np.abs(values.imag) > np.abs(values.real)
+    swings = np.abs(np.imag(values)) > np.abs(np.real(values))
     turn = float(np.abs(values[swings]).max(initial=0.0)) / SWING
     fastest = np.abs(_small_motions(inverse, damping, full + weights))
     return 1.0 / max(turn, float(fastest.max(initial=0.0)) / STABLE, 1e-3)

@@ -123,3 +123,15 @@ def test_lanes_with_an_effect_that_the_loop_does_not_know_leave_the_others_in_it
     for k in range(4):
         alone = problem.predict(theta[[k]], start[[k]], none[[k]])
         torch.testing.assert_close(found[[k]], alone, rtol=1e-9, atol=1e-9)
+
+
+def test_rollout_is_compiled_once_for_any_number_of_lanes(arm):
+    windows = three_windows(arm, np.random.default_rng(7))
+    for lanes in (1, 2):
+        for spread in (0.0, 0.1):
+            values = {n: v + spread * v * torch.arange(lanes) for n, v in arm.default_parameters().items()}
+            start = torch.zeros(lanes, 3, 6, dtype=torch.float64)
+            integrate(ExtendedSystem(arm, ()), windows, values, start)
+    from deepkoco.systems.trees.rollout_kernel import tree_rollout
+
+    assert len(tree_rollout.signatures) == 1
