@@ -141,7 +141,7 @@ def test_error_map_averages_errors_by_slot(diagnosis):
     windows = details.windows
     residual = torch.zeros_like(details.refit.residual)
     # Two noise standard deviations in the second half of the first window, nothing elsewhere.
-    late = windows.t[0, 0] > 0.5 * windows.length
+    late = (windows.t[0, 0] / windows.length * 20).to(int) >= 10
     residual[0, 0, late] = 2.0
     found = _by_slot(replace(details.refit, residual=residual), windows, 0, 20)
     np.testing.assert_allclose(found[0, 10:], 2.0 * windows.noise[0].sd)
