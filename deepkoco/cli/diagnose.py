@@ -74,6 +74,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="new folder for the report; default: LOG_diagnosis beside the first log",
     )
     parser.add_argument("--json", action="store_true", help="print report.json instead of a table")
+    parser.add_argument(
+        "--evidence",
+        action="store_true",
+        help="add the probability of each cause to report.json; it decides nothing yet, and doubles the time",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -101,7 +106,16 @@ def run(args: argparse.Namespace) -> int:
             say("reading the logs")
             system, logs = read_logs(args, args.recording, None)
             healthy, holdout = (read_logs(args, paths, system)[1] for paths in (args.healthy, args.holdout))
-            result = diagnose(logs, system, healthy, holdout, args.seed, args.window, progress=say)
+            result = diagnose(
+                logs,
+                system,
+                healthy,
+                holdout,
+                args.seed,
+                args.window,
+                progress=say,
+                evidence=args.evidence,
+            )
             say("drawing the report")
             page = write_report(result, out)
     except (LogError, FolderExistsError) as error:

@@ -18,6 +18,7 @@ from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import explain
 from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.result import diagnosis_of, insufficient
@@ -40,6 +41,7 @@ def diagnose(
     only: Sequence[str] | None = None,
     baseline: Baseline | None = None,
     progress: Progress = silent,
+    evidence: bool = False,
 ) -> Diagnosis:
     """Compare logs of a unit with its simulation, and name the cause of the difference.
 
@@ -62,6 +64,7 @@ def diagnose(
         baseline: Result of :func:`learn_baseline` for healthy logs, instead of ``healthy``; several diagnoses can
             share it. None learns it from ``healthy``.
         progress: Called with the name of each step; ``print``, for example.
+        evidence: Whether :mod:`deepkoco.diagnose.probability` answers too. It doubles the time and decides nothing.
 
     Raises:
         LogError: A log cannot be read, or lacks a channel.
@@ -85,7 +88,9 @@ def diagnose(
     length = window_length(base) if window is None else window
     with one_thread():
         data = cut_data(recordings, holdout, base, length)
-        request = DiagnosisRequest(recordings, base, data, length, seed, detection, causes, progress, began)
+        request = DiagnosisRequest(
+            recordings, base, data, length, seed, detection, causes, progress, began, evidence
+        )
         if len(data.train) < MIN_TRAINING_WINDOWS:
             return insufficient(request)
         learned, unfitted = baseline, ()
@@ -107,4 +112,5 @@ def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[st
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
     explanation = explain(request, start, unfitted)
     judgement = judge(request, explanation)
-    return diagnosis_of(request, explanation, judgement)
+    result = diagnosis_of(request, explanation, judgement)
+    return with_evidence(result, request, explanation.base) if request.evidence else result

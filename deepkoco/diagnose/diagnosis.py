@@ -47,16 +47,22 @@ class Moved:
         given: Value before, of the simulation as given or as learned from healthy logs.
         estimate: Value after, with its 95 % interval.
         prior_sds: Distance in standard deviations of its prior.
+        sum_with: Parameters that would do exactly the same: the data show only the sum of all of them.
+        sum_given: That sum as given; 0 where there are none.
     """
 
     name: str
     given: float
     estimate: Estimate
     prior_sds: float
+    sum_with: tuple[str, ...] = ()
+    sum_given: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Return the parameter under the keys of report.json."""
-        return {"name": self.name, "given": self.given, "prior_sds": self.prior_sds, **vars(self.estimate)}
+        shared = {"sum_with": list(self.sum_with), "sum_given": self.sum_given} if self.sum_with else {}
+        own = {"name": self.name, "given": self.given, "prior_sds": self.prior_sds}
+        return {**own, **vars(self.estimate), **shared}
 
 
 @dataclass(frozen=True)
@@ -158,6 +164,7 @@ class Diagnosis:
         final: Baseline parameters of `model`, with intervals; a parameter kept as given has an interval of width 0.
         moved: Where nothing is missing: parameters far from their given values with which the simulation explains the
             log.
+        evidence: Answer of the method of probabilities, which decides nothing; None where it did not run.
     """
 
     verdict: Verdict
@@ -182,6 +189,7 @@ class Diagnosis:
     details: Details | None = None
     final: dict[str, Estimate] = field(default_factory=dict)
     moved: tuple[Moved, ...] = ()
+    evidence: dict[str, Any] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -240,6 +248,7 @@ class Diagnosis:
                 "seed": self.seed,
                 "versions": self.versions,
                 "seconds": self.seconds,
+                **({} if self.evidence is None else {"evidence": self.evidence}),
             }
         )
 

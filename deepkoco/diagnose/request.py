@@ -26,6 +26,7 @@ class DiagnosisRequest:
         causes: Causes to try; None tries the whole catalogue.
         progress: Called with the name of each step.
         began: When the diagnosis began, by ``time.perf_counter`` [s].
+        evidence: Whether the method of probabilities answers too.
     """
 
     recordings: Sequence[Recording]
@@ -37,3 +38,4 @@ class DiagnosisRequest:
     causes: Sequence[Cause] | None
     progress: Progress
     began: float
+    evidence: bool = False

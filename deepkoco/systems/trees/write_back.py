@@ -440,6 +440,7 @@ LEFT_OUT = {
     "quantisation": "round the measurements in your own loop",
     "jitter": "it belongs to the time stamps of the log",
     "clock_skew": "it belongs to the clocks of the log",
+    "stamp_lead": "it belongs to the time stamps of the log",
     "lost_commands": "drop commands in your own loop",
     "bristle": "MJCF has no friction with a memory; use model.yaml",
     "gear_play": "MJCF needs a joint of its own for play; add one behind the gear by hand",

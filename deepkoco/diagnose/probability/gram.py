@@ -1,0 +1,85 @@
+"""Sums over windows that give the likelihood of a linearised simulation, whatever the size of its model error.
+
+A window measures ``e = C x + B y + R f + noise``. Coordinates x are shared by all windows. Initial states y belong to
+the window and have a flat prior. Missing loads f have a normal prior of standard deviation ``amplitude``. The noise is
+white with variance 1. Both y and f are integrated in closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Likelihood of the coordinates: ``log L(x) = -(misfit - 2 pull'x + x'information x + volume) / 2``.
+
+    The constants ``log 2 pi`` of samples and initial states are left out: every explanation has the same.
+
+    Attributes:
+        information: (q, q).
+        pull: (q,).
+        misfit: Squared residual that no coordinate explains away, at x = 0.
+        volume: Log determinants of the measurements' covariance and of the initial states' information.
+    """
+
+    information: np.ndarray
+    pull: np.ndarray
+    misfit: float
+    volume: float
+
+    def take(self, index: np.ndarray) -> Gram:
+        """Return the likelihood of some coordinates with all others at 0."""
+        return replace(self, information=self.information[np.ix_(index, index)], pull=self.pull[index])
+
+    def mapped(self, matrix: np.ndarray) -> Gram:
+        """Return the likelihood of other coordinates u with x = matrix u; the matrix is (q, k)."""
+        return replace(self, information=matrix.T @ self.information @ matrix, pull=matrix.T @ self.pull)
+
+
+class WindowSums:
+    """Products of the columns of all windows, from which the Gram matrix at every amplitude follows.
+
+    Args:
+        columns: (W, n, q) whitened change of the measurements by each coordinate.
+        states: (W, n, S) the same by each initial state.
+        responses: (W, n, m) the same by independent unit missing loads.
+        residual: (W, n) whitened residuals at the point of linearisation.
+    """
+
+    def __init__(
+        self, columns: np.ndarray, states: np.ndarray, responses: np.ndarray, residual: np.ndarray
+    ) -> None:
+        self.coordinates = columns.shape[2]
+        both = np.concatenate([columns, residual[..., None], states], axis=2)
+        self._products = both.transpose(0, 2, 1) @ both
+        # Eigenvectors of R'R make the covariance I + a^2 R R' diagonal at every amplitude a.
+        size, ways = np.linalg.eigh(responses.transpose(0, 2, 1) @ responses)
+        self._size = np.maximum(size, 0.0)
+        self._along = ways.transpose(0, 2, 1) @ (responses.transpose(0, 2, 1) @ both)
+
+    def products(self, amplitude: float) -> np.ndarray:
+        """Return the products (W, k, k) of columns, residual and states under missing loads of this standard deviation.
+
+        By Woodbury's formula, (1 + a^2 R R')^-1 is 1 - R (a^-2 + R'R)^-1 R'.
+        """
+        weight = amplitude**2 / (1.0 + amplitude**2 * self._size)
+        return self._products - (self._along * weight[..., None]).transpose(0, 2, 1) @ self._along
+
+    def at(self, amplitude: float) -> Gram:
+        """Return the sums with the initial states integrated too (a Schur complement in each window)."""
+        products = self.products(amplitude)
+        q = self.coordinates + 1
+        inner = products[:, q:, q:]
+        root = np.sqrt(np.einsum("wss->ws", inner).clip(1e-300))
+        scaled = inner / root[:, :, None] / root[:, None, :]
+        scaled = scaled + 1e-12 * np.eye(inner.shape[1])
+        across = products[:, q:, :q] / root[:, :, None]
+        schur = products[:, :q, :q] - across.transpose(0, 2, 1) @ np.linalg.solve(scaled, across)
+        total = schur.sum(0)
+        volume = np.log1p(amplitude**2 * self._size).sum()
+        volume += np.linalg.slogdet(scaled)[1].sum() + 2.0 * np.log(root).sum()
+        end = self.coordinates
+        return Gram(total[:end, :end], total[:end, end], float(total[end, end]), float(volume))

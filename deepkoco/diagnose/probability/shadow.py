@@ -1,0 +1,199 @@
+"""Probabilities of causes for the windows of one diagnosis, beside its own method."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from deepkoco.diagnose.baseline import Baseline, refit_sharply
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed
+from deepkoco.diagnose.diagnosis import Diagnosis
+from deepkoco.diagnose.evidence.priors import strained
+from deepkoco.diagnose.evidence.screening import SAME
+from deepkoco.diagnose.evidence.start_values import Hints
+from deepkoco.diagnose.probability.amplitudes import Amplitudes
+from deepkoco.diagnose.probability.answer import Answer, Weighed
+from deepkoco.diagnose.probability.columns import columns_at, zeros_of
+from deepkoco.diagnose.probability.coordinates import Catalogue, coordinates_of, tolerances
+from deepkoco.diagnose.probability.gram import WindowSums
+from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
+from deepkoco.diagnose.probability.linear import Linearisation
+from deepkoco.diagnose.probability.model_error import in_time, of_motion, ranges_of, slot_responses
+from deepkoco.diagnose.probability.posterior import weighed
+from deepkoco.diagnose.probability.refine import Fixed, refined, started
+from deepkoco.diagnose.probability.search import Scored, search
+from deepkoco.diagnose.probability.unit import DeclaredUnit, UnitPrior, WithZeros, declared_of
+from deepkoco.diagnose.refitted import Refitted
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+
+REFITTED = 20  # explanations that are refitted at each point of linearisation
+BEHIND = 12.0  # nats behind the best from which an explanation is not refitted
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of linearisation, with what was found there.
+
+    Attributes:
+        fixed: What all refits from here share.
+        scored: Sets of up to three causes, best first.
+        causes: Number of causes that were tried.
+    """
+
+    fixed: Fixed
+    scored: list[Scored]
+    causes: int
+
+
+def with_evidence(result: Diagnosis, request: DiagnosisRequest, base: Refitted) -> Diagnosis:
+    """Return a diagnosis with the answer of this method; its own answer stays as it is.
+
+    Args:
+        result: The diagnosis.
+        request: Its question.
+        base: Its refitted baseline.
+    """
+    request.progress("probabilities of causes")
+    began = time.process_time()
+    healthy = base.learned.healthy
+    causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
+    try:
+        if healthy is None:
+            answer = probabilities(base.problem, base.reference, base.start, causes)
+        else:
+            windows, reference = refit_sharply(healthy.before, request.data.train)
+            problem = FitProblem(healthy.before.system, windows)
+            unit = learned_unit(healthy, causes)
+            answer = probabilities(problem, reference, healthy.before, causes, unit)
+    except (DivergedError, np.linalg.LinAlgError) as error:
+        return replace(result, evidence={"failed": str(error)})
+    return replace(result, evidence=replace(answer, seconds=time.process_time() - began).to_json())
+
+
+def probabilities(
+    problem: FitProblem,
+    reference: Fit,
+    start: Baseline,
+    causes: Sequence[Cause],
+    unit: HealthyUnit | None = None,
+) -> Answer:
+    """Return the probability of every cause, of nothing and of an unknown cause.
+
+    Args:
+        problem: The windows to explain, with the noise of the sensors.
+        reference: The refitted system.
+        start: The system as given, with the priors of its parameters.
+        causes: The catalogue.
+        unit: What healthy logs say; None without any.
+    """
+    began = time.process_time()
+    points = [linearised(problem, reference, start, causes, unit)]
+    if strained(problem, start, reference):
+        # A strong cause drags the refit away. From the system as given, the columns are those of the true parameters.
+        given = dict(reference.values) | {n: start.values[n] for n in start.prior.names}
+        states, cost = problem.fit_states(given, reference.state)
+        if bool(torch.isfinite(cost).all()):
+            as_given = replace(reference, values=given, state=states)
+            points.append(linearised(problem, as_given, start, causes, unit))
+    found: list[Weighed] = []
+    for point in points:
+        starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in _promising(point.scored)]
+        refits = refined(problem, point.fixed, starts)
+        found += [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
+    tried = sum(len(p.scored) for p in points)
+    return Answer.of(found, tried, time.process_time() - began)
+
+
+def linearised(
+    problem: FitProblem, origin: Fit, start: Baseline, causes: Sequence[Cause], healthy: HealthyUnit | None
+) -> Point:
+    """Linearise at one point and score all explanations there.
+
+    Args:
+        problem: The windows.
+        origin: The point.
+        start: The system as given.
+        causes: The catalogue.
+        healthy: What healthy logs say; None without any.
+    """
+    missing = missing_torque(problem, origin)
+    chi2 = origin.chi2 / problem.windows.samples
+    hints = Hints(start.system.base, problem.windows, missing, chi2, strained(problem, start, origin))
+    listed = coordinates_of(problem, start.prior.names, origin.values, causes, hints)
+    columns = columns_at(problem, origin, listed.coordinates)
+    listed = _without_doubles(problem, listed, columns.changes)
+    responses, own = slot_responses(problem, origin), len(listed.base)
+    ranges = ranges_of(problem, missing) if healthy is None else healthy.ranges
+    smooth, sudden = of_motion(problem, responses, missing, ranges), in_time(responses, problem.system.joints)
+    weights = smooth.shape[2]
+    smooth = np.concatenate([smooth, zeros_of(problem)], axis=2)
+    inside, sd = tolerances(listed, False)
+    unit: UnitPrior
+    if healthy is None:
+        declared = declared_of(start, listed.base)
+        unit = DeclaredUnit(declared, sd, weights, Amplitudes.grid(False), ranges)
+    else:
+        unit, inside = healthy, _in_order(listed, healthy)
+    unit = WithZeros(unit, problem.zeros.spread)
+    tall = np.concatenate([columns.changes[:, :, inside], smooth], axis=2)
+    fixed = Fixed(listed, origin, tall, sudden, unit)
+    count = len(listed.coordinates)
+    linear = Linearisation(
+        WindowSums(np.concatenate([columns.changes, smooth], 2), columns.states, sudden, columns.residual),
+        listed.coordinates,
+        unit,
+        np.concatenate([np.arange(own), inside, count + np.arange(smooth.shape[2])]),
+        fixed.here,
+        np.zeros(count),
+    )
+    tried = len({i.cause.name for i in listed.items})
+    return Point(fixed, search(linear, listed.items, tried), tried)
+
+
+def _without_doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray) -> Catalogue:
+    """Leave out changed parameters to which another cause adds, as added friction does to friction itself."""
+    kept = []
+    for item in listed.items:
+        if is_changed(item.cause):
+            own = changes[:, :, item.columns[0]]
+            unit = problem.system.parameter(item.cause.free[0]).unit
+            rivals = (
+                k
+                for k, c in enumerate(listed.coordinates)
+                if k >= len(listed.base)
+                and c.tolerated
+                and problem.system.parameter(c.parameter).unit == unit
+            )
+            if any(np.linalg.norm(changes[:, :, k] - own) <= SAME * np.linalg.norm(own) for k in rivals):
+                continue
+        kept.append(item)
+    return replace(listed, items=tuple(kept))
+
+
+def _in_order(listed: Catalogue, healthy: HealthyUnit) -> np.ndarray:
+    """Return the columns of the tolerated changes in the order in which healthy logs know them."""
+    found = {
+        c.parameter: k for k, c in enumerate(listed.coordinates) if k >= len(listed.base) and c.tolerated
+    }
+    missing = [n for n in healthy.tolerated if n not in found]
+    if missing:
+        raise DivergedError(f"the healthy logs show {missing[0]}, which these logs cannot show")
+    return np.array([found[n] for n in healthy.tolerated], dtype=int)
+
+
+def _promising(scored: Sequence[Scored]) -> list[Scored]:
+    """Return the explanations to refit: the best ones, and nothing and unknown in any case."""
+    best = scored[0].log_weight
+    chosen: dict[tuple[str, ...], Scored] = {}
+    for s in scored:
+        always = not s.explanation.items
+        if always or (s.log_weight > best - BEHIND and len(chosen) < REFITTED):
+            chosen.setdefault(s.explanation.causes, s)
+    return list(chosen.values())

@@ -1,0 +1,98 @@
+"""Probabilities for logs of units with and without a hidden effect."""
+
+import math
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.probability.columns import columns_at
+from deepkoco.diagnose.probability.healthy_unit import learned_unit
+from deepkoco.diagnose.probability.refine import refined, started
+from deepkoco.diagnose.probability.shadow import linearised, probabilities
+from deepkoco.fit import FitProblem, cut_windows, moving
+from deepkoco.systems import make_system
+from tests.oracle.unit import hidden_log
+
+SYSTEM = "rod_pendulum"
+NAMES = ("coulomb", "viscous", "gain", "torque_bias", "payload", "actuation_delay", "quadratic", "asymmetry")
+CAUSES = [catalogue(make_system(SYSTEM))[n] for n in NAMES]
+BIAS = {"torque_bias": {"effort": 0.03}}
+
+
+def fitted(log):
+    base = make_system(SYSTEM)
+    windows = cut_windows([log], base, 1.6)
+    windows = windows.take(moving(windows))
+    start = baseline_from(base, windows)
+    windows, reference = refit_sharply(start, windows)
+    return FitProblem(start.system, windows), reference, start
+
+
+@pytest.fixture(scope="module")
+def with_friction():
+    return fitted(hidden_log(SYSTEM, {"coulomb": {"torque": 0.05}}, "steps", 20501, 12.0))
+
+
+def test_the_hidden_cause_is_the_most_probable_one_and_its_size_is_known(with_friction):
+    answer = probabilities(*with_friction, CAUSES)
+    assert answer.of_cause("coulomb") > 0.9
+    size = answer.explanations[0].parameters["coulomb"]["coulomb.torque"]
+    assert size.low < 0.05 < size.high
+    assert size.value == pytest.approx(0.05, rel=0.2)
+
+
+def test_nothing_is_the_most_probable_answer_for_a_healthy_unit():
+    answer = probabilities(*fitted(hidden_log(SYSTEM, {}, "steps", 20502, 12.0)), CAUSES)
+    assert answer.nothing > 0.8
+
+
+def test_what_a_healthy_log_shows_too_is_no_cause():
+    problem, reference, start = fitted(hidden_log(SYSTEM, BIAS, "steps", 20503, 12.0))
+    assert probabilities(problem, reference, start, CAUSES).of_cause("torque_bias") > 0.8
+    healthy = hidden_log(SYSTEM, BIAS, "chirp", 20503, 12.0, take=1)
+    windows = cut_windows([healthy], make_system(SYSTEM), 1.6)
+    windows = windows.take(moving(windows))
+    before = baseline_from(make_system(SYSTEM), windows)
+    windows, fit = refit_sharply(before, windows)
+    unit = learned_unit(Healthy((healthy,), windows, before, (), fit), CAUSES)
+    assert probabilities(problem, reference, start, CAUSES, unit).nothing > 0.8
+
+
+def test_a_column_is_the_slope_of_the_simulation(with_friction):
+    problem, reference, start = with_friction
+    point = linearised(problem, reference, start, CAUSES, None)
+    coordinates = point.fixed.catalogue.coordinates
+    k = next(k for k, c in enumerate(coordinates) if c.parameter == "gain.factor" and c.slope)
+    column = columns_at(problem, reference, coordinates).changes[:, :, k]
+    theta = np.array([[reference.values[n] for n in problem.names]] * 2)
+    theta[:, problem.names.index("gain.factor")] += [1e-4, -1e-4]
+    moved = problem.predict(
+        theta, reference.state[None].repeat(2, 1, 1), reference.nuisance[None].repeat(2, 1)
+    )
+    slope = ((moved[0] - moved[1]) * problem.weight / 2e-4).reshape(column.shape).numpy()
+    np.testing.assert_allclose(column, slope, rtol=1e-2, atol=1e-3 * np.abs(slope).max())
+
+
+def test_refits_from_two_starts_end_at_one_stationary_point(with_friction):
+    problem, reference, start = with_friction
+    point = linearised(problem, reference, start, CAUSES, None)
+    own = next(s for s in point.scored if s.explanation.causes == ("coulomb",))
+    starts = [started(point.fixed, own.explanation, np.array([d]), own.amplitude) for d in (0.0, 0.1)]
+    ends = refined(problem, point.fixed, starts)
+    assert all(e.stationary for e in ends)
+    assert ends[0].cost == pytest.approx(ends[1].cost, abs=0.2)
+    assert ends[0].value[-1] == pytest.approx(ends[1].value[-1], rel=0.02)
+
+
+@pytest.mark.study
+def test_the_report_has_the_answer_where_it_is_asked_for():
+    log = hidden_log(SYSTEM, {"coulomb": {"torque": 0.05}}, "steps", 20501, 12.0)
+    result = diagnose([log], SYSTEM, only=NAMES, evidence=True)
+    told = result.to_json()["evidence"]
+    assert told["causes"][0]["name"] == "coulomb"
+    assert ["coulomb"] in told["credible_set"]
+    assert math.isclose(sum(e["probability"] for e in told["explanations"]), 1.0, abs_tol=0.01)
+    assert "evidence" not in diagnose([log], SYSTEM, only=NAMES).to_json()
