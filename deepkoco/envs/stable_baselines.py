@@ -99,7 +99,7 @@ class StableBaselinesEnv(VecEnv):
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Pictures of all environments."""
-        pictures = self.envs.render()
+        pictures: Any = self.envs.render()
         return [None] * self.num_envs if pictures is None else list(pictures)
 
 

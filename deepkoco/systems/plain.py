@@ -32,7 +32,7 @@ def is_readable(value: Tensor) -> bool:
 
 def needs_gradient(values: Iterable[Tensor]) -> bool:
     """Whether gradients are wanted with respect to any of the values, backwards or forwards."""
-    functorch = torch._C._functorch
+    functorch = torch._C._functorch  # pyright: ignore[reportAttributeAccessIssue]
     differentiates = (functorch.TransformType.Grad, functorch.TransformType.Jvp)
     if any(level.key() in differentiates for level in functorch.get_interpreter_stack() or ()):
         return True

@@ -26,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 import torch
 
@@ -36,9 +35,12 @@ from deepkoco.fit.simulate.simulator import predict
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems import ExtendedSystem, System, load_system
 from deepkoco.systems.effects import effects_of
+from deepkoco.systems.trees.mujoco_library import mujoco_library
 from deepkoco.systems.trees.tree_system import TreeSystem
 from deepkoco.systems.trees.write_back import extended_mjcf
 from tests.oracle.mujoco_robots import Robot, cart_pole, random_arm
+
+mujoco = mujoco_library()
 
 SECONDS, HOLD, RATE = 1.0, 0.1, 100.0  # of a window, of a command, of the sensors
 WINDOWS = 3

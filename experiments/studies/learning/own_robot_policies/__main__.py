@@ -26,7 +26,7 @@ import torch
 from gymnasium.vector import SyncVectorEnv
 
 from deepkoco.agent.agent import VectorAgent
-from deepkoco.agent.collection import collect_episodes, episode_costs
+from deepkoco.agent.collection import box_sizes, collect_episodes, episode_costs
 from deepkoco.agent.exploration import OrnsteinUhlenbeck
 from deepkoco.analysis.measures.comparison import fit_comparison
 from deepkoco.analysis.measures.steps import join_steps
@@ -56,6 +56,7 @@ CART, MOTOR = CartPoleUnit(delay=0.06), MotorUnit(coulomb=0.02)
 STEPS = 200
 EPISODES, FITTED = 50, 40
 NOISE = 0.5
+TASKS = {"cart_pole": tasks.Swing(), "motor": tasks.Turn(), "arm": tasks.Reach()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -104,7 +105,7 @@ def judge(robot: str, runs: dict[str, Path], out: Path, seed: int, history: int,
         sys.stdout.write(f"{name}: {rows[name].mean():.1f}\n")
         sys.stdout.flush()
     rows["zero action"] = _cost(units(), Zero(count, len(unit_env(robot, history).limits)), seed)
-    rows["EDMDc"] = _cost(units(), edmdc(runs["mended"], seed, count), seed)
+    rows["EDMDc"] = _cost(units(), edmdc(robot, runs["mended"], seed, count), seed)
     table = pd.DataFrame(rows)
     table.to_csv(out / f"{robot}_episodes.csv", index_label="episode")
     summary = pd.DataFrame([{"policy": name, **interval(costs, seed)} for name, costs in rows.items()])
@@ -117,12 +118,12 @@ def unit_env(robot: str, history: int) -> UnitEnv:
     """The task on the unit."""
     if robot == "arm":
         system = load_system(_arm_file())
-        return UnitEnv(MujocoUnit(arm_model(arm_hidden())), system, tasks.Reach(), STEPS // 2, history)
+        return UnitEnv(MujocoUnit(arm_model(arm_hidden())), system, TASKS[robot], STEPS // 2, history)
     if robot == "cart_pole":
         system = load_system(f"{EXAMPLES / 'cart_pole.py'}:CartPole")
-        return UnitEnv(EquationUnit(CART, 4, 4e-3), system, tasks.Swing(), STEPS, history)
+        return UnitEnv(EquationUnit(CART, 4, 4e-3), system, TASKS[robot], STEPS, history)
     system = load_system(f"{EXAMPLES / 'motor.py'}:Motor")
-    return UnitEnv(EquationUnit(MOTOR, 2, 2e-4), system, tasks.Turn(), STEPS // 2, history)
+    return UnitEnv(EquationUnit(MOTOR, 2, 2e-4), system, TASKS[robot], STEPS // 2, history)
 
 
 @cache
@@ -162,20 +163,20 @@ class Noisy:
         return np.clip(action + self.rng.uniform(-0.5, 0.5, action.shape), -1.0, 1.0)
 
 
-def edmdc(run: Path, seed: int, count: int) -> VectorAgent:
+def edmdc(robot: str, run: Path, seed: int, count: int) -> VectorAgent:
     """EDMDc and its planner, fitted to episodes in the simulator of a run."""
     config = load_run_config(run)
     config.task.kwargs = find_files(config.task.kwargs, run)
     make = make_environments(config)
     envs = make(FITTED, seed)
-    size = envs.single_action_space.shape[0]
-    low, high = -np.ones(size), np.ones(size)
+    _, low, high = box_sizes(envs)
+    size = len(low)
     noise = OrnsteinUhlenbeck(FITTED, size, 0.0, NOISE, torch.Generator().manual_seed(seed))
     random = VectorAgent(None, PlannerConfig(), low, high, FITTED, noise)
     trained = Noisy(load_controller(config.agent.name, run, FITTED), seed)
     episodes = collect_episodes(envs, random, seed) + collect_episodes(envs, trained, seed + 1)
     steps = join_steps([(e.observations.numpy(), e.actions.numpy(), e.costs.numpy()) for e in episodes])
-    model = fit_comparison(steps, 1.0 / envs.task.control_rate, 0.001, np.random.default_rng(seed))
+    model = fit_comparison(steps, 1.0 / TASKS[robot].rate, 0.001, np.random.default_rng(seed))
     envs.close()
     return VectorAgent(model, PlannerConfig(), low, high, count)
 

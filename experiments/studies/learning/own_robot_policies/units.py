@@ -6,16 +6,18 @@ from collections import deque
 from typing import Any, Protocol
 
 import gymnasium
-import mujoco
 import numpy as np
 import torch
 from gymnasium import spaces
 
 from deepkoco.envs.tasks import Task
 from deepkoco.systems import System
+from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
 from tests.oracle.mujoco_robots import Robot, random_arm
 from tests.oracle.mujoco_unit import Hidden, unit_model
 from tests.oracle.own_robots import CartPoleUnit, MotorUnit
+
+mujoco = mujoco_library()
 
 ARM_SEED, ARM_JOINTS = 30002, 2
 ARM_STEP = 2e-4  # of MuJoCo [s]
@@ -73,7 +75,7 @@ class MujocoUnit:
         model: With what it hides.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    def __init__(self, model: Model) -> None:
         self.model, self.data = model, mujoco.MjData(model)
         self.state = np.zeros(2 * model.nv)
 
@@ -100,7 +102,7 @@ def arm_hidden() -> Hidden:
     return Hidden("frictionloss", "j1", round(0.25 * arm().sizes[0], 4))
 
 
-def arm_model(hidden: Hidden | None) -> mujoco.MjModel:
+def arm_model(hidden: Hidden | None) -> Model:
     """The unit's model in MuJoCo; every unit differs a little from its file."""
     return unit_model(arm(), hidden, ARM_SEED, ARM_STEP)
 
