@@ -69,7 +69,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         detection=request.detection,
         details=_details(request, base, judgement),
         final=_written(base, judgement),
-        moved=_moved(base) if judgement.verdict == "nothing" else (),
+        moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),
     )
 
 
@@ -139,8 +139,12 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     }
 
 
-def _moved(base: Refitted) -> tuple[Moved, ...]:
-    return moved_parameters(base.problem, base.start, base.reference)
+def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:
+    base, fit = explanation.base, judgement.final
+    # What any healthy machine has is part of this fit, so it is part of the simulation as given, too.
+    healthy = {n: fit.values[n] for minor in explanation.found.minor for n in minor.cause.free}
+    start = replace(base.start, values={**base.start.values, **healthy})
+    return moved_parameters(base.problem, start, fit)
 
 
 def _unidentified(base: Refitted) -> tuple[Direction, ...]:

@@ -61,7 +61,7 @@ class World(Node):
         )
         self.advance_by = {"rk4": self._rk4, "semi_implicit_euler": self._semi_implicit_euler}[integrator]
         rubbing, remembering = StickSlip.sizes(system) if integrator == "rk4" else (0, 0)
-        self.carried = {"rest": rubbing, "memory": remembering} if rubbing or remembering else {}
+        self.sticks, self.remembers = bool(rubbing or remembering), remembering
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         idle = torch.zeros(batch, len(self.limits), dtype=torch.float64)
@@ -69,11 +69,7 @@ class World(Node):
             "state": start_state(self.system, parameters, batch),
             "effort": self.system.effort_of(idle),
             "started": torch.zeros(batch, dtype=torch.bool),
-            **{
-                name: torch.zeros(batch, width, dtype=torch.float64)
-                for name, width in self.carried.items()
-                if width
-            },
+            **({"memory": torch.zeros(batch, self.remembers, dtype=torch.float64)} if self.remembers else {}),
         }
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
@@ -95,8 +91,10 @@ class World(Node):
         decay = torch.where(lag > 0, torch.exp(-dt / held), 0.0)
         mean = target + (state["effort"] - target) * torch.where(lag > 0, held / dt * (1.0 - decay), 0.0)
         started, carried = state["started"], {}
-        if self.carried and not needs_gradient([state["state"], mean, *parameters.values()]):
-            after, carried = self._stick_slip(state, mean, dt, parameters)
+        if self.remembers:
+            memory = state["memory"].unbind(-1)
+            after, memory = self._stick_slip(state["state"], mean, dt, parameters, memory, started)
+            carried["memory"] = torch.stack(memory, -1)
         else:
             after = self.advance_by(state["state"], mean, dt, parameters)
         now = torch.where(started[:, None], after, state["state"])
@@ -107,37 +105,39 @@ class World(Node):
         return {**state, **fixed, **carried}, now
 
     def _stick_slip(
-        self, state: State, effort: Tensor, dt: float, parameters: Parameters
-    ) -> tuple[Tensor, State]:
-        """State after a tick in which joints can stick, and what is carried to the next one."""
-        joints, started = self.system.joints, state["started"]
-        before = state["state"]
-        batch = before[..., 0]
-        parts = before.unbind(-1)
-        angles, speeds, further = parts[:joints], parts[joints : 2 * joints], before[..., 2 * joints :]
-        efforts = (effort,) if effort.ndim == 1 else effort.unbind(-1)
+        self,
+        state: Tensor,
+        effort: Tensor,
+        dt: float,
+        parameters: Parameters,
+        memory: tuple[Tensor, ...] = (),
+        started: Tensor | None = None,
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """State after a tick in which joints can stick, and what effects remember then.
+
+        The friction that held a joint before is not carried on, so the next state follows from the last one.
+        """
+        joints, batch = self.system.joints, state[..., 0]
+        parts = state.unbind(-1)
+        angles, speeds, further = parts[:joints], parts[joints : 2 * joints], state[..., 2 * joints :]
+        efforts = (effort,) if len(self.limits) == 1 else effort.unbind(-1)
         law = StickSlip(self.system, parameters)
-        rest, memory = (state[name].unbind(-1) if self.carried[name] else () for name in ("rest", "memory"))
+        rest = (torch.zeros_like(batch),) * len(law.rubbing)
         now = law.tick(Joints(angles, speeds, rest, memory), efforts, dt)
-        if memory:
+        remembered = now.memory
+        if memory and started is not None and not (is_plain([batch]) and bool(started.all())):
             # The first tick only finds what effects remember at the start.
-            remembered = now.memory
-            if not (is_plain([batch]) and bool(started.all())):
-                first = law.first_memory(angles, speeds, efforts)
-                pairs = zip(remembered, first, strict=True)
-                remembered = tuple(torch.where(started, a, b) for a, b in pairs)
-            now = now._replace(memory=remembered)
+            first = law.first_memory(angles, speeds, efforts)
+            pairs = zip(remembered, first, strict=True)
+            remembered = tuple(torch.where(started, a, b + torch.zeros_like(batch)) for a, b in pairs)
         if further.shape[-1]:
-            further = rk4_step(self.system, before, effort, dt, parameters)[..., 2 * joints :]
+            further = rk4_step(self.system, state, effort, dt, parameters)[..., 2 * joints :]
         after = self._joined(_stacked(now.angles, batch), _stacked(now.speeds, batch), further)
-        carried = {}
-        if rest:
-            carried["rest"] = torch.where(started[:, None], _stacked(now.rest, batch), state["rest"])
-        if memory:
-            carried["memory"] = _stacked(now.memory, batch)
-        return after, carried
+        return after, remembered
 
     def _rk4(self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters) -> Tensor:
+        if self.sticks and not needs_gradient([state, effort, *parameters.values()]):
+            return self._stick_slip(state, effort, dt, parameters)[0]
         after = rk4_step(self.system, state, effort, dt, parameters)
         joints = self.system.joints
         if not math.isfinite(self.speed_limit):

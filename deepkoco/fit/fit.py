@@ -102,7 +102,7 @@ class FitProblem(ShootingProblem):
             tolerance: A trial has converged when a step lowers its cost by less.
             known: Slopes near the starts of the trials, of which most are then not computed; None computes them.
             exact: Whether fits end with slopes at their own points. Without, covariances may be of earlier points.
-            renewals: How often a trial that keeps slopes may compute them again; None for once in each iteration.
+            renewals: How often a trial that keeps slopes may compute them again; None for half of the iterations.
 
         Returns:
             One fit per trial; its :attr:`.Fit.diverged` is True if the simulation diverges at the start values.

@@ -50,8 +50,7 @@ class ShootingProblem:
         self.low = np.array([declared[n].low for n in self.names])
         self.high = np.array([declared[n].high for n in self.names])
         self.scale = np.array([declared[n].prior_sd for n in self.names])
-        sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
-        self.weight = windows.valid.to(torch.float64) / sd[None, :, None]
+        self.weight = windows.valid.to(torch.float64) / windows.sample_sd
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}

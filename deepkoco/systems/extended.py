@@ -313,6 +313,7 @@ class ExtendedSystem(System):
         base = self.base.command_timing(index, parameters)
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
+        delay = delay - parameters.get("stamp_lead.lead", zero)
         delay = delay + parameters.get(f"{self._command_effect('actuation_delay', index)}.delay", zero)
         names = [self._command_effect("lag", index)]
         if index < len(self.command_joints):

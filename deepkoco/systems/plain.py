@@ -31,7 +31,11 @@ def is_readable(value: Tensor) -> bool:
 
 
 def needs_gradient(values: Iterable[Tensor]) -> bool:
-    """Whether gradients are wanted with respect to any of the values."""
+    """Whether gradients are wanted with respect to any of the values, backwards or forwards."""
+    functorch = torch._C._functorch
+    differentiates = (functorch.TransformType.Grad, functorch.TransformType.Jvp)
+    if any(level.key() in differentiates for level in functorch.get_interpreter_stack() or ()):
+        return True
     return torch.is_grad_enabled() and any(value.requires_grad for value in values)
 
 

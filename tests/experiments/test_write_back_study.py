@@ -39,9 +39,10 @@ def test_file_gets_another_step_and_integrator():
 def test_worst_robot_counts_and_what_no_log_shows_does_not():
     row = {"kind": "gain", "left_out": ""}
     rows = [
-        {**row, "share": 0.004, "share_own_step": 0.1},
-        {**row, "share": 0.02, "share_own_step": 0.05},
-        {"kind": "jitter", "left_out": "", "share": math.nan},
+        {**row, "held_out_error": 50.0, "share": 0.004, "share_own_step": 0.1},
+        {**row, "held_out_error": 30.0, "share": 0.02, "share_own_step": 0.05},
+        {**row, "held_out_error": 1.0, "share": 0.5, "share_own_step": 9.0},
+        {"kind": "jitter", "left_out": "", "held_out_error": 0.0, "share": math.nan},
     ]
     assert by_kind(rows) == [
         {"kind": "gain", "robots": 2, "share": 0.02, "share_own_step": 0.1, "left_out": ""}

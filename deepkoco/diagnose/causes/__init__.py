@@ -39,6 +39,7 @@ from deepkoco.diagnose.causes.timing import (
     LAG,
     LOST_COMMANDS,
     SENSING_DELAY,
+    STAMP_LEAD,
 )
 from deepkoco.own_objects import entry_point, entry_point_names
 from deepkoco.systems import System
@@ -51,6 +52,7 @@ CAUSES: dict[str, Cause] = {
         SENSING_DELAY,
         LAG,
         CLOCK_SKEW,
+        STAMP_LEAD,
         JITTER,
         LOST_COMMANDS,
         VISCOUS,

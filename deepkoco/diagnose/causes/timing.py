@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
-from deepkoco.diagnose.causes.tolerance import of_clock, of_sample
+from deepkoco.diagnose.causes.tolerance import of_clock, of_sample, of_stamps
 from deepkoco.diagnose.residuals.scatter import jitter
 
 # Fits of a long delay from 0 stop in local minima, so they also start from longer delays [s].
@@ -66,6 +66,16 @@ CLOCK_SKEW = Cause(
     "command_rate",
     lambda motion: -motion.command_rate * (motion.time - motion.time.mean()),
     tolerance=of_clock,
+)
+STAMP_LEAD = Cause(
+    "stamp_lead",
+    "timing",
+    ("lead",),
+    "Commands act before their time stamps, so they are stamped late or the measurements early.",
+    "Stamp each command when it is sent, and each measurement when it is taken, with one clock.",
+    "command_rate",
+    lambda motion: motion.command_rate,
+    tolerance=of_stamps,
 )
 LOST_COMMANDS = Cause(
     "lost_commands",

@@ -18,6 +18,9 @@ SHARE_OF_USUAL = 2.5e-3
 LOAD_SHARE = 5e-4  # of a joint's typical load
 PUSH_LASTS = 1.0  # a load of that share may act for so long [s]; a shorter one may be stronger
 CLOCK_RATE = 5e-5  # crystal clocks differ by 20 to 50 parts per million
+LEAD_SHARE = (
+    0.5  # of the sample period, by which commands may act before their stamps: nothing acts before it is sent
+)
 SAMPLE_SHARE = 0.01  # of the sample period, by which stamps are early or late
 
 
@@ -58,6 +61,11 @@ def of_clock(healthy: Healthy) -> float:
 def of_sample(healthy: Healthy) -> float:
     """Return a share of the sample period [s]."""
     return SAMPLE_SHARE * healthy.period
+
+
+def of_stamps(healthy: Healthy) -> float:
+    """Return the part of a sample period by which stamps are rounded [s]."""
+    return LEAD_SHARE * healthy.period
 
 
 def of_impulse(healthy: Healthy) -> float:

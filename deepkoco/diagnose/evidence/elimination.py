@@ -30,6 +30,7 @@ def eliminated(
     least: int = 1,
     share: float = 0.0,
     before: float = math.inf,
+    exempt: Collection[Cause] = (),
 ) -> tuple[list[Cause], Fit]:
     """Remove causes whose delta BIC, together with all others, is too small; the weakest first.
 
@@ -45,6 +46,7 @@ def eliminated(
         least: Number of causes that stay in any case.
         share: Share of what all causes explain, which a cause needs to stay.
         before: Cost of the refit without any cause.
+        exempt: Causes that may explain less than that share.
 
     Returns:
         The remaining causes and their fit.
@@ -59,10 +61,15 @@ def eliminated(
             (less.cost - fit.cost) / deflation - penalty(cause, samples, places)
             for cause, less in zip(kept, fits, strict=True)
         ]
-        weakest = worth.index(min(worth))
-        part = (fits[weakest].cost - fit.cost) / max(before - fit.cost, 1e-300)
-        if worth[weakest] > wanted and part >= share:
+        most = max(before - fit.cost, 1e-300)
+        weak = [
+            k
+            for k, (cause, less) in enumerate(zip(kept, fits, strict=True))
+            if worth[k] <= wanted or (less.cost - fit.cost < share * most and cause not in exempt)
+        ]
+        if not weak:
             break
+        weakest = min(weak, key=lambda k: worth[k])
         del kept[weakest]
         fit = fits[weakest]
     return kept, fit

@@ -125,14 +125,13 @@ class Selection:
             if not ranking.candidates or ranking.best.delta_bic <= wanted:
                 break
             above = [c for c in ranking.candidates if c.delta_bic > wanted and c.fit is not ranking.reference]
-            small = {
-                c.cause.name: m for c in above if (m := self._minor(problem, ranking, c, healthy, accepted))
-            }
-            least = next((small[c.cause.name] for c in above if c.cause.name in small), None)
-            if above and len(small) == len(above) and (least.share is not None or not self._left(final)):
+            small = [self._minor(problem, ranking, c, healthy, accepted) for c in above]
+            least = next((m for m in small if m is not None), None)
+            if least is not None and all(small) and (least.share is not None or not self._left(final)):
                 minor = (*minor, least)
                 break
             if least is not None and least.share is None and least.cause is ranking.best.cause:
+                # It is not named, but without it in the fit its part of the error would look like another cause.
                 if len(healthy) == MOST_TOLERATED:
                     break
                 steps.append((ranking, (least.cause.name,)))
@@ -169,12 +168,20 @@ class Selection:
         """Return whether a fit leaves more than noise."""
         return fit.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
 
+    def _tolerated(self, found: Selected) -> list[Cause]:
+        """Return the selected causes of which there is no more than any healthy machine has."""
+        deflation = self._deflation(found.final)
+        return [c for c in found.accepted if tolerated(found.acting, self.start, c, found.final, deflation)]
+
+    def _deflation(self, fit: Fit) -> float:
+        return max(dispersion(fit, self.train).deflation, self.start.least_deflation)
+
     def _without_tolerated(self, found: Selected) -> Selected:
         """Take the causes within their tolerance out of the selection; the fit still contains them."""
-        deflation = max(dispersion(found.final, self.train).deflation, self.start.least_deflation)
-        small = [c for c in found.accepted if tolerated(found.acting, self.start, c, found.final, deflation)]
+        small = self._tolerated(found)
         if not small:
             return found
+        deflation = self._deflation(found.final)
         kept = [(c, s) for c, s in zip(found.accepted, found.steps, strict=True) if c not in small]
         return replace(
             found,
@@ -200,7 +207,15 @@ class Selection:
             return found
         # Causes accepted later can make an earlier one superfluous.
         kept, final = eliminated(
-            found.acting, self.start, found.accepted, found.final, FURTHER, least, LEAST_SHARE, self.cost
+            found.acting,
+            self.start,
+            found.accepted,
+            found.final,
+            FURTHER,
+            least,
+            LEAST_SHARE,
+            self.cost,
+            self._tolerated(found),
         )
         if self.held is not None and len(self.held) > 0:
             kept, final = carried(found.acting, self.start, kept, final, self.held, least)
@@ -234,7 +249,10 @@ class Selection:
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
         everything = catalogue(start.system.base).values() if self.causes is None else self.causes
         lasting = [c for c in everything if c.effect != "event"]
+        healthy = self._tolerated(found)
         for k, cause in enumerate(accepted):
+            if cause in healthy:
+                continue
             others = [*accepted[:k], *accepted[k + 1 :]]
             self.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
             less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE)

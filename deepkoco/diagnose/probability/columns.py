@@ -65,3 +65,9 @@ def columns_at(problem: FitProblem, point: Fit, coordinates: Sequence[Coordinate
         slopes.reshape(len(slopes), windows, -1).permute(1, 2, 0).numpy(),
         residual.reshape(windows, -1).numpy(),
     )
+
+
+def zeros_of(problem: FitProblem) -> np.ndarray:
+    """Return the whitened change (W, n, z) of the measurements by the unknown zeros of encoders, a set for each log."""
+    none = torch.zeros(0, *problem.weight.shape, dtype=torch.float64)
+    return problem.nuisance_slopes(none).flatten(2).permute(1, 2, 0).numpy()

@@ -213,6 +213,11 @@ def spreads(problem: FitProblem, catalogue: Catalogue, inside: np.ndarray) -> np
     own = []
     for name in catalogue.base:
         parameter = problem.system.parameter(name)
-        share = FRICTION_RUNS if "s/rad" in parameter.unit or "s/m" in parameter.unit else RUNS
+        rubs = (
+            "friction" in f"{name} {parameter.description}"
+            or "s/rad" in parameter.unit
+            or "s/m" in parameter.unit
+        )
+        share = FRICTION_RUNS if rubs else RUNS
         own.append(share * abs(parameter.value) if parameter.value else 0.1 * parameter.prior_sd)
     return np.array([*own, *(TOLERANCE * catalogue.coordinates[k].wide for k in inside)])

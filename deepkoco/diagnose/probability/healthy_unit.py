@@ -12,12 +12,12 @@ from deepkoco.diagnose.baseline import Healthy, refit
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.probability.amplitudes import Amplitudes
-from deepkoco.diagnose.probability.columns import columns_at
+from deepkoco.diagnose.probability.columns import columns_at, zeros_of
 from deepkoco.diagnose.probability.coordinates import coordinates_of, spreads, tolerances
 from deepkoco.diagnose.probability.gram import Gram, WindowSums
 from deepkoco.diagnose.probability.hierarchy import of_next_log
 from deepkoco.diagnose.probability.model_error import in_time, of_motion, ranges_of, slot_responses
-from deepkoco.diagnose.probability.normal import Normal
+from deepkoco.diagnose.probability.normal import Changes, Normal
 from deepkoco.diagnose.probability.unit import declared_of, shifted, stacked
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.fit import FitProblem
@@ -68,8 +68,14 @@ def learned_unit(healthy: Healthy, causes: Sequence[Cause]) -> HealthyUnit:
     smooth = of_motion(problem, responses, missing, ranges)
     sudden = in_time(responses, problem.system.joints)
     both = np.concatenate([columns.changes, smooth], axis=2)
+    zeros = zeros_of(problem)
     logs = [
-        WindowSums(both[mine], columns.states[mine], sudden[mine], columns.residual[mine])
+        WindowSums(
+            np.concatenate([both[mine], zeros[mine]], 2),
+            columns.states[mine],
+            sudden[mine],
+            columns.residual[mine],
+        )
         for mine in (windows.log == k for k in np.unique(windows.log))
     ]
     here = np.concatenate([[origin.values[n] for n in catalogue.base], np.zeros(both.shape[2] - own)])
@@ -82,6 +88,7 @@ def learned_unit(healthy: Healthy, causes: Sequence[Cause]) -> HealthyUnit:
         stacked(declared, Normal.independent(loose)),
         usual,
         smooth.shape[2],
+        problem.zeros.spread,
         ranges,
     )
 
@@ -93,6 +100,7 @@ def _over_sizes(
     declared: Normal,
     usual: np.ndarray,
     weights: int,
+    zeros: np.ndarray,
     ranges: Sequence[np.ndarray],
 ) -> HealthyUnit:
     """Return the prior at each size of the model error and of the run-to-run variation that the logs allow."""
@@ -103,7 +111,7 @@ def _over_sizes(
     found: list[tuple[float, int, Normal]] = []
     for a in np.flatnonzero(grid.log_healthy > grid.log_healthy.max() - 30.0):
         r = float(grid.in_time[a])
-        grams.setdefault(r, [own.at(r) for own in logs])
+        grams.setdefault(r, [_without_zeros(own.at(r), zeros) for own in logs])
         mean = shifted(stacked(declared, Normal.independent(np.full(weights, grid.of_motion[a]))), -here)
         for k, factor in enumerate(RUN_TO_RUN):
             spread = np.concatenate([factor * usual, np.zeros(weights)])
@@ -125,6 +133,15 @@ def _over_sizes(
         np.concatenate([none, grid.log_unknown]),
     )
     return HealthyUnit(tolerated, sizes, ranges, (*(normal for _, _, normal in kept), *wider))
+
+
+def _without_zeros(gram: Gram, spread: np.ndarray) -> Gram:
+    """Integrate the zeros of encoders, which come last; those of other logs have no columns here."""
+    count = len(gram.pull) - len(spread)
+    if len(spread) == 0:
+        return gram
+    found = Changes.of(gram, Normal.independent(spread), count + np.arange(len(spread)))
+    return Gram(found.information[:count, :count], found.pull[:count], -2.0 * found.log_nothing, 0.0)
 
 
 def _with_unknown(normal: Normal, amplitude: float, weights: int) -> Normal:

@@ -73,7 +73,8 @@ def _sizes(
                 null += float(refit.value[fixed.catalogue.base.index(name)])
             value, reach = null + float(mode[k]), 1.96 * float(np.sqrt(covariance[k, k]))
             bounded = np.clip([value, value - reach, value + reach], parameter.low, parameter.high)
-            sizes[name] = Estimate(*map(float, bounded), parameter.unit)
+            best, low, high = bounded.tolist()
+            sizes[name] = Estimate(best, low, high, parameter.unit)
         for name, value in zip(refit.names, refit.value.tolist(), strict=True):
             if is_shape(name) and name in item.cause.free:
                 sizes[name] = Estimate(value, value, value, declared(problem, [name])[0].unit)

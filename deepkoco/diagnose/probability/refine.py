@@ -33,9 +33,9 @@ class Fixed:
     Attributes:
         catalogue: Coordinates.
         origin: The point.
-        linear: (W, n, l) columns that stay as they are there: tolerated changes, then weights of the smooth function.
+        linear: (W, n, l) columns that stay as they are there: tolerated changes, weights of the smooth function, zeros.
         responses: (W, n, m) of independent unit loads in time.
-        unit: Prior of base parameters, tolerated changes and weights.
+        unit: Prior of base parameters, tolerated changes, weights and zeros.
     """
 
     catalogue: Catalogue
@@ -46,9 +46,9 @@ class Fixed:
 
     @property
     def here(self) -> np.ndarray:
-        """Values of base parameters, tolerated changes and weights at the point."""
-        own = [self.origin.values[n] for n in self.catalogue.base]
-        return np.concatenate([own, np.zeros(self.linear.shape[2])])
+        """Values of base parameters, tolerated changes, weights and zeros at the point."""
+        own, zeros = [self.origin.values[n] for n in self.catalogue.base], self.origin.nuisance.numpy()
+        return np.concatenate([own, np.zeros(self.linear.shape[2] - len(zeros)), zeros])
 
 
 @dataclass

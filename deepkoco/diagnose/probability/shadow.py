@@ -17,7 +17,7 @@ from deepkoco.diagnose.evidence.screening import SAME
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.answer import Answer, Weighed
-from deepkoco.diagnose.probability.columns import columns_at
+from deepkoco.diagnose.probability.columns import columns_at, zeros_of
 from deepkoco.diagnose.probability.coordinates import Catalogue, coordinates_of, tolerances
 from deepkoco.diagnose.probability.gram import WindowSums
 from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
@@ -26,7 +26,7 @@ from deepkoco.diagnose.probability.model_error import in_time, of_motion, ranges
 from deepkoco.diagnose.probability.posterior import weighed
 from deepkoco.diagnose.probability.refine import Fixed, refined, started
 from deepkoco.diagnose.probability.search import Scored, search
-from deepkoco.diagnose.probability.unit import DeclaredUnit, declared_of
+from deepkoco.diagnose.probability.unit import DeclaredUnit, UnitPrior, WithZeros, declared_of
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
@@ -132,12 +132,16 @@ def linearised(
     responses, own = slot_responses(problem, origin), len(listed.base)
     ranges = ranges_of(problem, missing) if healthy is None else healthy.ranges
     smooth, sudden = of_motion(problem, responses, missing, ranges), in_time(responses, problem.system.joints)
+    weights = smooth.shape[2]
+    smooth = np.concatenate([smooth, zeros_of(problem)], axis=2)
     inside, sd = tolerances(listed, False)
+    unit: UnitPrior
     if healthy is None:
         declared = declared_of(start, listed.base)
-        unit = DeclaredUnit(declared, sd, smooth.shape[2], Amplitudes.grid(False), ranges)
+        unit = DeclaredUnit(declared, sd, weights, Amplitudes.grid(False), ranges)
     else:
         unit, inside = healthy, _in_order(listed, healthy)
+    unit = WithZeros(unit, problem.zeros.spread)
     tall = np.concatenate([columns.changes[:, :, inside], smooth], axis=2)
     fixed = Fixed(listed, origin, tall, sudden, unit)
     count = len(listed.coordinates)

@@ -56,6 +56,33 @@ class DeclaredUnit:
         return stacked(self.own, Normal.independent(sd))
 
 
+@dataclass(frozen=True)
+class WithZeros:
+    """Prior of a unit, and of the zeros that its encoders have in these logs.
+
+    Attributes:
+        unit: The unit.
+        spread: (z,) standard deviations of the zeros.
+    """
+
+    unit: UnitPrior
+    spread: np.ndarray
+
+    @property
+    def amplitudes(self) -> Amplitudes:
+        """Sizes of the model error."""
+        return self.unit.amplitudes
+
+    @property
+    def ranges(self) -> Sequence[np.ndarray]:
+        """Lowest and highest angle, speed and effort of each joint."""
+        return self.unit.ranges
+
+    def normal(self, number: int) -> Normal:
+        """Return the prior for one size of the model error; the zeros come last."""
+        return stacked(self.unit.normal(number), Normal.independent(self.spread))
+
+
 def declared_of(start: Baseline, base: Sequence[str]) -> Normal:
     """Return the declared prior of the base parameters."""
     return Normal.of(start.prior.mean(base), start.prior.precision(base))
@@ -65,7 +92,7 @@ def stacked(first: Normal, second: Normal) -> Normal:
     """Return the distribution of two independent groups of coordinates."""
     return Normal(
         np.concatenate([first.mean, second.mean]),
-        scipy.linalg.block_diag(first.precision, second.precision),
+        np.asarray(scipy.linalg.block_diag(first.precision, second.precision)),
         first.log_det + second.log_det,
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.data.noise import Noise, estimate_noise
+from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import Motion, System
@@ -71,6 +71,7 @@ class Windows:
         shows: Index of the state that each channel measures.
         known: Known differences of each log; empty if there are none.
         varies: Parameter -> standard deviation between logs, in its unit; empty if all logs share their parameters.
+        stamp_sd: Standard deviation of each log's time stamps [s]; empty where all stamps are exact.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -87,6 +88,7 @@ class Windows:
     shows: tuple[int, ...] = (0, 1)
     known: Known = ()
     varies: Mapping[str, float] = field(default_factory=dict)
+    stamp_sd: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -100,6 +102,19 @@ class Windows:
     def samples(self) -> int:
         """Number of measured values in all windows."""
         return int(self.valid.sum())
+
+    @property
+    def sample_sd(self) -> Tensor:
+        """(W, N, M) noise of every sample in its channel's unit: sqrt(r^2 + (rate sigma_t)^2); at least (1, N, 1).
+
+        A stamp that is wrong by dt shows the value of another time, so the error is the channel's rate times dt.
+        """
+        sd = torch.tensor([n.sd for n in self.noise], dtype=torch.float64)[None, :, None]
+        if not any(self.stamp_sd):
+            return sd
+        stamps = torch.tensor(self.stamp_sd, dtype=torch.float64)[torch.from_numpy(self.log)]
+        rate = rates(self.t.numpy(), self.value.numpy(), self.valid.numpy())
+        return torch.sqrt(sd**2 + (stamps[:, None, None] * torch.from_numpy(rate)) ** 2)
 
     def take(self, keep: np.ndarray) -> Windows:
         """Select windows by indices or by a mask (W,)."""

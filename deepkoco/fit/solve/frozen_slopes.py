@@ -48,6 +48,17 @@ class FrozenSlopes:
         across = torch.bmm(flat.permute(1, 0, 2), own)
         return FrozenSlopes(tuple(names), flat, own, whole @ whole.T, across, own.mT @ own)
 
+    def replaced(self, names: Sequence[str], slopes: Tensor) -> FrozenSlopes:
+        """Return slopes of which some are new.
+
+        Args:
+            names: Parameters with new slopes.
+            slopes: (c + S, W, N, M) new slopes by these parameters, then by the initial states.
+        """
+        rows = self.rows.clone()
+        rows[[self.names.index(n) for n in names]] = slopes[: len(names)].flatten(2)
+        return FrozenSlopes.of(self.names, rows[..., None], slopes[len(names) :])
+
     def after(self, moved: Tensor, states: Tensor, missed: Tensor) -> FrozenSlopes:
         """Return slopes that also predict a step that was simulated (Broyden's update, window by window).
 

@@ -25,7 +25,8 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.tangent import Tangent
 
 MANY = 20  # parameters and initial states from which slopes are kept
-POOR = 0.5  # share of the predicted fall of the cost below which they are computed again
+POOR = 0.2  # share of the predicted fall of the cost below which they are computed again
+MATTERS = 0.01  # promise of one parameter, as a share of the largest, from which its slopes are computed again first
 LANES = 256  # simulations in one batch
 # Scale of a change of an initial state [rad or m, per s], beside prior standard deviations of parameters, when what a
 # step has shown is shared out.
@@ -41,7 +42,7 @@ class LazyBatch(Batch):
         known: Slopes from which the trials start; None computes them at the start of each trial. They have every
             parameter that a trial frees and does not renew.
         exact: Whether a fit ends with slopes at its own point. Without, it may end with older ones.
-        renewals: How often a trial may compute its slopes again; None for once in each iteration.
+        renewals: How often a trial may compute its slopes again; None for half of the iterations.
     """
 
     def __init__(
@@ -65,11 +66,13 @@ class LazyBatch(Batch):
         self.renewing = np.full(count, known is None)
         self.predicted = np.full(count, np.inf)
         self.left = np.zeros(count, dtype=int)
+        self.whole = np.ones(count, dtype=bool)  # all slopes are computed again, not only those that matter
+        self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
         self.fresh: list[dict[str, Tensor]] = [{}] * count
 
     def run(self, iterations: int) -> list[Fit]:
         points = self.theta.copy(), self.initial.clone(), self.nuisance.clone()
-        self.left = np.full(len(self.trials), iterations if self.most is None else self.most)
+        self.left = np.full(len(self.trials), iterations // 2 + 1 if self.most is None else self.most)
         last = STEPS * (iterations - 1)
         for iteration in range(last + 1):
             active = np.flatnonzero(~self.done)
@@ -87,6 +90,13 @@ class LazyBatch(Batch):
                         part[k] = best[k]
         return [replace(self._result(k), exact=bool(self.current[k])) for k in range(len(self.trials))]
 
+    def _tolerance(self, k: int) -> float:
+        """Return the fall of the cost below which a trial has converged, for residuals of the size that it has.
+
+        A cost far above the number of samples shows model error, and costs are then compared by their ratio.
+        """
+        return self.tolerance * max(1.0, float(self.cost[k]) / max(self.problem.windows.samples, 1))
+
     def _judge(self, k: int, normal: NormalEquations, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
         """Accept or reject a point."""
         decrease = self.cost[k] - normal.cost
@@ -97,10 +107,10 @@ class LazyBatch(Batch):
                 normal = self._mended(k, normal, points)
             self.normal[k], self.cost[k] = normal, normal.cost
             self.theta[k], self.initial[k], self.nuisance[k] = (part[k] for part in points)
-            self.current[k] = fresh
+            self.current[k], self.partly[k] = fresh, False
             if not first:
                 self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
-                if decrease < self.tolerance:
+                if decrease < self._tolerance(k):
                     self._settle(k)
                 elif decrease < POOR * self.predicted[k]:
                     self._ask_for_slopes(k)
@@ -109,7 +119,7 @@ class LazyBatch(Batch):
         elif self.current[k] or not self._ask_for_slopes(k):
             self.damping[k] *= 20.0
             # If the step raises the cost by rounding errors only, the cost is at its minimum.
-            if normal.finite and -decrease < 1e-3 * self.tolerance:
+            if normal.finite and -decrease < 1e-3 * self._tolerance(k):
                 self._settle(k)
             self.done[k] |= self.damping[k] > LARGEST_DAMPING
         self.history[k].append(float(self.cost[k]))
@@ -142,25 +152,30 @@ class LazyBatch(Batch):
         self.slopes[k] = slopes
         return self._built(k, normal.residual, points[0][k], points[2][k])
 
-    def _ask_for_slopes(self, k: int) -> bool:
-        """Let the next simulations give the slopes at the best point, if the trial may have them."""
+    def _ask_for_slopes(self, k: int, whole: bool = False) -> bool:
+        """Let the next simulations give slopes at the best point, if the trial may have them: first those that matter.
+
+        Args:
+            k: The trial.
+            whole: Whether all slopes are computed again.
+        """
         if self.left[k] > 0:
             self.left[k] -= 1
-            self.renewing[k] = True
+            self.renewing[k], self.whole[k] = True, whole or self.partly[k]
         return bool(self.renewing[k])
 
     def _renew(self, k: int, normal: NormalEquations) -> None:
         """Take new slopes at the best point."""
         self.renewing[k] = False
         if normal.finite:
-            self.normal[k], self.current[k] = normal, True
+            self.normal[k], self.current[k], self.partly[k] = normal, self.whole[k], True
         else:
             # The cost is finite although a lane of the finite differences diverged.
             self.done[k] = True
 
     def _settle(self, k: int) -> None:
         """End a trial whose steps no longer lower the cost, or renew its slopes before."""
-        if not self.exact or self.current[k] or not self._ask_for_slopes(k):
+        if not self.exact or self.current[k] or not self._ask_for_slopes(k, whole=True):
             self.done[k] = self.converged[k] = True
 
     def _propose(self, k: int, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
@@ -172,8 +187,24 @@ class LazyBatch(Batch):
         for part, moved in zip(points, step, strict=True):
             part[k] = moved
         self.predicted[k] = gain
-        if gain < 0.25 * self.tolerance:
+        if gain < 0.25 * self._tolerance(k):
             self._settle(k)
+
+    def _that_matter(self, k: int) -> list[str]:
+        """Return the parameters whose steps promise much, and those whose slopes are always computed."""
+        normal, free = self.normal[k], self.trials[k].free
+        assert normal is not None
+        p = len(free)
+        if p == 0:
+            return []
+        promise = normal.gp[:p] ** 2 / torch.diagonal(normal.hpp)[:p].clamp_min(1e-300)
+        matters = promise >= MATTERS * promise.max()
+        known = self.slopes[k].names if self.slopes[k] is not None else ()
+        return [
+            n
+            for n, yes in zip(free, matters.tolist(), strict=True)
+            if n in known and (yes or n in self.renewed[k])
+        ]
 
     def _evaluate(
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
@@ -182,10 +213,13 @@ class LazyBatch(Batch):
         problem, tangents, names = self.problem, [], []
         for k in active:
             free = self.trials[k].free
-            whole = bool(self.renewing[k])
-            moved = [*free, *varying(problem, free)] if whole else list(self.renewed[k])
+            renewing = bool(self.renewing[k])
+            if renewing and self.whole[k]:
+                moved = [*free, *varying(problem, free)]
+            else:
+                moved = self._that_matter(k) if renewing else list(self.renewed[k])
             columns = np.array([problem.names.index(n) for n in moved], dtype=int)
-            tangents.append(Tangent.at(problem, theta[k], columns, initial[k], states=whole))
+            tangents.append(Tangent.at(problem, theta[k], columns, initial[k], states=renewing))
             names.append(moved)
         result: list[NormalEquations] = []
         at = 0
@@ -222,8 +256,13 @@ class LazyBatch(Batch):
         problem, free = self.problem, self.trials[k].free
         residual = (problem.windows.value - lanes[0]) * problem.weight
         fresh: dict[str, Tensor] = {}
-        if self.renewing[k]:
+        slopes = self.slopes[k]
+        if self.renewing[k] and (self.whole[k] or slopes is None):
             self.slopes[k] = slopes_at(problem, tangent, lanes, free)
+        elif self.renewing[k]:
+            assert slopes is not None
+            self.slopes[k] = slopes.replaced(moved, tangent.slopes(lanes, problem.weight))
+            fresh = {n: s for n, s in self.fresh[k].items() if n not in slopes.names}
         else:
             fresh = dict(zip(moved, tangent.slopes(lanes, problem.weight), strict=True))
         self.fresh[k] = fresh

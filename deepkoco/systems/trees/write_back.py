@@ -58,11 +58,13 @@ class WriteBack:
         xml: Text of the file.
         changes: Numbers that differ from the given file.
         left_out: One sentence for each effect that MJCF cannot hold.
+        first_order: Name of the file's integrator; empty for RK4.
     """
 
     xml: str = ""
     changes: list[Change] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+    first_order: str = ""
 
 
 def tree_of(system: System) -> TreeSystem | None:
@@ -117,6 +119,9 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
     _move_paths(spec, path, Path(folder))
     spec.compile()  # what cannot be compiled must not be written
     result.xml = spec.to_xml()
+    kinds = _mujoco().mjtIntegrator
+    if spec.option.integrator != kinds.mjINT_RK4:
+        result.first_order = kinds(spec.option.integrator).name.removeprefix("mjINT_").lower()
     return result
 
 
@@ -435,6 +440,7 @@ LEFT_OUT = {
     "quantisation": "round the measurements in your own loop",
     "jitter": "it belongs to the time stamps of the log",
     "clock_skew": "it belongs to the clocks of the log",
+    "stamp_lead": "it belongs to the time stamps of the log",
     "lost_commands": "drop commands in your own loop",
     "bristle": "MJCF has no friction with a memory; use model.yaml",
     "gear_play": "MJCF needs a joint of its own for play; add one behind the gear by hand",

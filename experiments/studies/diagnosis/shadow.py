@@ -23,8 +23,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.probability.ask import evidence_of
 from deepkoco.fit import window_length
 from deepkoco.fit.threads import one_thread
 from deepkoco.output.whole_file import write_whole_text
@@ -34,6 +37,7 @@ from experiments.studies.diagnosis.hidden.cases import CONDITIONS, make_case, re
 from experiments.studies.diagnosis.hidden.measures import wilson
 from experiments.studies.diagnosis.own_robots.cases import draw_case, right_names
 from tests.oracle.machines import MACHINES
+from tests.oracle.mujoco_robots import compiled, draw_robot
 
 COLUMNS = (
     "index",
@@ -96,6 +100,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--system", choices=[*sorted(MACHINES), "mujoco"], default="rod_pendulum")
     parser.add_argument("--condition", choices=CONDITIONS, default="clean")
     parser.add_argument("--seconds", type=float, default=30.0, help="length of a log [s]")
+    parser.add_argument("--joints", type=int, default=2, help="most joints of a robot whose unit is MuJoCo")
+    parser.add_argument("--alone", action="store_true", help="ask the method of probabilities only")
     parser.add_argument("--most", type=float, default=1e9, metavar="MINUTES", help="start no case after this")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -109,7 +115,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         asked = question(index, args)
         if asked is None:
             continue
-        row = {"index": index, "system": args.system, "condition": args.condition, **answered(asked)}
+        row = {
+            "index": index,
+            "system": args.system,
+            "condition": args.condition,
+            **(alone(asked) if args.alone else answered(asked)),
+        }
         rows.append(row)
         _write(table, rows)
         sys.stdout.write(" ".join(f"{row[c]}" for c in COLUMNS if c != "probabilities") + "\n")
@@ -125,9 +136,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def question(index: int, args: argparse.Namespace) -> Question | None:
     """Draw and record a case; None for a robot that is too large to be asked about here."""
     if args.system == "mujoco":
-        case = draw_case(index, args.seed, args.seconds, healthy=index % 3 == 2)
-        if case.joints > 2:
+        # The robot is the first draw of a case. To dose an effect on a robot that is left out would only cost time.
+        robot = draw_robot(np.random.default_rng([1000 * args.seed + index, 21]))
+        if compiled(robot).nv > args.joints:
             return None
+        case = draw_case(index, args.seed, args.seconds, healthy=index % 3 == 2)
         logs = args.out / "logs"
         logs.mkdir(exist_ok=True)
         path = case.write(logs, args.seconds)
@@ -165,15 +178,31 @@ def answered(asked: Question) -> dict[str, Any]:
         return row | {"note": f"{type(error).__name__}: {error}"}
     spent = time.process_time() - began
     named = _named(result)
-    row |= {"verdict": result.verdict, "named": json.dumps(named)}
+    row |= {"verdict": result.verdict, "named": json.dumps(named), "cpu_present": round(spent, 1)}
     row["first_right"] = int(bool(named) and any(names & set(named[0]) for names in asked.right))
     found = result.evidence
     if found is None or "failed" in found:
-        return row | {"cpu_present": round(spent, 1), "note": (found or {}).get("failed", "no evidence")}
+        return row | {"note": (found or {}).get("failed", "no evidence")}
+    row["cpu_present"] = round(spent - found["cpu_s"], 1)
+    return row | _told(asked, found)
+
+
+def alone(asked: Question) -> dict[str, Any]:
+    """Ask the method of probabilities only; one row of the study, plain values only."""
+    row: dict[str, Any] = {c: "" for c in COLUMNS[3:]}
+    row |= {"kind": asked.kind, "hidden": asked.hidden, "ES": round(asked.strength, 3)}
+    try:
+        answer = evidence_of(asked.logs, asked.system, asked.healthy)
+    except Exception as error:  # one broken case must not end a study
+        return row | {"note": f"{type(error).__name__}: {error}"}
+    return row | _told(asked, answer.to_json())
+
+
+def _told(asked: Question, found: Mapping[str, Any]) -> dict[str, Any]:
     chances = {c["name"]: c["probability"] for c in found["causes"]}
     true = [sum(chances.get(n, 0.0) for n in names) for names in asked.right]
     inside = [all(names & set(e) for names in asked.right) for e in found["credible_set"]]
-    return row | {
+    return {
         "top": " + ".join(found["explanations"][0]["causes"]) or "nothing",
         "nothing": round(found["nothing"], 4),
         "unknown": round(chances.get("unknown", 0.0), 4),
@@ -182,7 +211,6 @@ def answered(asked: Question) -> dict[str, Any]:
         "set_size": len(found["credible_set"]),
         "probabilities": json.dumps({n: round(p, 4) for n, p in chances.items() if p > LEAST}),
         "stationary": int(found["explanations"][0]["stationary"]),
-        "cpu_present": round(spent - found["cpu_s"], 1),
         "cpu_evidence": round(found["cpu_s"], 1),
     }
 
@@ -199,32 +227,29 @@ def _named(result: Diagnosis) -> list[list[str]]:
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Both tables: measures of each method, and what stated probabilities are worth."""
     told = [r for r in rows if str(r["top"])]
-    controls = [r for r in told if r["kind"] == "control"]
-    clear = [r for r in told if r["kind"] == "single" and float(r["ES"]) >= CLEAR]
-    weak = [r for r in told if r["kind"] == "single" and float(r["ES"]) < CLEAR]
-    pairs = [r for r in told if r["kind"] == "pair"]
-    outside = [r for r in told if r["kind"] == "outside"]
+    both = _by_kind([r for r in rows if str(r["verdict"])])
+    kinds = _by_kind(told)
     present = {
-        "false alarms": wilson([r["verdict"] != "nothing" for r in controls]),
-        "names a cause of a healthy unit": wilson([bool(json.loads(r["named"])) for r in controls]),
-        "singles, first in class": wilson([_in_first(r) for r in clear]),
-        "weak singles, first in class": wilson([_in_first(r) for r in weak]),
-        "pairs, both named": wilson([_all_named(r) for r in pairs]),
-        "outside, unknown": wilson([r["verdict"] == "unknown" for r in outside]),
-        "outside, names a cause": wilson([bool(json.loads(r["named"])) for r in outside]),
-        "median CPU s": _median([float(r["cpu_present"]) for r in told]),
+        "false alarms": wilson([r["verdict"] != "nothing" for r in both["control"]]),
+        "names a cause of a healthy unit": wilson([bool(json.loads(r["named"])) for r in both["control"]]),
+        "singles, first in class": wilson([_first_right(r) for r in both["single"]]),
+        "weak singles, first in class": wilson([_first_right(r) for r in both["weak"]]),
+        "pairs, both named": wilson([_all_named(r) for r in both["pair"]]),
+        "outside, unknown": wilson([r["verdict"] == "unknown" for r in both["outside"]]),
+        "outside, names a cause": wilson([bool(json.loads(r["named"])) for r in both["outside"]]),
+        "median CPU s": _median([float(r["cpu_present"]) for r in rows if str(r["cpu_present"])]),
     }
     evidence = {
-        "false alarms": wilson([float(r["nothing"]) < NAMED for r in controls]),
-        "names a cause of a healthy unit": wilson([bool(_over(r)) for r in controls]),
-        "singles, first in class": wilson([_top_right(r) for r in clear]),
-        "singles, in the 95 % set": wilson([bool(int(r["in_set"])) for r in clear]),
-        "weak singles, first in class": wilson([_top_right(r) for r in weak]),
-        "weak singles, in the 95 % set": wilson([bool(int(r["in_set"])) for r in weak]),
-        "pairs, both named": wilson([min(json.loads(r["true"])) > NAMED for r in pairs]),
-        "pairs, in the 95 % set": wilson([bool(int(r["in_set"])) for r in pairs]),
-        "outside, unknown": wilson([float(r["unknown"]) > NAMED for r in outside]),
-        "outside, names a cause": wilson([bool(_over(r)) for r in outside]),
+        "false alarms": wilson([float(r["nothing"]) < NAMED for r in kinds["control"]]),
+        "names a cause of a healthy unit": wilson([bool(_over(r)) for r in kinds["control"]]),
+        "singles, first in class": wilson([_top_right(r) for r in kinds["single"]]),
+        "singles, in the 95 % set": wilson([_in_set(r) for r in kinds["single"]]),
+        "weak singles, first in class": wilson([_top_right(r) for r in kinds["weak"]]),
+        "weak singles, in the 95 % set": wilson([_in_set(r) for r in kinds["weak"]]),
+        "pairs, both named": wilson([min(json.loads(r["true"])) > NAMED for r in kinds["pair"]]),
+        "pairs, in the 95 % set": wilson([_in_set(r) for r in kinds["pair"]]),
+        "outside, unknown": wilson([float(r["unknown"]) > NAMED for r in kinds["outside"]]),
+        "outside, names a cause": wilson([bool(_over(r)) for r in kinds["outside"]]),
         "mean size of the 95 % set": round(sum(int(r["set_size"]) for r in told) / max(len(told), 1), 2),
         "median CPU s": _median([float(r["cpu_evidence"]) for r in told]),
     }
@@ -282,8 +307,23 @@ def _over(row: Mapping[str, Any]) -> list[str]:
     return [n for n, p in json.loads(row["probabilities"]).items() if p > NAMED and n != "unknown"]
 
 
-def _in_first(row: Mapping[str, Any]) -> bool:
+def _by_kind(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Rows by what is hidden; single causes of little strength are "weak"."""
+    found: dict[str, list[Mapping[str, Any]]] = {
+        k: [] for k in ("control", "single", "weak", "pair", "outside")
+    }
+    for r in rows:
+        weak = r["kind"] == "single" and float(r["ES"]) < CLEAR
+        found["weak" if weak else r["kind"]].append(r)
+    return found
+
+
+def _first_right(row: Mapping[str, Any]) -> bool:
     return bool(int(row["first_right"]))
+
+
+def _in_set(row: Mapping[str, Any]) -> bool:
+    return bool(int(row["in_set"]))
 
 
 def _all_named(row: Mapping[str, Any]) -> bool:

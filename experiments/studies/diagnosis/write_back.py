@@ -45,6 +45,7 @@ WINDOWS = 3
 OURS = 2e-3  # our integration step [s]
 FINE = 1e-4  # time step of the files that show the equations, with MuJoCo's RK4 [s]
 GOAL = 0.01
+SEEN = 3.0  # held-out error, in units of the sensors' noise, below which no log shows an effect
 COLUMNS = ("robot", "what", "kind", "held_out_error", "file_error", "share", "share_own_step", "left_out")
 
 
@@ -244,14 +245,13 @@ def rolled_out(xml: str, windows: Windows, starts: np.ndarray) -> np.ndarray:
 
 
 def by_kind(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The worst share of each kind over the robots."""
+    """The worst share of each kind over the robots on which a log shows it."""
     kinds: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         kinds.setdefault(row["kind"], []).append(row)
     result = []
     for kind, own in kinds.items():
-        # An effect that the log does not show has no share.
-        known = [r for r in own if not math.isnan(r["share"])]
+        known = [r for r in own if r.get("held_out_error", math.inf) >= SEEN]
         if not known:
             continue
         worst = max(known, key=lambda r: r["share"])

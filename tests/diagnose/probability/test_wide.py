@@ -51,6 +51,11 @@ def test_one_freed_coordinate_is_integrated_exactly(exponent, sds, wide, bounded
     assert one(information, pull, wide, low, np.inf) == pytest.approx(expected, abs=0.02)
 
 
+def test_the_example_of_the_page():
+    # Log likelihood 0.05 x 500 / 2, then log(0.63 x 0.01 x sqrt(2 pi)) of the prior.
+    assert one(1e4, 500.0, 0.5, -np.inf, np.inf) == pytest.approx(12.5 - 4.15, abs=0.02)
+
+
 def test_a_coordinate_without_information_gains_nothing():
     assert one(0.0, 0.0, 3.0, -np.inf, np.inf) == pytest.approx(0.0, abs=1e-6)
     assert one(0.0, 0.0, 3.0, 0.0, 9.0) == pytest.approx(0.0, abs=1e-6)

@@ -34,10 +34,11 @@ class Reach(Task):
     """Bring the arm of two joints into a posture, and hold it there against gravity."""
 
     control_rate = 20.0
+    command_limits = (6.0, 2.2)
     starts = {"q_j1": (-0.6, 0.6), "q_j2": (-0.6, 0.6)}  # noqa: RUF012
     speed_limit = 20.0
 
     def cost(self, scene, state, commands, parameters=None):
         first, second, speed_1, speed_2 = state.unbind(-1)
-        away = (first - 0.5) ** 2 + (second + 0.7) ** 2
-        return 5.0 * away + 0.02 * (speed_1**2 + speed_2**2)
+        away = 2.0 - torch.cos(first - 0.5) - torch.cos(second + 0.7)
+        return 3.0 * away + 0.005 * (speed_1**2 + speed_2**2)
