@@ -101,7 +101,8 @@ def _few_texts(survey: Survey, columns: list[ColumnSurvey]) -> list[str]:
         if column.kind != "text":
             continue
         cells = pd.Series(survey.log.table(column.topic).frame[column.name])
-        wrong = np.flatnonzero((cells.notna() & pd.to_numeric(cells, errors="coerce").isna()).to_numpy())
+        numbers = pd.Series(pd.to_numeric(cells, errors="coerce"))
+        wrong = np.flatnonzero((cells.notna() & numbers.isna()).to_numpy())
         if 0 < len(wrong) < FEW_TEXTS * len(cells):
             shown = " ".join(str(cells.iloc[wrong[0]]).split())[:MANY_LETTERS]
             result.append(
