@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.formats.csv_head import read_head
 from deepkoco.logs.formats.log_file import LogError, iso_seconds
-from deepkoco.logs.inspect import propose, survey_log
+from deepkoco.logs.inspect import doubts_of, propose, survey_log
 from deepkoco.logs.inspect.fitting import NoProposalError
 
 ROWS = "0.00,1.5,-2\n0.01,1.25,3\n0.02,1,4\n"
@@ -70,6 +70,15 @@ def test_a_head_is_read_or_left_alone_and_no_row_is_lost(text):
     assert len(kept) + head.ahead == len(before)
     rows = [line.lstrip("#%").split() for line in kept[1:]]
     assert rows == [line.lstrip("#%").split() for line in before[head.ahead + 1 :]]
+
+
+def test_a_cell_of_text_among_numbers_is_named_by_its_line(tmp_path):
+    survey = survey_log(
+        read(tmp_path, "t,q,note\n" + "".join(f"{k / 10},{k},a\n" for k in range(9)) + "0.9,off,b\n")
+    )
+    (found,) = [doubt for doubt in doubts_of(survey) if "column of numbers" in doubt]
+    assert '"q"' in found
+    assert '"off" at line 11' in found
 
 
 def test_times_of_a_day_go_on_after_midnight(tmp_path):

@@ -201,7 +201,7 @@ def _with_date(cells: pd.Series) -> pd.Series:
     """Times of a day (12:00:00.125) as dates from 1970 on; a step back of half a day or more begins the next day."""
     text = cells.astype("string")
     known = cells.notna()
-    if not known.any() or not text[known].str.fullmatch(TIME_OF_DAY).all():
+    if not known.any() or not pd.Series(text[known]).str.fullmatch(TIME_OF_DAY).all():
         return cells
     of_day = pd.to_timedelta(text.str.strip())
     days = (of_day[known].diff() < -pd.Timedelta(hours=12)).cumsum()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pandas as pd
 
 from deepkoco.logs.checks.derivative import slip
 from deepkoco.logs.inspect.clock import Clock
@@ -13,6 +14,8 @@ from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
 
+FEW_TEXTS = 0.2  # share of cells below which text in a column is a mistake
+MANY_LETTERS = 40  # of a cell that is shown
 MANY = 8  # largest number of listed names
 OFF = 0.25  # tolerance of the logarithm of a ratio of units
 _RATE = {"rad": "rad/s", "m": "m/s"}
@@ -30,7 +33,7 @@ def doubts_of(survey: Survey, proposal: Proposal | None = None) -> list[str]:
             for clock in clocks:
                 result += _clock(survey, clock)
     columns = [c for c in survey.columns if mapped is None or c.topic in mapped]
-    result += _columns(columns)
+    result += _columns(columns) + _few_texts(survey, columns)
     if proposal is not None:
         result += _units(proposal) + _derivatives(survey, proposal) + _commands(survey, proposal)
         result += _joints(proposal)
@@ -87,6 +90,24 @@ def _columns(columns: list[ColumnSurvey]) -> list[str]:
         if column.far:
             result.append(
                 f'"{column.label}" has {column.far} values far from all others; check whether they are glitches'
+            )
+    return result
+
+
+def _few_texts(survey: Survey, columns: list[ColumnSurvey]) -> list[str]:
+    """Where text stands in columns that otherwise contain numbers."""
+    result = []
+    for column in columns:
+        if column.kind != "text":
+            continue
+        cells = pd.Series(survey.log.table(column.topic).frame[column.name])
+        numbers = pd.Series(pd.to_numeric(cells, errors="coerce"))
+        wrong = np.flatnonzero((cells.notna() & numbers.isna()).to_numpy())
+        if 0 < len(wrong) < FEW_TEXTS * len(cells):
+            shown = " ".join(str(cells.iloc[wrong[0]]).split())[:MANY_LETTERS]
+            result.append(
+                f'"{column.label}" is a column of numbers but for "{shown}" at '
+                f"{survey.log.rows(column.topic, wrong, MANY)}; empty these cells, and read with fill"
             )
     return result
 
