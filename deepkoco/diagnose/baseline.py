@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.run_to_run import RunToRun
@@ -14,8 +15,9 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.residual_noise import sharpen_noise
+from deepkoco.fit.solve.residual_noise import with_sharp_noise
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
@@ -23,6 +25,9 @@ from deepkoco.systems.effects.learned import is_weight
 
 OPEN = 0.1  # relative standard deviation of a prior from which it leaves a scale open
 FIXED = 1e-4  # and of one that fixes it
+FEW_WINDOWS = (
+    20  # of a log, or half the number of parameters, that give a fit of many parameters its start values
+)
 
 
 @dataclass(frozen=True)
@@ -180,20 +185,31 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
         free: Parameters to free; None frees all that the prior covers.
     """
     names = start.prior.names if free is None else free
-    halves = halved(windows)
+    few = _few_windows(windows, len(names))
+    halves = halved(windows.take(few))
     short = FitProblem(start.system, halves)
     state, _ = short.fit_states(start.values, halves.state)
     first = short.fit_one(Trial("half windows", names, start.prior, start.values, state))
     problem = FitProblem(start.system, windows)
-    guess = first.state[::2]
+    guess = windows.state.clone()
+    guess[torch.from_numpy(few)] = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
     return problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
+
+
+def _few_windows(windows: Windows, parameters: int) -> np.ndarray:
+    """Return the windows that a first fit needs: all, or an even choice where there are many for few parameters."""
+    most = max(FEW_WINDOWS, parameters // 2)
+    size = len(windows)
+    if parameters + windows.state.shape[1] < MANY or size <= most:
+        return np.arange(size)
+    return np.unique(np.linspace(0, size - 1, most).astype(int))
 
 
 def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from the residuals, and refit once more under that noise."""
     rough = refit(start, windows)
-    windows = replace(windows, noise=sharpen_noise(windows, rough))
+    windows = with_sharp_noise(windows, rough)
     problem = FitProblem(start.system, windows)
     trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.nuisance)
     return windows, problem.fit_one(trial)
@@ -243,6 +259,7 @@ def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows
         windows,
         noise=tuple(n._replace(sd=math.sqrt(floor) * n.sd) for n in windows.noise),
         varies={n: sd / math.sqrt(correlation) for n, sd in windows.varies.items()},
+        stamp_sd=tuple(math.sqrt(floor) * sd for sd in windows.stamp_sd),
     )
 
 

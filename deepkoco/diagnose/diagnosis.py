@@ -47,16 +47,22 @@ class Moved:
         given: Value before, of the simulation as given or as learned from healthy logs.
         estimate: Value after, with its 95 % interval.
         prior_sds: Distance in standard deviations of its prior.
+        sum_with: Parameters that would do exactly the same: the data show only the sum of all of them.
+        sum_given: That sum as given; 0 where there are none.
     """
 
     name: str
     given: float
     estimate: Estimate
     prior_sds: float
+    sum_with: tuple[str, ...] = ()
+    sum_given: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Return the parameter under the keys of report.json."""
-        return {"name": self.name, "given": self.given, "prior_sds": self.prior_sds, **vars(self.estimate)}
+        shared = {"sum_with": list(self.sum_with), "sum_given": self.sum_given} if self.sum_with else {}
+        own = {"name": self.name, "given": self.given, "prior_sds": self.prior_sds}
+        return {**own, **vars(self.estimate), **shared}
 
 
 @dataclass(frozen=True)

@@ -158,8 +158,7 @@ def kept_as_given(gain: Gain, system: ExtendedSystem, seed: int) -> Gain | None:
 
 
 def _measured(system: ExtendedSystem, windows: Windows, fits: Mapping[str, Fit], seed: int) -> Gain:
-    sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
-    error = {name: (fit.residual * sd[:, None]).numpy() for name, fit in fits.items()}
+    error = {name: (fit.residual * windows.sample_sd).numpy() for name, fit in fits.items()}
     valid = windows.valid.numpy()
     channels = []
     for c, channel in enumerate(system.measurements):

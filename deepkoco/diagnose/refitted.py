@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from deepkoco.diagnose.baseline import Baseline, prior_of_mean, refit_sharply, with_floor_as_noise
 from deepkoco.diagnose.data import Data
 from deepkoco.diagnose.evidence.event_windows import train_on_pushed
@@ -81,6 +83,11 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
         start, train, reference = with_floor_as_noise(start, train)
     varies = train.varies if data.held is not None and data.held.varies else {}
     held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
+    if held is not None and any(train.stamp_sd):
+        # Other logs of the same recorder are taken to have its typical clock.
+        usual = float(np.sqrt(np.mean(np.square(train.stamp_sd))))
+        clocks = train.stamp_sd if data.own else (usual,) * len(held.commands)
+        held = replace(held, stamp_sd=clocks)
     if held is not None and data.own:
         train, held, reference = train_on_pushed(start, train, held, reference)
     return Refitted(

@@ -22,10 +22,12 @@ from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise
 from deepkoco.diagnose.verdict.judgement import Judgement
+from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.fit.fit import Fit
+from deepkoco.fit.solve.gauges import text_of_gauges
 from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.output.versions import versions
@@ -67,7 +69,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         detection=request.detection,
         details=_details(request, base, judgement),
         final=_written(base, judgement),
-        moved=_moved(base) if judgement.verdict == "nothing" else (),
+        moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),
     )
 
 
@@ -128,6 +130,7 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
         "white": final.chi2 / train.samples <= limit and left.lag_one <= alike,
         "spectrum": spectrum_of(remaining),
         "doubts": list(judgement.doubts),
+        "minor": minor_causes(explanation.found),
         "allowed_by_healthy_logs": list(explanation.joined),
         "not_fitted": list(judgement.unfitted),
         "lost_commands_not_searched": why_not_searched(train, base.start.losing),
@@ -136,8 +139,12 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     }
 
 
-def _moved(base: Refitted) -> tuple[Moved, ...]:
-    return moved_parameters(base.problem, base.start, base.reference)
+def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:
+    base, fit = explanation.base, judgement.final
+    # What any healthy machine has is part of this fit, so it is part of the simulation as given, too.
+    healthy = {n: fit.values[n] for minor in explanation.found.minor for n in minor.cause.free}
+    start = replace(base.start, values={**base.start.values, **healthy})
+    return moved_parameters(base.problem, start, fit)
 
 
 def _unidentified(base: Refitted) -> tuple[Direction, ...]:
@@ -160,7 +167,7 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
         classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
     return (
         *not_fitted(judgement.unfitted),
-        *(f"{g.text} Until then, {g.fixed} keeps its value as given." for g in base.start.gauges),
+        *text_of_gauges(base.start.gauges),
         *always_there(explanation.joined),
         *classes,
         *level_advice(base.train, request.system),

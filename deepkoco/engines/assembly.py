@@ -12,6 +12,7 @@ import torch
 from deepkoco.engines.engine import Engine, EngineError, EngineObject, Ports
 from deepkoco.engines.mjcf_world import MjcfWorld
 from deepkoco.engines.robot import find_object
+from deepkoco.engines.sensor import Sensor
 from deepkoco.engines.simulated import MujocoEngine, OdeEngine
 from deepkoco.engines.unit import UnitEngine
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, make_delay
@@ -80,19 +81,22 @@ def make_graph(
     for world in dict.fromkeys(port.world for port in ports.values()):
         seen = world if several else "truth"
         connections += _for_agent(agent, Connection(world, agent.name, delay=hop, name=seen))
+    graph_nodes = {node.name: node for node in nodes}
     for name, port in ports.items():
         sensing = make_delay(_of(sensing_delay, name, objects))
         if port.sensor:
             name_of_world = None if port.world == "world" else "world"
-            connections.append(Connection(port.world, port.sensor, delay=hop, name=name_of_world))
+            window = _states_between(graph_nodes[port.sensor], graph_nodes[port.world])
+            connections.append(
+                Connection(port.world, port.sensor, delay=hop, window=window, name=name_of_world)
+            )
             delay = max(sensing, hop, key=lambda law: law.mean)
             connections += _for_agent(agent, Connection(port.sensor, agent.name, delay=delay))
         if port.command is not None:
             actuation = make_delay(_of(actuation_delay, name, objects))
             connections += _to_world(agent, chains[name], port, hop, actuation, maker.world_rate)
-    by_name = {node.name: node for node in nodes}
     for name, own in entries.items():
-        world: Any = by_name[ports[name].world]
+        world: Any = graph_nodes[ports[name].world]
         if isinstance(world, MjcfWorld):
             world.entries[name] = own
         else:
@@ -125,6 +129,11 @@ def command_window(delay: Delay, rate: float, world_rate: float) -> int:
     """
     spread = 0.0 if delay.constant else delay.highest
     return 2 + math.ceil((spread + 1.0 / world_rate) * rate)
+
+
+def _states_between(sensor: Node, world: Node) -> int:
+    """How many states of the world a measurement must see."""
+    return sensor.states_between(float(world.rate)) if isinstance(sensor, Sensor) else 1
 
 
 def _to_world(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from deepkoco.systems import Channel
@@ -18,7 +17,7 @@ class HingedBody(NamedTuple):
         damping: Linear friction of the hinge, back-EMF included [N m s/rad].
         gear: Torque per unit of the command [N m].
         gravity: [m/s2].
-        resistance: Torque [N m] at a speed [rad/s] that MuJoCo has no element for; None for none.
+        friction: Dry friction of the hinge [N m].
     """
 
     mass: float
@@ -27,7 +26,7 @@ class HingedBody(NamedTuple):
     damping: float
     gear: float
     gravity: float
-    resistance: Callable[[float], float] | None = None
+    friction: float = 0.0
 
 
 def model_xml(
@@ -43,18 +42,23 @@ def model_xml(
         time_step: Step of the physics [s].
     """
     angle, speed = sensors
+    # Constraints cost time. Those of dry friction are soft; these numbers make them nearly rigid.
+    rubs = body.friction > 0.0
+    friction = f'frictionloss="{body.friction!r}" solreffriction="{2.0 * time_step!r} 1"' if rubs else ""
+    constraint = "enable" if rubs else "disable"
     # Without the flag MuJoCo puts a body whose state is no number back to zero and goes on.
     tip, width = 2.0 * body.reach, 0.1 * abs(body.reach)
     return f"""
 <mujoco model="{name}">
   <compiler angle="radian" autolimits="true"/>
   <option timestep="{time_step!r}" integrator="RK4" gravity="0 0 {-body.gravity!r}">
-    <flag contact="disable" constraint="disable" autoreset="disable"/>
+    <flag contact="disable" constraint="{constraint}" autoreset="disable"/>
   </option>
   <worldbody>
     <light pos="0 -2 2" dir="0 1 -1"/>
     <body name="{name}">
-      <joint name="hinge" type="hinge" axis="0 1 0" damping="{body.damping!r}"/>
+      <joint name="hinge" type="hinge" axis="0 1 0" damping="{body.damping!r}" {friction}
+             solimpfriction="0.9999 0.9999 0.001"/>
       <inertial pos="0 0 {body.reach!r}" mass="{body.mass!r}"
                 diaginertia="{body.inertia!r} {body.inertia!r} {body.inertia!r}"/>
       <geom type="capsule" fromto="0 0 0 0 0 {tip!r}" size="{width!r}" rgba="0.8 0.3 0.3 1"/>

@@ -69,7 +69,7 @@ class MujocoWorld(Node):
             body = self.body(values)
             time_step = self.period / self.substeps
             xml = model_xml(self.system.name, body, self.system.command, self.system.measurements, time_step)
-            self._simulator = _Simulator(values, body, xml)
+            self._simulator = _Simulator(values, xml)
         return {
             "state": start_state(self.system, parameters, batch),
             "started": torch.zeros(batch, dtype=torch.bool),
@@ -95,8 +95,8 @@ class MujocoWorld(Node):
 class _Simulator:
     """A compiled model and its data."""
 
-    def __init__(self, values: dict[str, float], body: HingedBody, xml: str) -> None:
-        self.values, self.body = values, body
+    def __init__(self, values: dict[str, float], xml: str) -> None:
+        self.values = values
         self._mujoco = import_mujoco()
         self.model = self._mujoco.MjModel.from_xml_string(xml)
         self.data = self._mujoco.MjData(self.model)
@@ -118,12 +118,7 @@ class _Simulator:
         data = self.data
         data.qpos[0], data.qvel[0] = state
         data.ctrl[0] = effort
-        if self.body.resistance is None:
-            self._mujoco.mj_step(self.model, data, steps)
-        else:
-            for _ in range(steps):
-                data.qfrc_applied[0] = self.body.resistance(float(data.qvel[0]))
-                self._mujoco.mj_step(self.model, data)
+        self._mujoco.mj_step(self.model, data, steps)
         if not (math.isfinite(data.qpos[0]) and math.isfinite(data.qvel[0])):
             raise EngineError("mujoco: the state is not finite any more; take a smaller time_step")
         return float(data.qpos[0]), float(data.qvel[0])

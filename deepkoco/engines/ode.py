@@ -12,6 +12,8 @@ from deepkoco.engines.start import start_state
 from deepkoco.graph import Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System, rk4_step
+from deepkoco.systems.plain import is_plain, needs_gradient
+from deepkoco.systems.stick_slip import Joints, StickSlip
 
 
 class World(Node):
@@ -22,6 +24,9 @@ class World(Node):
     need not fit the ticks of anything. Commands are cut to the limits given here and to the system's.
 
     The start state is the parameter ``start`` (B, S), or what the runtime's reset gives as ``initial``.
+
+    Under ``rk4`` dry friction is a constraint, as along a log: joints stick. Where gradients are wanted the sign of dry
+    friction is smoothed instead, because a joint that sticks has none; ``semi_implicit_euler`` smooths it always.
 
     Args:
         system: Dynamics; a command of the graph is (..., M).
@@ -55,6 +60,8 @@ class World(Node):
             for limit, channel in zip(command_limit, channels, strict=True)
         )
         self.advance_by = {"rk4": self._rk4, "semi_implicit_euler": self._semi_implicit_euler}[integrator]
+        rubbing, remembering = StickSlip.sizes(system) if integrator == "rk4" else (0, 0)
+        self.sticks, self.remembers = bool(rubbing or remembering), remembering
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         idle = torch.zeros(batch, len(self.limits), dtype=torch.float64)
@@ -62,6 +69,7 @@ class World(Node):
             "state": start_state(self.system, parameters, batch),
             "effort": self.system.effort_of(idle),
             "started": torch.zeros(batch, dtype=torch.bool),
+            **({"memory": torch.zeros(batch, self.remembers, dtype=torch.float64)} if self.remembers else {}),
         }
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
@@ -82,15 +90,54 @@ class World(Node):
         held = torch.where(lag > 0, lag, 1.0)
         decay = torch.where(lag > 0, torch.exp(-dt / held), 0.0)
         mean = target + (state["effort"] - target) * torch.where(lag > 0, held / dt * (1.0 - decay), 0.0)
-        after = self.advance_by(state["state"], mean, dt, parameters)
-        started = state["started"]
+        started, carried = state["started"], {}
+        if self.remembers:
+            memory = state["memory"].unbind(-1)
+            after, memory = self._stick_slip(state["state"], mean, dt, parameters, memory, started)
+            carried["memory"] = torch.stack(memory, -1)
+        else:
+            after = self.advance_by(state["state"], mean, dt, parameters)
         now = torch.where(started[:, None], after, state["state"])
         if target.ndim > 1:
             started = started[:, None]
         delivered = torch.where(started, target + (state["effort"] - target) * decay, state["effort"])
-        return {"state": now, "effort": delivered, "started": torch.ones_like(state["started"])}, now
+        fixed = {"state": now, "effort": delivered, "started": torch.ones_like(state["started"])}
+        return {**state, **fixed, **carried}, now
+
+    def _stick_slip(
+        self,
+        state: Tensor,
+        effort: Tensor,
+        dt: float,
+        parameters: Parameters,
+        memory: tuple[Tensor, ...] = (),
+        started: Tensor | None = None,
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """State after a tick in which joints can stick, and what effects remember then.
+
+        The friction that held a joint before is not carried on, so the next state follows from the last one.
+        """
+        joints, batch = self.system.joints, state[..., 0]
+        parts = state.unbind(-1)
+        angles, speeds, further = parts[:joints], parts[joints : 2 * joints], state[..., 2 * joints :]
+        efforts = (effort,) if len(self.limits) == 1 else effort.unbind(-1)
+        law = StickSlip(self.system, parameters)
+        rest = (torch.zeros_like(batch),) * len(law.rubbing)
+        now = law.tick(Joints(angles, speeds, rest, memory), efforts, dt)
+        remembered = now.memory
+        if memory and started is not None and not (is_plain([batch]) and bool(started.all())):
+            # The first tick only finds what effects remember at the start.
+            first = law.first_memory(angles, speeds, efforts)
+            pairs = zip(remembered, first, strict=True)
+            remembered = tuple(torch.where(started, a, b + torch.zeros_like(batch)) for a, b in pairs)
+        if further.shape[-1]:
+            further = rk4_step(self.system, state, effort, dt, parameters)[..., 2 * joints :]
+        after = self._joined(_stacked(now.angles, batch), _stacked(now.speeds, batch), further)
+        return after, remembered
 
     def _rk4(self, state: Tensor, effort: Tensor, dt: float, parameters: Parameters) -> Tensor:
+        if self.sticks and not needs_gradient([state, effort, *parameters.values()]):
+            return self._stick_slip(state, effort, dt, parameters)[0]
         after = rk4_step(self.system, state, effort, dt, parameters)
         joints = self.system.joints
         if not math.isfinite(self.speed_limit):
@@ -111,3 +158,8 @@ class World(Node):
 
     def _limited(self, speed: Tensor) -> Tensor:
         return speed.clamp(-self.speed_limit, self.speed_limit) if math.isfinite(self.speed_limit) else speed
+
+
+def _stacked(values: tuple[Tensor, ...], batch: Tensor) -> Tensor:
+    """Values, each a scalar or (B,), as (B, K)."""
+    return torch.stack([value + torch.zeros_like(batch) for value in values], -1)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from deepkoco.engines.engine import EngineError, EngineObject
 from deepkoco.engines.mjcf import HingedBody
 from deepkoco.engines.mjcf_object import MjcfObject
 from deepkoco.systems import Channel, JointSystem, System, make_system
-from deepkoco.systems.bodies.pendulum import COULOMB_SMOOTHING
 from deepkoco.systems.bodies.pendulum import GRAVITY as STANDARD_GRAVITY
 
 Values = Mapping[str, float]
@@ -71,12 +68,8 @@ def _disk(p: Values) -> HingedBody:
         damping=p["viscous"] + drive * p["motor_constant"],
         gear=drive,
         gravity=STANDARD_GRAVITY,
-        resistance=partial(_dry_friction, p["coulomb"]),
+        friction=p["coulomb"],
     )
-
-
-def _dry_friction(coulomb: float, omega: float) -> float:
-    return -coulomb * math.tanh(omega / COULOMB_SMOOTHING)
 
 
 def _point_on_rod(p: Values) -> HingedBody:

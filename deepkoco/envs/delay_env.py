@@ -107,6 +107,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         same = sensing.constant and not self._delays_differ("sensing_delay")
         sensor_rate = rate if same else settings.ticks_per_second
         noise = tuple(c.noise_sd if settings.noise else 0.0 for c in self.system.measurements)
+        sensor = Sensor(self.system, sensor_rate, noise)
         nodes = [
             World(
                 self.system,
@@ -115,12 +116,12 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 self.task.command_limits,
                 self.task.speed_limit,
             ),
-            Sensor(self.system, sensor_rate, noise),
+            sensor,
             TaskAgent(self.system, self.task, settings.action_history, self.action_scale.tolist()),
         ]
         window = command_window(actuation, rate, settings.ticks_per_second)
         connections = [
-            Connection("world", "sensor"),
+            Connection("world", "sensor", window=sensor.states_between(settings.ticks_per_second)),
             Connection("world", "agent", name="truth"),
             Connection("sensor", "agent", delay=sensing),
             Connection("agent", "world", delay=actuation, window=window, skip=True),

@@ -14,6 +14,7 @@ from deepkoco.envs.tasks import TASKS, GoalTask, Task, TaskDeclarationError, Unk
 from deepkoco.envs.world_rate import slowest_world_rate
 from deepkoco.graph.delay import Delay, DelayError, make_delay
 from deepkoco.systems import SYSTEMS, ExtendedSystem, System, any_system
+from deepkoco.systems.stick_slip import Joints, StickSlip
 
 INTEGRATORS = ("rk4", "semi_implicit_euler")
 ACTION_UNITS = ("normalized", "physical")
@@ -108,7 +109,7 @@ class EnvironmentSettings:
             name = wanted if known else any_system(wanted).name  # type: ignore[arg-type]
             if system.name != name:
                 raise SettingsError(f"the model is of {system.name}, the environment of {name}")
-        _check_steps(system)
+        _check_steps(system, self.integrator)
         return system
 
     def find_task(self) -> Task:
@@ -159,14 +160,25 @@ def check_range(name: str, span: Any, low: float, high: float, unit: str) -> Non
         raise SettingsError(f"randomize: {name} = {span!r} {unit}; give (low, high) inside [{low}, {high}]")
 
 
-def _check_steps(system: System) -> None:
+def _check_steps(system: System, integrator: str) -> None:
     """Refuse a model that cannot be simulated step by step, before episodes begin."""
     parameters = system.default_parameters()
     state = torch.zeros(len(system.state_names), dtype=torch.float64)
     command = system.effort_of(torch.zeros(len(system.commands), dtype=torch.float64))
     try:
-        system.derivative(state, system.actuate(command, parameters), parameters)
-        system.measure(state, parameters)
+        effort = system.actuate(command, parameters)
+        if integrator == "rk4" and any(StickSlip.sizes(system)):
+            joints = system.joints
+            parts = state.unbind(-1)
+            efforts = (effort,) if effort.ndim == 0 else effort.unbind(-1)
+            law = StickSlip(system, parameters)
+            rest = (torch.zeros((), dtype=torch.float64),) * len(law.rubbing)
+            angles, speeds = parts[:joints], parts[joints : 2 * joints]
+            memory = law.first_memory(angles, speeds, efforts)
+            law.tick(Joints(angles, speeds, rest, memory), efforts, 1e-3)
+        if integrator != "rk4" or len(state) > 2 * system.joints or not system.joint_memory(parameters).parts:
+            system.derivative(state, effort, parameters)
+        system.measure_shown(state, parameters)
     except ValueError as error:
         raise SettingsError(
             f"the model cannot be simulated step by step: {error}; leave that effect out of the model"

@@ -33,12 +33,14 @@ def replay(found: Identification) -> Picture:
     grid = figure.subplots(len(channels), len(chosen), sharex="col", squeeze=False)
     rows = []
     for c, channel in enumerate(channels):
-        sd = windows.noise[c].sd
         for axis, w in zip(grid[c], chosen, strict=True):
             valid = windows.valid[w, c].numpy()
             t = windows.t[w, c].numpy()[valid] + windows.t0[w]
             value = windows.value[w, c].numpy()[valid]
-            before, after = (value - f.residual[w, c].numpy()[valid] * sd for f in (found.before, found.fit))
+            before, after = (
+                value - (f.residual * windows.sample_sd)[w, c].numpy()[valid]
+                for f in (found.before, found.fit)
+            )
             axis.plot(t, value, ".", color=COLOURS["measured"], markersize=3, label="measured")
             axis.plot(t, before, color=COLOURS["before"], label="simulation before the fit")
             axis.plot(t, after, color=COLOURS["fitted"], label="simulation after the fit")

@@ -12,12 +12,16 @@ from torch import Tensor
 from deepkoco.fit.data.windows import Windows, halved
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem, channel_delays
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
+from deepkoco.fit.solve.lazy_batch import MANY, LazyBatch
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.tangent import state_steps
+from deepkoco.fit.tangent import Tangent, state_steps
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
+
+MANY_STATES = 8  # in a window, from which a fit of states keeps slopes for a second iteration
 
 
 class FitProblem(ShootingProblem):
@@ -78,18 +82,57 @@ class FitProblem(ShootingProblem):
         curvature = fit.curvature[:count, :count]
         return known, replace(fit, nuisance=fit.nuisance[: self.zeros.count], curvature=curvature)
 
-    def fit(self, trials: Sequence[Trial], iterations: int = 25, tolerance: float = TOLERANCE) -> list[Fit]:
+    def fit(
+        self,
+        trials: Sequence[Trial],
+        iterations: int = 25,
+        tolerance: float = TOLERANCE,
+        known: FrozenSlopes | None = None,
+        exact: bool = True,
+        renewals: int | None = None,
+    ) -> list[Fit]:
         """Fit all trials. Every iteration simulates all trials that have not converged in one batch.
+
+        With many parameters, slopes are computed only where those of an earlier point predict too poorly
+        (:class:`.LazyBatch`).
 
         Args:
             trials: What to fit.
             iterations: Largest number of simulations of a trial.
             tolerance: A trial has converged when a step lowers its cost by less.
+            known: Slopes near the starts of the trials, of which most are then not computed; None computes them.
+            exact: Whether fits end with slopes at their own points. Without, covariances may be of earlier points.
+            renewals: How often a trial that keeps slopes may compute them again; None for half of the iterations.
 
         Returns:
             One fit per trial; its :attr:`.Fit.diverged` is True if the simulation diverges at the start values.
         """
-        return Batch(self, trials, tolerance).run(iterations) if trials else []
+        if not trials:
+            return []
+        if known is not None or self.keeps_slopes(trials):
+            return LazyBatch(self, trials, tolerance, known, exact, renewals).run(iterations)
+        return Batch(self, trials, tolerance).run(iterations)
+
+    def keeps_slopes(self, trials: Sequence[Trial]) -> bool:
+        """Return whether trials have so many parameters that slopes are kept from step to step."""
+        return max(len(t.free) for t in trials) + self.windows.state.shape[1] >= MANY
+
+    def slopes_at(
+        self, values: Mapping[str, float], names: Sequence[str], state: Tensor, nuisance: Tensor
+    ) -> FrozenSlopes:
+        """Return the slopes of the measurements at one point.
+
+        Args:
+            values: All parameters.
+            names: Parameters whose slopes are computed.
+            state: (W, S) initial states.
+            nuisance: (z,) nuisances of the logs.
+        """
+        theta = np.array([float(values[n]) for n in self.names])
+        columns = np.array([self.names.index(n) for n in (*names, *varying(self, names))], dtype=int)
+        tangent = Tangent.at(self, theta, columns, state)
+        lanes = self.predict(tangent.theta, tangent.state, nuisance[None].repeat(len(tangent), 1))
+        return slopes_at(self, tangent, lanes, names)
 
     def fit_one(self, trial: Trial, iterations: int = 25, tolerance: float = TOLERANCE) -> Fit:
         """As :meth:`fit` for one trial, but raises if it diverges.
@@ -160,22 +203,28 @@ class FitProblem(ShootingProblem):
         sets, count, size = state.shape
         nudge = state_steps(size)
         theta = np.array([[float(v[n]) for n in self.names] for v in values])
-        theta = np.tile(theta, (1 + size, 1))
         nuisance = self.nuisances.none().repeat(sets, 1) if nuisance is None else nuisance
-        nuisance = nuisance.repeat(1 + size, 1)
         best, trial = state.clone(), state.clone()
         cost = torch.full((sets, count), torch.inf, dtype=torch.float64)
         damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
         hessian = torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1)
         gradient = torch.zeros(sets, count, size, dtype=torch.float64)
         differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
-        for _ in range(iterations):
-            lanes = trial.repeat(1 + size, 1, 1, 1)
-            for s in range(size):
+        kept: Tensor | None = None
+        for iteration in range(iterations):
+            # With many states, every second iteration from the third on keeps the slopes of the one before.
+            fresh = size < MANY_STATES or iteration < 2 or iteration % 2 == 0
+            count_lanes = 1 + size if fresh else 1
+            lanes = trial.repeat(count_lanes, 1, 1, 1)
+            for s in range(count_lanes - 1):
                 lanes[1 + s, :, :, s] += nudge[s]
-            predicted = self.predict(theta, lanes.flatten(0, 1), nuisance).unflatten(0, (1 + size, sets))
+            predicted = self.predict(
+                np.tile(theta, (count_lanes, 1)), lanes.flatten(0, 1), nuisance.repeat(count_lanes, 1)
+            ).unflatten(0, (count_lanes, sets))
             residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
-            slope = ((predicted[1:] - predicted[0]) / differences * self.weight).flatten(3)
+            if fresh or kept is None:
+                kept = ((predicted[1:] - predicted[0]) / differences * self.weight).flatten(3)
+            slope = kept
             now = (residual**2).sum(-1)
             curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
             downhill = torch.einsum("skwm,kwm->kws", slope, residual)

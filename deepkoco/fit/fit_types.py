@@ -23,6 +23,7 @@ class Trial:
         values: Start values of all parameters; those that are not free are fixed.
         state: (W, S) start values of the initial states; None takes the windows' first guess.
         nuisance: (z,) start values of the nuisances of the logs (:class:`.nuisances.Nuisances`); None for zeros.
+        renew: Free parameters whose slopes are computed at every point, also where a fit keeps the other slopes.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Trial:
     values: Mapping[str, float]
     state: Tensor | None = None
     nuisance: Tensor | None = None
+    renew: tuple[str, ...] = ()
 
 
 @dataclass
@@ -51,6 +53,7 @@ class Fit:
         curvature: (p + z, p + z) curvature of the cost in the free parameters and the z nuisances, priors included.
         history: Cost after every iteration.
         converged: Whether the last step was below the tolerance.
+        exact: Whether covariance, information and curvature belong to these values, not to an earlier point of the fit.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Fit:
     curvature: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     history: list[float] = field(default_factory=list)
     converged: bool = False
+    exact: bool = True
 
     @property
     def diverged(self) -> bool:

@@ -115,10 +115,11 @@ class Identification:
         """Channel -> root mean square of the simulation error before the fit, after it, and the unit."""
         windows, result = self.request.windows, {}
         for c, channel in enumerate(self.system.measurements):
-            valid, sd = windows.valid[:, c], windows.noise[c].sd
+            valid = windows.valid[:, c]
             if valid.any():
                 before, after = (
-                    float((f.residual[:, c][valid] ** 2).mean().sqrt()) * sd for f in (self.before, self.fit)
+                    float((f.residual * windows.sample_sd)[:, c][valid].square().mean().sqrt())
+                    for f in (self.before, self.fit)
                 )
                 result[channel.name] = (before, after, channel.unit)
         return result

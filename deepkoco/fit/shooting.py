@@ -50,8 +50,7 @@ class ShootingProblem:
         self.low = np.array([declared[n].low for n in self.names])
         self.high = np.array([declared[n].high for n in self.names])
         self.scale = np.array([declared[n].prior_sd for n in self.names])
-        sd = torch.tensor([n.sd for n in windows.noise], dtype=torch.float64)
-        self.weight = windows.valid.to(torch.float64) / sd[None, :, None]
+        self.weight = windows.valid.to(torch.float64) / windows.sample_sd
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
@@ -66,6 +65,16 @@ class ShootingProblem:
             values[:, j] = np.where(values[:, j] >= nulls[j], np.inf, values[:, j])
         given = (theta[:, :own] != nulls).T
         lanes: dict[str, slice] = {}
+        slow = np.zeros(len(theta), dtype=bool)
+        for columns in self._slow_columns:
+            slow |= given[columns].any(0)
+        if slow.any() and not slow.all():
+            # A few lanes with effects that the system's compiled loop does not know must not keep the others from it.
+            result = torch.empty(len(theta), *self.windows.value.shape, dtype=torch.float64)
+            for part in (slow, ~slow):
+                pick = torch.from_numpy(part)
+                result[pick] = self.predict(theta[part], initial[pick], nuisance[pick])
+            return result
         for effect, columns in self._columns.items():
             acting = np.flatnonzero(given[columns].any(0))
             if len(acting):
@@ -111,9 +120,12 @@ class ShootingProblem:
             self._nulls = np.array([p.value if "." in p.name else np.nan for p in bare.parameters])
             self._limits = [j for j, p in enumerate(bare.parameters) if p.name.endswith(".limit")]
             self._columns: dict[str, list[int]] = {}
+            base = self.system.base
+            slow = {e.name for e in self.system.effects if not base.rolls(e.effect)}
             for j, p in enumerate(bare.parameters):
                 if "." in p.name:
                     self._columns.setdefault(p.name.split(".")[0], []).append(j)
+            self._slow_columns = [columns for effect, columns in self._columns.items() if effect in slow]
         return self._nulls
 
     def _extended(self, effects: tuple[str, ...]) -> ExtendedSystem:

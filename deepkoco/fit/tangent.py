@@ -34,7 +34,9 @@ class Tangent:
     steps: Tensor
 
     @staticmethod
-    def at(problem: ShootingProblem, theta: np.ndarray, columns: np.ndarray, state: Tensor) -> Tangent:
+    def at(
+        problem: ShootingProblem, theta: np.ndarray, columns: np.ndarray, state: Tensor, states: bool = True
+    ) -> Tangent:
         """Return the lanes around a point.
 
         Args:
@@ -42,10 +44,11 @@ class Tangent:
             theta: (P,) all parameters.
             columns: (q,) numbers of those that are moved.
             state: (W, S) initial states.
+            states: Whether initial states are moved too.
         """
         step = PARAMETER_STEP * problem.scale[columns]
         step = np.where(theta[columns] + step > problem.high[columns], -step, step)
-        nudge = state_steps(state.shape[1])
+        nudge = state_steps(state.shape[1]) if states else ()
         count = 1 + len(columns) + len(nudge)
         lanes = np.repeat(theta[None], count, axis=0)
         lanes[1 + np.arange(len(columns)), columns] += step

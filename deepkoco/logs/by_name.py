@@ -35,7 +35,7 @@ def mapping_by_names(path: Any, specs: Specs) -> dict[str, Any] | None:
     log = open_log(path)
     channels: dict[str, dict[str, Any]] = {}
     for name, (unit, kind) in specs.items():
-        places = [place for wanted in _wanted(name, kind) for place in _places(log, wanted)]
+        places = [place for wanted in wanted_names(name, kind) for place in _places(log, wanted)]
         if len(places) > 1:
             return None
         for topic, column in places:
@@ -53,7 +53,8 @@ def mapping_by_names(path: Any, specs: Specs) -> dict[str, Any] | None:
     return result
 
 
-def _wanted(name: str, kind: str) -> Iterator[str]:
+def wanted_names(name: str, kind: str) -> Iterator[str]:
+    """Names that a column of a channel may have."""
     yield name
     if kind == "command":
         yield from (form.format(name) for form in GOALS)

@@ -1,7 +1,9 @@
 """Read and write measured logs: time-stamped channels of one unit."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,7 @@ from deepkoco.suggestion import did_you_mean
 __all__ = ["LogError", "Recording", "Series", "read_log", "write_log"]
 
 FILLS = ("drop", "hold")
+DATES = 1.1e9  # stamps from here on are seconds since 1970 [s]
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,8 @@ def read_log(
 
     Values are converted to SI units, stamps to seconds. A row in which both a channel and its time stamp are empty
     has no sample of the channel. A command with its own time column may repeat a sample (same stamp, same value) in
-    later rows; repetitions are removed. Stamps of files with topics count from the first message of the file.
+    later rows; repetitions are removed. Stamps of files with topics count from the first message of the file. Other
+    stamps that are dates count from the first whole second, which a warning names.
 
     Args:
         path: the log, in a format that `open_log` reads; a folder that contains one recording stands for it.
@@ -144,7 +148,9 @@ def read_log(
         for channel, column in sidecar.channels.items()
     }
     check_content(path, series, min_samples, min_seconds, allow_constant_command)
-    notes = [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
+    series, begin = _from_zero(series)
+    notes = [begin] if begin is not None else []
+    notes += [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
     if by_name:
         notes.append("no sidecar: the columns with the names of the channels were taken in SI units")
     frozen = frozen_stretches(series, derivative_pairs(series))
@@ -162,6 +168,20 @@ def read_log(
             "fits leave out the windows there"
         )
     return Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))
+
+
+def _from_zero(series: dict[str, Series]) -> tuple[dict[str, Series], str | None]:
+    """Channels whose times count from the log's begin if they are dates, and the warning that says so."""
+    start = min((float(s.t[0]) for s in series.values() if len(s)), default=0.0)
+    if start < DATES:
+        return series, None
+    origin = math.floor(start)
+    date = datetime.fromtimestamp(origin, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    moved = {
+        name: replace(s, t=s.t - origin, unknown=None if s.unknown is None else s.unknown - origin)
+        for name, s in series.items()
+    }
+    return moved, f"times count from {date} UTC, which is {origin} s in the log"
 
 
 def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None, ChannelReader]:

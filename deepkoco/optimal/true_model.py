@@ -13,7 +13,7 @@ from deepkoco.graph.delay import make_delay
 
 
 class TrueModelError(ValueError):
-    """An environment is no function of state and action: it has delays, a lag or random parameters."""
+    """An environment is no function of state and action: delays, a lag, effects with a memory, random parameters."""
 
 
 class TrueModel:
@@ -48,6 +48,10 @@ class TrueModel:
             raise TrueModelError(
                 "the environment has delays or a lag: the next state is no function of the last"
             )
+        if self.scene.joint_memory(self._parameters).parts or any(
+            width is not None for width in self.scene.output_play(self._parameters)
+        ):
+            raise TrueModelError("an effect remembers the way of its joint: the state does not say all")
         if settings.randomize:
             raise TrueModelError(f"the environment draws {', '.join(settings.randomize)} at random")
         own = settings.ticks_per_second / self.task.control_rate

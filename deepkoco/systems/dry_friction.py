@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.plain import is_plain
+from deepkoco.systems.plain import is_plain, is_readable
 
 if TYPE_CHECKING:
     from deepkoco.systems.system import Motion
@@ -29,6 +29,7 @@ Values = tuple[Tensor, ...]
 Levels = tuple[Tensor | None, ...]
 
 SWEEPS = 60  # at most; two joints need about five
+UNREAD_SWEEPS = 12  # always, where the values cannot be read: in a trace, and on a device
 CLOSE = 1e-7  # change of an acceleration in a sweep, as a share of it, at which the sweeps end
 
 
@@ -120,8 +121,9 @@ def rubbed(
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
     speed, moved, hold = list(after), [0.5 * h * (a + b) for a, b in zip(before, after, strict=True)], {}
     levels = {j: (_given(slide[j]).clamp_min(0.0), _given(stick[j]).clamp_min(0.0)) for j in load}
-    for _ in range(1 if len(load) == 1 else SWEEPS):
-        settled = True
+    readable = is_readable(mean[0])
+    for _ in range(1 if len(load) == 1 else SWEEPS if readable else UNREAD_SWEEPS):
+        settled = readable
         for j in load:
             own = inverse[j][j]
             others = mean[j] - own * load[j]

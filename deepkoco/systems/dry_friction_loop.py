@@ -11,6 +11,42 @@ import numpy as np
 from numba import njit
 
 
+@njit(error_model="numpy", nogil=True)
+def rub_element(
+    before, load, slide, stick, inverse, rubbing, mean, step, sweeps, close, speed, moved, hold, n
+):
+    """Find the friction loads of one element n, as :func:`rub` does; ``mean`` (J,) are its mean accelerations."""
+    joints = len(mean)
+    for _ in range(sweeps):
+        settled = True
+        for r in range(len(rubbing)):
+            j = rubbing[r]
+            own = inverse[j, j, n]
+            others = mean[j] - own * load[r, n]
+            least = own * stick[r, n]
+            v = before[j, n]
+            pace, sign = abs(v), np.sign(v)
+            brake = own * slide[r, n] - sign * others
+            left = pace - brake * step
+            until = step if left > 0.0 else pace / max(brake, pace / step, 1e-30)
+            first = sign * max(left, 0.0)
+            rest = step - until
+            leaves = np.sign(others) * max(abs(others) - least, 0.0)
+            end = first + leaves * rest
+            speed[j, n] = end
+            moved[j, n] = 0.5 * (v + first) * until + 0.5 * leaves * rest * rest
+            new = ((end - v) / step - others) / own
+            hold[r, n] = min(max(-others / own, -stick[r, n]), stick[r, n])
+            change = new - load[r, n]
+            load[r, n] = new
+            # What is not finite never settles, and is left to the last sweep.
+            settled = settled and not (math.fabs(own * change) > close * (abs(others) + least))
+            for k in range(joints):
+                mean[k] += inverse[k, j, n] * change
+        if settled:
+            break
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def rub(
     before,  # (J, N) speeds at the start of the step
@@ -36,34 +72,9 @@ def rub(
     for n in range(count):
         for k in range(joints):
             mean[k] = (after[k, n] - before[k, n]) / step
-        for _ in range(sweeps):
-            settled = True
-            for r in range(len(rubbing)):
-                j = rubbing[r]
-                own = inverse[j, j, n]
-                others = mean[j] - own * load[r, n]
-                least = own * stick[r, n]
-                v = before[j, n]
-                pace, sign = abs(v), np.sign(v)
-                brake = own * slide[r, n] - sign * others
-                left = pace - brake * step
-                until = step if left > 0.0 else pace / max(brake, pace / step, 1e-30)
-                first = sign * max(left, 0.0)
-                rest = step - until
-                leaves = np.sign(others) * max(abs(others) - least, 0.0)
-                end = first + leaves * rest
-                speed[j, n] = end
-                moved[j, n] = 0.5 * (v + first) * until + 0.5 * leaves * rest * rest
-                new = ((end - v) / step - others) / own
-                hold[r, n] = min(max(-others / own, -stick[r, n]), stick[r, n])
-                change = new - load[r, n]
-                load[r, n] = new
-                # What is not finite never settles, and is left to the last sweep.
-                settled = settled and not (math.fabs(own * change) > close * (abs(others) + least))
-                for k in range(joints):
-                    mean[k] += inverse[k, j, n] * change
-            if settled:
-                break
+        rub_element(
+            before, load, slide, stick, inverse, rubbing, mean, step, sweeps, close, speed, moved, hold, n
+        )
         for k in range(joints):
             if not is_rubbing[k]:
                 speed[k, n] = before[k, n] + step * mean[k]

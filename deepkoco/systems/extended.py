@@ -21,14 +21,17 @@ from deepkoco.systems.joint import JointSystem, TorqueLaw
 from deepkoco.systems.joint_memory import JointMemory, Remembering
 from deepkoco.systems.origins import find_stored, origin_of, stored_origin
 from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
+from deepkoco.systems.rollout import EffectLoad, Rollout
 from deepkoco.systems.system import (
     Acceleration,
     Channel,
     CommandTiming,
     InverseInertia,
     Motion,
+    Parameter,
     ParameterError,
     Parameters,
+    PayloadWay,
     System,
     Timing,
 )
@@ -81,6 +84,7 @@ class ExtendedSystem(System):
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
         self.payload_sites, self.tip = base.payload_sites, base.tip
+        self.force_sites = base.force_sites
         self.effects: tuple[PlacedEffect, ...] = tuple(e for name, e in known.items() if name in effects)
         declared = list(base.parameters)
         for placed in self.effects:
@@ -200,6 +204,27 @@ class ExtendedSystem(System):
         ]
         return JointMemory(parts)
 
+    def rollout(self, parameters: Parameters) -> Rollout | None:
+        base = self.base.rollout(self._body(parameters))
+        # Steady dry friction is given with its levels.
+        loads = [placed for placed in self._at("load") if not placed.effect.steady]
+        if base is None or self._at("memory") or not all(base.knows(placed.effect.name) for placed in loads):
+            return None
+        return base.with_loads(
+            [
+                EffectLoad(
+                    placed.effect.name,
+                    placed.joint(self),
+                    placed.source(self),
+                    tuple(
+                        torch.as_tensor(parameters[f"{placed.name}.{p.name}"], dtype=torch.float64)
+                        for p in placed.parameters(self.base)
+                    ),
+                )
+                for placed in loads
+            ]
+        )
+
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
         return self.base.inverse_inertia(self._body(parameters))
 
@@ -225,8 +250,8 @@ class ExtendedSystem(System):
         for placed in self._at("memory"):
             if not self._at_null(placed, parameters):
                 raise MemoryEffectError(
-                    f"{placed.name} remembers the way of its joint: it acts along a log (diagnosis, identification) "
-                    "and cannot be simulated one state at a time"
+                    f"{placed.name} remembers the way of its joint: it acts along a log and in an environment, and "
+                    "has no derivative at a single state"
                 )
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
@@ -288,6 +313,7 @@ class ExtendedSystem(System):
         base = self.base.command_timing(index, parameters)
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
+        delay = delay - parameters.get("stamp_lead.lead", zero)
         delay = delay + parameters.get(f"{self._command_effect('actuation_delay', index)}.delay", zero)
         names = [self._command_effect("lag", index)]
         if index < len(self.command_joints):
@@ -313,10 +339,13 @@ class ExtendedSystem(System):
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         if any(width is not None and bool((width != 0.0).any()) for width in self.output_play(parameters)):
             raise MemoryEffectError(
-                "gear_play remembers the way of its joint: it acts along a log (diagnosis, identification) and cannot "
-                "be simulated one state at a time"
+                "gear_play remembers the way of its joint: it acts along a log and in an environment, and a single "
+                "state does not say what its sensors show"
             )
         return self._sensed(self.base.measure(state, parameters), None, parameters)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        return self._sensed(self.base.measure_shown(shown, parameters), None, parameters)
 
     def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
         return self._sensed(self.base.measure_at(state, time, parameters), time, parameters)
@@ -327,8 +356,21 @@ class ExtendedSystem(System):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.base.with_payload(mass, parameters)
 
-    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
-        return self.base.with_payload_at(site, mass, parameters)
+    def with_payload_at(
+        self, site: str, mass: Tensor, parameters: Parameters, along: Tensor | None = None
+    ) -> Parameters:
+        if along is None:
+            return self.base.with_payload_at(site, mass, parameters)
+        return self.base.with_payload_at(site, mass, parameters, along)
+
+    def payload_way(self, site: str) -> PayloadWay | None:
+        return self.base.payload_way(site)
+
+    def force_parameters(self, site: str) -> tuple[Parameter, ...]:
+        return self.base.force_parameters(site)
+
+    def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
+        return self.base.with_force_at(site, force, parameters)
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)

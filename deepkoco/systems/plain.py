@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -23,6 +23,20 @@ def is_plain(values: Sequence[Tensor | float | None]) -> bool:
         ):
             return False
     return not _transformed()
+
+
+def is_readable(value: Tensor) -> bool:
+    """Whether Python may look at the values of a tensor: on the CPU, and outside of a trace."""
+    return type(value) is Tensor and value.is_cpu and not _transformed()
+
+
+def needs_gradient(values: Iterable[Tensor]) -> bool:
+    """Whether gradients are wanted with respect to any of the values, backwards or forwards."""
+    functorch = torch._C._functorch
+    differentiates = (functorch.TransformType.Grad, functorch.TransformType.Jvp)
+    if any(level.key() in differentiates for level in functorch.get_interpreter_stack() or ()):
+        return True
+    return torch.is_grad_enabled() and any(value.requires_grad for value in values)
 
 
 def _transformed() -> bool:

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +16,12 @@ from torch import Tensor
 from deepkoco.systems.declaration import Declared
 from deepkoco.systems.drawing import Point, canvas, draw_bars
 from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.rollout import Rollout
 from deepkoco.systems.typical_loads import typical_loads
+
+if TYPE_CHECKING:
+    from deepkoco.systems.effects.effect import Effect
+    from deepkoco.systems.joint_memory import JointMemory
 
 Parameters = Mapping[str, Tensor]
 
@@ -107,6 +112,21 @@ class CommandTiming(NamedTuple):
     skew: Tensor  # seconds that the measurements' clock gains per second
 
 
+class PayloadWay(NamedTuple):
+    """The line along a link on which a payload may hang, by its distance from the link's joint.
+
+    Attributes:
+        at: Where it is taken to hang if nothing else is known [m].
+        low, high: Bounds [m].
+        sd: Standard deviation of its prior [m].
+    """
+
+    at: float
+    low: float
+    high: float
+    sd: float
+
+
 class Motion(NamedTuple):
     """Joint coordinates and what acts on them; every tensor has the batch shape (...)."""
 
@@ -151,6 +171,7 @@ class System(metaclass=Declared):
         payload_sites: Places at which `with_payload_at` can fix a payload; each is a cause of its own,
             ``payload(PLACE)``.
         tip: The one of them that `with_payload` means; None if it is another place.
+        force_sites: Places at which an outside force can act; each is a cause of its own, ``force(PLACE)``.
         origin: Text by which `load_system` finds it again, such as ``/home/me/my_robot.py:CartPole``; None for a system
             of the package.
     """
@@ -159,6 +180,7 @@ class System(metaclass=Declared):
     resizable = False
     payload_sites: tuple[str, ...] = ()
     tip: str | None = None
+    force_sites: tuple[str, ...] = ()
     origin: str | None = None
     wraps = False
 
@@ -214,13 +236,37 @@ class System(metaclass=Declared):
         """Whether it defines `with_payload`."""
         return type(self).with_payload is not System.with_payload
 
-    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+    def with_payload_at(
+        self, site: str, mass: Tensor, parameters: Parameters, along: Tensor | None = None
+    ) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed at one of `payload_sites`.
+
+        Args:
+            site: The place.
+            mass: (...) [kg].
+            parameters: Those before.
+            along: (...) distance along the link, for a site with a `payload_way`; None takes its `at` [m].
 
         Raises:
             ParameterError: There is no such place.
         """
         raise ParameterError(f'{self.name} has no place "{site}" for a payload; define its payload_sites')
+
+    def payload_way(self, site: str) -> PayloadWay | None:
+        """The line along a link on which a payload at a site may hang; None where its place is known."""
+        return None
+
+    def force_parameters(self, site: str) -> tuple[Parameter, ...]:
+        """Components of an outside force at one of `force_sites`, in the frame of the world [N]."""
+        return ()
+
+    def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
+        """Parameters under an outside force; ``force`` has the names of `force_parameters`.
+
+        Raises:
+            ParameterError: There is no such place.
+        """
+        raise ParameterError(f'{self.name} has no place "{site}" for a force; define its force_sites')
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
         """The equations of motion with everything that only parameters decide computed once.
@@ -275,6 +321,12 @@ class System(metaclass=Declared):
         """Levels of the dry friction of each joint, for a simulation in which joints stick."""
         limits = self.dry_friction_limits(parameters)
         return DryFriction(limits, tuple(j for j, limit in enumerate(limits) if limit is not None))
+
+    def joint_memory(self, parameters: Parameters) -> JointMemory:
+        """What effects remember of the ways of the joints; nothing for a plain system."""
+        from deepkoco.systems.joint_memory import JointMemory
+
+        return JointMemory(())
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
         """As :meth:`accelerations`, without the dry friction that :meth:`dry_friction_limits` declares.
@@ -422,6 +474,14 @@ class System(metaclass=Declared):
         """Unit of a load per squared speed of each joint."""
         return tuple(f"{load} s2/{u}2" for load, u in zip(self.load_units, self.state_units, strict=False))
 
+    def rollout(self, parameters: Parameters) -> Rollout | None:
+        """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""
+        return None
+
+    def rolls(self, effect: Effect) -> bool:
+        """Whether :meth:`rollout` can be had together with an effect, if it can be had at all."""
+        return True
+
     def delivery(self, parameters: Parameters) -> Delivery | None:
         """What actuators deliver, for each command that drives a joint; None where it is the effort itself."""
         return None
@@ -475,6 +535,10 @@ class System(metaclass=Declared):
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         """Noise-free measurements (..., N) of a state (..., S), in the order of ``measurements``."""
         return self.ideal_measurement(state)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        """As :meth:`measure`, of a state (..., S) with the positions and speeds behind the :meth:`output_play`."""
+        return self.measure(shown, parameters)
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         """What sensors without any error measure (..., N) of a state (..., S): by default the `measured_states`."""

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.system import Acceleration, Channel, Parameters, System, Timing
+from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.system import Acceleration, Channel, InverseInertia, Parameters, System, Timing
+
+if TYPE_CHECKING:
+    from deepkoco.systems.joint_memory import JointMemory
 
 
 class WithSpeeds(System):
@@ -63,6 +68,28 @@ class WithSpeeds(System):
     def accelerations(self, parameters: Parameters) -> Acceleration:
         return self.base.accelerations(parameters)
 
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        return self.base.free_accelerations(parameters)
+
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
+        return self.base.dry_friction_limits(parameters)
+
+    def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
+        return self.base.dry_friction_levels(parameters)
+
+    def joint_memory(self, parameters: Parameters) -> JointMemory:
+        return self.base.joint_memory(parameters)
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        return self.base.inverse_inertia(parameters)
+
+    @property
+    def smoothing_speeds(self) -> tuple[float, ...]:
+        return self.base.smoothing_speeds
+
+    def output_play(self, parameters: Parameters) -> Levels:
+        return self.base.output_play(parameters)
+
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         return self.base.derivative(state, effort, parameters)
 
@@ -74,6 +101,9 @@ class WithSpeeds(System):
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         return torch.cat([self.base.measure(state, parameters), self._speeds(state)], -1)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        return torch.cat([self.base.measure_shown(shown, parameters), self._speeds(shown)], -1)
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         return torch.cat([self.base.ideal_measurement(state), self._speeds(state)], -1)

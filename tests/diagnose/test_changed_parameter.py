@@ -51,6 +51,7 @@ def test_wrong_mass_beyond_its_prior_is_the_headline(cart_log):
     terminal_table(result)
 
 
+@pytest.mark.study
 def test_wrong_mass_within_a_wide_prior_is_the_headline_of_nothing(cart_log):
     result = diagnose([cart_log], Misread(0.12, 0.035))
     assert result.verdict == "nothing"
@@ -59,6 +60,7 @@ def test_wrong_mass_within_a_wide_prior_is_the_headline_of_nothing(cart_log):
     assert result.to_json()["fit"]["moved"][0]["given"] == 0.12
 
 
+@pytest.mark.study
 def test_payload_that_is_another_mass_says_so(cart_log):
     light = CartPole()
     light.parameters = tuple(replace(p, value=0.12) if p.name == "pole_mass" else p for p in light.parameters)

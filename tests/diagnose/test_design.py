@@ -56,6 +56,7 @@ def test_designed_commands_keep_the_limits(design):
     assert all((played.excess == 0.0).all() for played in design.rehearsals)
 
 
+@pytest.mark.study
 def test_design_with_the_same_seed_gives_the_same_sequences():
     stage, doses = staged("rod_pendulum", ["coulomb", "gain"])
     units = [d.on(stage.start.values) for d in doses]
@@ -106,8 +107,8 @@ def test_check_separable_refuses_causes_with_equal_measurements(pair):
     ("system", "pair"),
     [
         ("pendulum", ["viscous", "quadratic"]),
-        ("two_link_arm", ["coulomb(joint 1)", "viscous(joint 2)"]),
-        ("quadrotor_height", ["gain", "quadratic"]),
+        pytest.param("two_link_arm", ["coulomb(joint 1)", "viscous(joint 2)"], marks=pytest.mark.study),
+        pytest.param("quadrotor_height", ["gain", "quadratic"], marks=pytest.mark.study),
     ],
 )
 def test_separation_agrees_with_refits_at_small_doses(system, pair):
@@ -123,6 +124,7 @@ def test_separation_agrees_with_refits_at_small_doses(system, pair):
     assert all(len(p.windows) >= 3 for p in played)
 
 
+@pytest.mark.study
 def test_design_keeps_or_refuses_narrow_limits_of_speed():
     stage, doses = staged("rod_pendulum", ["coulomb", "viscous"], omega=(-2.0, 2.0))
     units = [d.on(stage.start.values) for d in doses]

@@ -147,6 +147,7 @@ def test_headline_and_lead_name_the_cause(diagnosis):
     assert "Dry friction" in lead(diagnosis)
 
 
+@pytest.mark.study
 def test_report_shows_the_warnings_of_reading(diagnosis, tmp_path):
     said = "torque is not known from 2.1 to 2.4 s"
     doubted = replace(
@@ -169,6 +170,7 @@ def test_healthy_log_adds_its_effects_to_the_baseline():
     assert result.names == ("coulomb",)
 
 
+@pytest.mark.study
 def test_holdout_logs_are_never_fitted(log, diagnosis):
     other = unit_log("rod_pendulum", HIDDEN, "chirp", 71, 6.0)
     result = diagnose([log], "rod_pendulum", holdout=[other])

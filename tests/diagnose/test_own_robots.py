@@ -24,17 +24,32 @@ def diagnosed(folder: Path, unit: CartPoleUnit | MotorUnit, system: str, seconds
 
 @pytest.mark.parametrize(
     ("unit", "system"),
-    [(CartPoleUnit(), CART), (MotorUnit(), MOTOR)],
-    ids=["cart-pole", "motor"],
+    [
+        pytest.param(CartPoleUnit(), CART, id="cart-pole"),
+        pytest.param(MotorUnit(), MOTOR, id="motor", marks=pytest.mark.study),
+    ],
 )
 def test_a_healthy_robot_of_ones_own_misses_nothing(tmp_path, unit, system):
     assert diagnosed(tmp_path, unit, system, 10.0)["verdict"] == "nothing"
 
 
+@pytest.mark.study
 def test_the_delay_of_a_motor_of_ones_own_is_named_with_its_size(tmp_path):
     assert diagnosed(tmp_path, MotorUnit(delay=0.03), MOTOR, 10.0)["verdict"] == "cause"
     model = load_system(tmp_path / "report" / "model.yaml")
     assert model.parameter("actuation_delay.delay").value == pytest.approx(0.03, abs=5e-4)
+
+
+def test_only_the_sum_of_two_inertias_of_a_motor_is_told(tmp_path):
+    report = diagnosed(tmp_path, MotorUnit(load_inertia=2.2e-4), MOTOR, 10.0)
+    assert report["verdict"] == "nothing"
+    (moved,) = report["fit"]["moved"]
+    assert (moved["name"], moved["sum_with"]) == ("load_inertia", ["motor_inertia"])
+    assert moved["sum_given"] == pytest.approx(2e-4)
+    assert moved["value"] == pytest.approx(2.2e-4, rel=0.01)
+    assert (
+        "only the sum of load inertia and motor inertia" in (tmp_path / "report" / "report.html").read_text()
+    )
 
 
 STUDY = {
@@ -46,17 +61,7 @@ STUDY = {
 
 @pytest.mark.study
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(
-            c, marks=pytest.mark.xfail(reason="named as stribeck, with an excess of 3 % near standstill")
-        )
-        if c == "motor, dry friction"
-        else c
-        for c in STUDY
-    ],
-)
+@pytest.mark.parametrize("case", STUDY)
 def test_a_hidden_effect_of_a_robot_of_ones_own_is_named_with_its_size(tmp_path, case):
     unit, system, parameter, truth, tolerance = STUDY[case]
     assert diagnosed(tmp_path, unit, system, 20.0)["verdict"] == "cause"

@@ -134,6 +134,7 @@ def test_learn_residual_rejects_a_random_load():
     assert [e.name for e in result.model.effects] == []
 
 
+@pytest.mark.study
 def test_learn_residual_finds_a_spring_that_begins_at_an_angle():
     """A tether that is slack up to 0.15 rad from the start: no cause of the catalogue."""
     log = hidden_log("rod_pendulum", {"tether": {"stiffness": 0.5}}, "steps", 5, 20.0)

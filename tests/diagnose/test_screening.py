@@ -9,6 +9,7 @@ from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.fit import FitProblem, Trial, cut_windows, moving
 from deepkoco.systems import make_system
+from tests.oracle.hysteresis import hysteresis_log
 from tests.oracle.unit import hidden_log
 
 
@@ -36,3 +37,17 @@ def test_screen_promises_the_fall_of_a_fit_independent_of_other_starts():
     won = [reference.cost - fit.cost for fit in problem.fit(trials, 12)]
     assert np.argmax(won) == np.argmax([p.promise for p in alone])
     assert [p.promise for p in alone] == pytest.approx(won, rel=0.25, abs=1.0)
+
+
+def test_screen_promises_a_spring_whatever_its_centre():
+    """A spring of any centre is linear in its stiffness and in stiffness times centre: two directions."""
+    base = make_system("torque_pendulum")
+    windows = cut_windows([hysteresis_log("spring", 20003)], base, 1.0)
+    start = baseline_from(base, windows)
+    reference = refit(start, windows)
+    problem, spring = FitProblem(start.system, windows), catalogue(base)["spring"]
+    (promised,) = screen(problem, reference, start.prior, [(spring, {"spring.centre": -0.1})])
+    prior = prior_with(problem, start, [spring], {**reference.values, "spring.centre": 0.5})
+    near = {**reference.values, "spring.stiffness": 0.6, "spring.centre": 0.5}
+    fit = problem.fit([Trial("spring", prior.names, prior, near, reference.state, reference.nuisance)])[0]
+    assert promised.promise == pytest.approx(reference.cost - fit.cost, rel=0.2)

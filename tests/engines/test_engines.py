@@ -61,12 +61,9 @@ def motion(name: str, engine, values=None, start=START, **delays) -> np.ndarray:
 
 def exact_unit(name: str) -> UnitEngine:
     """A unit whose sensor neither adds noise nor is slow, so that only the machine is left."""
-    smooth = 0.1 if name == "pendulum" else 0.0
     channels = {channel.name: 0.0 for channel in make_system(name).measurements}
     sensor = {"rate_hz": 1000.0, "noise_sd": channels}
-    return UnitEngine(
-        unit=make_unit(name, sensor=sensor, friction_smoothing=smooth), clock="simulated", world_rate=500.0
-    )
+    return UnitEngine(unit=make_unit(name, sensor=sensor), clock="simulated", world_rate=500.0)
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,7 @@ from deepkoco.systems.effects import effects_of
 BASE = make_system("rod_pendulum")
 ALONG_A_LOG = {
     "backlash",
-    "bristle",
     "gain_drift",
-    "gear_play",
     "periodic",
     "sensor_drift",
 }  # they need the past, or the time

@@ -8,6 +8,7 @@ from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.fit import fit
 from deepkoco.fit.data.windows import cut_windows
+from deepkoco.fit.solve.gauges import Gauge, text_of_gauges
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems.joint import angle_channel
 from deepkoco.systems.system import Channel, Parameter, System
@@ -89,6 +90,32 @@ def test_four_constants_of_a_motor_have_two_gauges(fixed):
     assert "ohmmeter" in first.text or "ohmmeter" in second.text
 
 
+def test_text_of_gauges_gives_powers_only_where_they_are_simple():
+    simple = Gauge("mass", {"mass": 1.0, "gain": 0.5004}, "mass", "weigh it")
+    odd = Gauge("mass", {"mass": 1.0, "gain": 0.645}, "mass", "weigh it")
+    assert "gain c^0.5 times" in simple.text
+    assert "c^" not in odd.text
+    assert "weigh it" in odd.text
+
+
+def test_text_of_several_gauges_asks_for_a_measurement_of_each():
+    first = Gauge("mass(a)", {"mass(a)": 1.0, "gain": 0.3}, "mass(a)", "weigh it")
+    second = Gauge("mass(b)", {"mass(b)": 1.0, "gain": 0.7}, "mass(b)", "weigh it")
+    (text,) = text_of_gauges([first, second])
+    assert text == (
+        "The data give only ratios of mass(a), gain and mass(b). 2 measurements settle them: mass(a) and mass(b) "
+        "(weigh each). Until then, mass(a) and mass(b) keep their values as given."
+    )
+    assert text_of_gauges([]) == ()
+
+
+def test_measurements_of_all_gauges_settle_all_parameters(fixed):
+    names = list({n for gauge in fixed.gauges for n in gauge.exponents})
+    measured = [names.index(gauge.measure) for gauge in fixed.gauges]
+    ways = np.array([[gauge.exponents.get(n, 0.0) for gauge in fixed.gauges] for n in names])
+    assert np.linalg.matrix_rank(ways[measured]) == len(fixed.gauges)
+
+
 def test_fixed_parameter_keeps_its_value_and_the_others_get_ratios(fixed):
     sd = dict(zip(fixed.prior.names, np.sqrt(np.diag(fixed.prior.covariance)), strict=True))
     tight = {n for n, s in sd.items() if s < 1e-3 * fixed.values[n]}
@@ -114,5 +141,7 @@ def test_diagnosis_says_which_measurement_settles_the_scale(log):
     result = diagnose([log], Motor(), window=1.0, only=["coulomb"])
     assert result.verdict == "nothing"
     assert len(result.unexplained["scale_gauges"]) == 2
-    assert any("One measurement settles it" in text for text in result.advice)
+    (advice,) = (text for text in result.advice if "only ratios" in text)
+    assert "2 measurements settle them" in advice
+    assert "ohmmeter" in advice
     assert torch.isfinite(torch.tensor(result.chi2_before))

@@ -129,6 +129,7 @@ def test_hidden_delays_report_no_evidence_for_a_constant_delay():
     assert result.evidence < 10.0
 
 
+@pytest.mark.study
 def test_hidden_delays_recover_a_mixture():
     result = mixture()
     true = drawn("mixture")[np.round(result.sent / PERIOD).astype(int)]

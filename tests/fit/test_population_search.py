@@ -136,6 +136,7 @@ def test_cma_es_tolerates_points_without_finite_cost():
     assert found.best == pytest.approx([0.5, 0.5], abs=1e-2)
 
 
+@pytest.mark.study
 def test_cma_es_fit_matches_levenberg_marquardt():
     asked = ["mass", "actuation_delay.delay"]
     bounds = {"mass": (0.03, 0.1), "actuation_delay.delay": (0.0, 0.05)}

@@ -14,7 +14,7 @@ from torch import Tensor
 from deepkoco.cli.command_line import main
 from deepkoco.logs import read_log
 from deepkoco.logs.formats import open_log
-from deepkoco.logs.inspect import mapping_of, propose, survey_log
+from deepkoco.logs.inspect import doubts_of, mapping_of, propose, survey_log
 from deepkoco.logs.inspect.joints.finding import from_ranges
 from deepkoco.logs.inspect.joints.goals import track
 from deepkoco.logs.inspect.joints.gravity import Slow, signs_and_zeros
@@ -325,3 +325,58 @@ def test_a_lerobot_dataset_is_mapped_by_the_names_of_its_joints(tmp_path):
     assert choices["q_shoulder_lift"].column.name == "observation.state[shoulder_lift.pos]"
     assert choices["shoulder_lift"].column.name == "action[shoulder_lift.pos]"
     assert choices["dq_shoulder_lift"].column is None
+
+
+MACHINE = """
+<mujoco><worldbody>
+  <body name="arm"><joint name="first" axis="0 0 1" damping=".1"/>
+    <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
+    <body name="fore" pos=".3 0 0"><joint name="second" axis="0 0 1" damping=".1"/>
+      <geom type="capsule" size=".02" fromto="0 0 0 .2 0 0"/></body></body></worldbody>
+  <actuator>{}</actuator></mujoco>
+"""
+
+
+def machine(tmp_path, actuators: str, frame: pd.DataFrame):
+    """Proposal for a log of a machine with two joints, and its doubts."""
+    (tmp_path / "machine.xml").write_text(MACHINE.format(actuators))
+    frame.to_csv(tmp_path / "log.csv", index=True)
+    survey = survey_log(open_log(tmp_path / "log.csv"))
+    proposal = propose(survey, str(tmp_path / "machine.xml")).proposal
+    return {c.channel.name: c for c in proposal.choices}, doubts_of(survey, proposal), proposal
+
+
+def swings(*names: str) -> dict[str, np.ndarray]:
+    t = 0.01 * np.arange(600)
+    return {name: np.sin((1.0 + 0.3 * k) * t) for k, name in enumerate(names)}
+
+
+def test_efforts_without_joint_go_to_the_first_motors_with_the_unit_of_their_name(tmp_path):
+    frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings("encoder0", "encoder1", "torque_mNm")})
+    motors = '<motor name="m1" joint="first"/><motor name="m2" joint="second"/>'
+    choices, _, proposal = machine(tmp_path, motors, frame)
+    assert choices["m1"].column.name == "torque_mNm"
+    assert (choices["m1"].unit, choices["m1"].sureness) == ("mN m", "a guess")
+    assert choices["m2"].column is None
+    assert proposal.time == "s"  # of t; the index that pandas writes is no clock
+    assert all(joint.tracking is None for joint in proposal.joints)
+
+
+def test_words_give_the_order_of_joints_where_columns_have_another(tmp_path):
+    frame = pd.DataFrame(
+        {"t": 0.01 * np.arange(600)}
+        | swings("elbow_pos", "shoulder_pos", "elbow_vel_goal", "shoulder_vel_goal")
+    )
+    servos = '<velocity name="v1" joint="first" kv="1"/><velocity name="v2" joint="second" kv="1"/>'
+    choices, _, _ = machine(tmp_path, servos, frame)
+    assert choices["q_first"].column.name == "shoulder_pos"
+    assert choices["v2"].column.name == "elbow_vel_goal"
+
+
+def test_a_column_in_a_unit_that_its_command_does_not_have_is_a_doubt(tmp_path):
+    frame = pd.DataFrame(
+        {"t": 0.01 * np.arange(600)} | swings("q_first [rad]", "q_second [rad]", "tau_first [N m]")
+    )
+    motors = '<motor name="first" joint="first" gear="9"/><motor name="m2" joint="second"/>'
+    _, doubts, _ = machine(tmp_path, motors, frame)
+    assert any('"tau_first [N m]" is in N m, and first of' in doubt for doubt in doubts)

@@ -1,5 +1,7 @@
 """Detection of frozen sensors, and of working sensors that repeat values."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -78,6 +80,15 @@ def test_frozen_stretches_find_a_single_angle_by_its_jump():
     theta = swing(0)["theta"]
     found = frozen_stretches({"theta": freeze(theta, 100, 60)}, [])
     assert [(f.first, f.last) for f in found] == [(100, 159)]
+
+
+def test_frozen_stretches_ignore_missing_samples_that_were_filled():
+    channels = swing(1)
+    frozen = freeze(channels["theta"], 200, 60)
+    t = frozen.t
+    channels["theta"] = replace(frozen, unknown=np.array([[t[201], t[260]]]))
+    assert frozen_stretches({**channels, "theta": frozen}, PAIRS)
+    assert frozen_stretches(channels, PAIRS) == []
 
 
 def test_frozen_stretches_ignore_constant_commands():

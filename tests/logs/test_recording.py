@@ -67,6 +67,20 @@ def test_read_log_converts_units_to_those_of_the_system(tmp_path):
     assert [series.unit for series in recording.channels.values()] == ["N m", "rad", "rad/s"]
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ns", 1e9)])
+def test_times_that_are_dates_count_from_the_begin_of_the_log(tmp_path, unit, factor):
+    frame = table()
+    moved = frame.assign(
+        t=(factor * (1_700_000_000.25 + frame["t"])).astype("int64" if factor > 1 else float)
+    )
+    moved.loc[10:20, "theta"] = np.nan
+    path = save(tmp_path, moved, sidecar(time={"column": "t", "unit": unit}))
+    recording = read_log(path, fill="hold")
+    np.testing.assert_allclose(recording.channels["torque"].t, frame["t"] + 0.25, atol=1e-6)
+    np.testing.assert_allclose(recording.unknown, [[0.45, 0.67]], atol=1e-6)
+    assert "times count from 2023-11-14 22:13:20 UTC" in " ".join(recording.warnings)
+
+
 def test_read_log_accepts_parquet_and_a_mapping_as_dict(tmp_path):
     frame = table()
     frame.to_parquet(tmp_path / "log.parquet")

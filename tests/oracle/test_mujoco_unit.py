@@ -50,6 +50,7 @@ def test_a_zero_error_shows_at_a_joint_that_gravity_loads():
     assert strength(log, 5) > 0.3
 
 
+@pytest.mark.study
 def test_scaled_effect_has_about_the_wanted_strength():
     robot = arm()
     hidden, found = scaled(robot, "damping", "j2", 5, SECONDS, 2.0)

@@ -15,7 +15,7 @@ from deepkoco.diagnose.causes.actuator import (
     TORQUE_BIAS,
     UNIT_SLIP,
 )
-from deepkoco.diagnose.causes.body import LENGTH, PAYLOAD, TILT
+from deepkoco.diagnose.causes.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
 from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC, SPRING
@@ -39,6 +39,7 @@ from deepkoco.diagnose.causes.timing import (
     LAG,
     LOST_COMMANDS,
     SENSING_DELAY,
+    STAMP_LEAD,
 )
 from deepkoco.own_objects import entry_point, entry_point_names
 from deepkoco.systems import System
@@ -51,6 +52,7 @@ CAUSES: dict[str, Cause] = {
         SENSING_DELAY,
         LAG,
         CLOCK_SKEW,
+        STAMP_LEAD,
         JITTER,
         LOST_COMMANDS,
         VISCOUS,
@@ -75,6 +77,7 @@ CAUSES: dict[str, Cause] = {
         PAYLOAD,
         LENGTH,
         TILT,
+        FORCE,
         SENSOR_BIAS,
         SENSOR_SCALE,
         SENSOR_DRIFT,

@@ -20,6 +20,17 @@ PAYLOAD = Cause(
     "theta",
     lambda motion: np.sin(motion.theta),
     _starts,
+    also=("along",),
+    also_summary="A point mass is fixed to a link; a wide interval of `along` says that it is the mass or its place.",
+)
+FORCE = Cause(
+    "force",
+    "body",
+    ("x", "y", "z"),
+    "A force of constant size and direction in the world pulls at a body: a cable, a hose, a counterweight, wind.",
+    "Take cables and hoses off and keep moving air away, then record again; or turn the base and record again.",
+    "theta",
+    lambda motion: np.cos(motion.theta),
 )
 LENGTH = Cause(
     "length",

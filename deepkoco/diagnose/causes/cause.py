@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from deepkoco.diagnose.causes.tolerance import Tolerance, share_of_usual
 from deepkoco.systems import System
 from deepkoco.systems.effects import PlacedEffect
 from deepkoco.systems.effects.effect import ALL
@@ -68,8 +69,12 @@ class Cause:
         searched: Whether it was searched for at many places in time, which the penalty charges.
         choices: Number of discrete values that were tried, which the penalty charges.
         valley: Values -> other values along a valley of the cost, by full names; None where there is none.
+        also: Parameters that a fit frees too at sites where the effect has them.
+        also_summary: The sentence for the report at these sites.
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
+        shape: Those of ``free`` that say where, when or in which form it acts, and not how much of it there is.
+        tolerance: How much of every other parameter any healthy machine has, as a distance from the null value.
         effect: Name of the placed effect that simulates it; "event" for a push, "changed" for a parameter itself.
         joint: Joint on which it acts; None for the whole system, or for all actuators alike.
         index: Index of its command or channel, where it belongs to one.
@@ -89,6 +94,10 @@ class Cause:
     valley: Callable[[Mapping[str, float]], list[dict[str, float]]] | None = None
     scatter: Callable[[Scatter, int], Verdict | None] | None = None
     traced: bool = False
+    shape: tuple[str, ...] = ()
+    tolerance: Tolerance = share_of_usual
+    also: tuple[str, ...] = ()
+    also_summary: str = ""
     effect: str = ""
     joint: int | None = None
     index: int = 0
@@ -97,6 +106,11 @@ class Cause:
     def kind(self) -> str:
         """Name in the registry."""
         return kind_of(self.name)
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Full names of the free parameters that say how much of it there is."""
+        return tuple(n for n in self.free if n.rpartition(".")[2] not in self.shape)
 
     @property
     def size(self) -> int:
@@ -113,6 +127,8 @@ class Cause:
         # If the effect has other parameters on this system (a tilt in a plane has two), all of them are freed.
         same = all(n in declared for n in self.free)
         cause = self if same else replace(self, free=tuple(declared))
+        if more := tuple(n for n in self.also if same and n in declared):
+            cause = replace(self, free=(*self.free, *more), summary=self.also_summary or self.summary)
         return cause._called(placed.name, placed.name, joint, placed.index)
 
     def on_joint(self, joint: int, system: System) -> Cause:

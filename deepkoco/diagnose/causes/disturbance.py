@@ -55,6 +55,7 @@ SPRING = Cause(
     "theta",
     lambda motion: motion.theta.mean() - motion.theta,
     _centres,
+    shape=("centre",),
 )
 COGGING = Cause(
     "cogging",
@@ -77,4 +78,5 @@ PERIODIC = Cause(
     lambda motion: np.zeros_like(motion.time),
     _frequencies,
     choices=200,
+    shape=("frequency",),
 )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
+from deepkoco.diagnose.causes.tolerance import of_impulse
 from deepkoco.fit.simulate.push import LONGEST, SHORTEST
 
 STRETCHES = (0.4, 0.6, 0.8, 0.9, 1.1, 1.25, 1.6, 2.5)
@@ -40,4 +41,6 @@ EVENT = Cause(
     _starts,
     searched=True,
     valley=_stretched,
+    shape=("start", "duration"),
+    tolerance=of_impulse,
 )

@@ -57,6 +57,7 @@ STRIBECK = Cause(
     "omega",
     lambda motion: -np.sign(motion.omega) * np.exp(-((motion.omega / 0.5) ** 2)),
     _stribeck_starts,
+    shape=("speed",),
 )
 QUADRATIC = Cause(
     "quadratic",
@@ -85,4 +86,5 @@ BRISTLE = Cause(
     "omega",
     lambda motion: -np.sign(motion.omega),
     _bristle_starts,
+    shape=("distance",),
 )

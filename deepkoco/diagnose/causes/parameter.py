@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause
+from deepkoco.diagnose.causes.tolerance import of_data_sheet
 from deepkoco.systems import Parameter, System
 
 FAMILY = "parameter"
@@ -23,6 +24,7 @@ CHANGED = Cause(
     "Measure this parameter by itself: weigh a body, read a setting of the drive, or look it up in the data sheet.",
     "time",
     lambda motion: np.zeros_like(motion.time),
+    tolerance=of_data_sheet,
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
+from deepkoco.diagnose.causes.tolerance import of_sample
 from deepkoco.diagnose.causes.units import UNIT_CONSTANTS, slip_starts
 from deepkoco.diagnose.residuals.scatter import noise_level, quantisation
 from deepkoco.systems.effects.hysteresis import BEND
@@ -45,6 +46,7 @@ LOW_PASS = Cause(
     "command_rate",
     lambda motion: -motion.command_rate,
     lambda hint: [{"time_constant": value} for value in (0.0, 0.03)],
+    tolerance=of_sample,
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
+from deepkoco.diagnose.causes.tolerance import of_clock, of_sample, of_stamps
 from deepkoco.diagnose.residuals.scatter import jitter
 
 # Fits of a long delay from 0 stop in local minima, so they also start from longer delays [s].
@@ -32,6 +33,7 @@ ACTUATION_DELAY = Cause(
     "command_rate",
     _rate,
     _starts("delay"),
+    tolerance=of_sample,
 )
 SENSING_DELAY = Cause(
     "sensing_delay",
@@ -42,6 +44,7 @@ SENSING_DELAY = Cause(
     "command_rate",
     _rate,
     _starts("delay"),
+    tolerance=of_sample,
 )
 LAG = Cause(
     "lag",
@@ -52,6 +55,7 @@ LAG = Cause(
     "command_rate",
     _rate,
     _starts("time_constant"),
+    tolerance=of_sample,
 )
 CLOCK_SKEW = Cause(
     "clock_skew",
@@ -61,6 +65,17 @@ CLOCK_SKEW = Cause(
     "Stamp both with one clock. Or record twice as long: the effect of a skew grows with the length of the log.",
     "command_rate",
     lambda motion: -motion.command_rate * (motion.time - motion.time.mean()),
+    tolerance=of_clock,
+)
+STAMP_LEAD = Cause(
+    "stamp_lead",
+    "timing",
+    ("lead",),
+    "Commands act before their time stamps, so they are stamped late or the measurements early.",
+    "Stamp each command when it is sent, and each measurement when it is taken, with one clock.",
+    "command_rate",
+    lambda motion: motion.command_rate,
+    tolerance=of_stamps,
 )
 LOST_COMMANDS = Cause(
     "lost_commands",
@@ -83,4 +98,5 @@ JITTER = Cause(
     lambda motion: np.zeros_like(motion.time),
     scatter=jitter,
     counted=1,
+    tolerance=of_sample,
 )

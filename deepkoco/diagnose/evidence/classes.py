@@ -8,7 +8,7 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
-from deepkoco.diagnose.residuals.residuals import SLOTS
+from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 APART = 6.0  # BIC difference from which two causes are distinguished ("strong evidence")
@@ -22,7 +22,7 @@ def equivalent(
 ) -> tuple[str, ...]:
     """Return the names of the winner's class, the winner first.
 
-    A candidate is in the class if its BIC is less than ``APART`` behind the winner's. It is also in the class if
+    A candidate is in the class if its BIC is less than :func:`width` behind the winner's. It is also in the class if
     that is expected: fitted to noise-free measurements simulated from the winner, its BIC is less than ``APART``
     behind, and noise can explain the observed difference. There is no table of equivalent causes.
     """
@@ -32,6 +32,7 @@ def equivalent(
     if not close:
         return (winner.cause.name,)
     expected = expected_gaps(problem, start, winner, close, accepted)
+    wide = width(problem, start, ranking)
     places = SLOTS * len(problem.windows)
     own = penalty(winner.cause, ranking.samples, places)
     for candidate, gap in zip(close, expected, strict=True):
@@ -39,9 +40,26 @@ def equivalent(
         mean = gap / ranking.deflation + penalty(candidate.cause, ranking.samples, places) - own
         # The standard deviation of the observed gap is 2 sqrt(gap).
         chance = 2.0 * 2.0 * max(gap / ranking.deflation, 1.0) ** 0.5
-        if behind < APART or (mean < APART and behind < APART + chance):
+        if behind < (wide if candidate.delta_bic > 0.0 else APART) or (
+            mean < APART and behind < APART + chance
+        ):
             class_names.append(candidate.cause.name)
     return tuple(class_names)
+
+
+def width(problem: FitProblem, start: Baseline, ranking: Ranking) -> float:
+    """Return the BIC difference from which two causes are distinguished; it is ``APART`` where only noise is left.
+
+    The deflation counts residuals as independent once they are a correlation length apart. That holds for noise. A
+    model error is a function of the motion, so it comes back in every window, and more windows do not average it out:
+    of its values, only as many are independent as the slots of one window. With a mean square m of it (in noise
+    variances) and n independent samples, a difference of BIC varies (1 + m n / slots) / (1 + m) times as much.
+    """
+    left = ranking.dispersion.chi2_per_sample - white_limit(problem.windows) * start.floor
+    if left <= 0.0:
+        return APART
+    repeats = max(ranking.samples / (SLOTS * start.system.joints), 1.0)
+    return APART * (1.0 + left * repeats) / (1.0 + left)
 
 
 def expected_gaps(
@@ -60,6 +78,23 @@ def expected_gaps(
     for candidate in others:
         fit: Fit = candidate.fit
         prior = prior_with(problem, start, [*accepted, candidate.cause], fit.values)
-        trials.append(Trial(candidate.cause.name, prior.names, prior, fit.values, fit.state, fit.nuisance))
+        trials.append(
+            Trial(
+                candidate.cause.name,
+                prior.names,
+                prior,
+                fit.values,
+                fit.state,
+                fit.nuisance,
+                candidate.cause.free,
+            )
+        )
+    known = None
+    if clean.keeps_slopes(trials):
+        # All candidates imitate one motion, so they share the slopes there.
+        best = winner.fit
+        known = clean.slopes_at(best.values, best.free, best.state, best.nuisance)
     # Both costs contain the penalty of the prior; only the difference counts.
-    return [max(fit.cost - winner.fit.penalty, 0.0) for fit in clean.fit(trials, 10)]
+    return [
+        max(fit.cost - winner.fit.penalty, 0.0) for fit in clean.fit(trials, 10, known=known, exact=False)
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -21,7 +22,15 @@ FLEXIBLE_CAUSES = (*PUSHES, *BENDING)  # all causes that can fit the residuals o
 
 
 def eliminated(
-    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, wanted: float, least: int = 1
+    problem: FitProblem,
+    start: Baseline,
+    accepted: Sequence[Cause],
+    fit: Fit,
+    wanted: float,
+    least: int = 1,
+    share: float = 0.0,
+    before: float = math.inf,
+    exempt: Collection[Cause] = (),
 ) -> tuple[list[Cause], Fit]:
     """Remove causes whose delta BIC, together with all others, is too small; the weakest first.
 
@@ -35,6 +44,9 @@ def eliminated(
         fit: Fit with all of them.
         wanted: Fall of the BIC that a cause needs to stay.
         least: Number of causes that stay in any case.
+        share: Share of what all causes explain, which a cause needs to stay.
+        before: Cost of the refit without any cause.
+        exempt: Causes that may explain less than that share.
 
     Returns:
         The remaining causes and their fit.
@@ -49,9 +61,15 @@ def eliminated(
             (less.cost - fit.cost) / deflation - penalty(cause, samples, places)
             for cause, less in zip(kept, fits, strict=True)
         ]
-        weakest = worth.index(min(worth))
-        if worth[weakest] > wanted:
+        most = max(before - fit.cost, 1e-300)
+        weak = [
+            k
+            for k, (cause, less) in enumerate(zip(kept, fits, strict=True))
+            if worth[k] <= wanted or (less.cost - fit.cost < share * most and cause not in exempt)
+        ]
+        if not weak:
             break
+        weakest = min(weak, key=lambda k: worth[k])
         del kept[weakest]
         fit = fits[weakest]
     return kept, fit

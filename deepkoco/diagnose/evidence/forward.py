@@ -21,8 +21,9 @@ from deepkoco.diagnose.evidence.elimination import (
     without,
     without_kinds,
 )
+from deepkoco.diagnose.evidence.minor import LEAST_SHARE, Minor, tolerated
 from deepkoco.diagnose.evidence.priors import prior_with, strained
-from deepkoco.diagnose.evidence.ranking import Ranking
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.refine_ranking import classed, front_settled, with_fit
 from deepkoco.diagnose.evidence.sanity_checks import at_bound
 from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
@@ -44,6 +45,7 @@ from deepkoco.fit.fit import Fit, FitProblem
 
 MOST_CAUSES = 3
 MAX_ROUNDS = 3  # of comparing each cause again and eliminating causes
+MOST_TOLERATED = 2  # causes within their tolerance that a fit contains beside others
 
 
 class Selection:
@@ -72,10 +74,11 @@ class Selection:
         self.causes, self.detection = causes, detection
         self.problem = FitProblem(start.system, train)
         self.before = math.inf  # chi2 of the refit
+        self.cost = math.inf  # cost of the refit: chi2 and the penalty of the prior
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
         """Return the first ranking (over the whole catalogue) and the selection."""
-        self.before = reference.chi2
+        self.before, self.cost = reference.chi2, reference.cost
         hints = self._hints(self.problem, reference, missing)
         self.progress("fitting every cause")
         first = rank(self.problem, self.start, reference, (), hints, self.causes)
@@ -84,7 +87,8 @@ class Selection:
         first = forward.steps[0][0] if forward.steps else first
         plain = self._pruned(forward)
         found = self._with_losses(nothing, forward, plain)
-        return first, self._with_losses_in_class(plain) if found is None else found
+        found = self._with_losses_in_class(plain) if found is None else found
+        return first, self._without_tolerated(replace(found, minor=forward.minor))
 
     def consistent_with_healthy(self, found: Selected) -> list[Cause]:
         """Return the causes that may have been present before: accepted causes and members of their classes that the
@@ -109,7 +113,9 @@ class Selection:
         """Accept further causes as long as the BIC falls enough."""
         start, problem = self.start, so_far.acting
         final, accepted, steps, charge = so_far.final, [*so_far.accepted], [*so_far.steps], so_far.charge
-        while len(accepted) < MOST_CAUSES:
+        healthy: list[Cause] = []  # accepted causes of which there is no more than a healthy machine has
+        minor = so_far.minor
+        while len(accepted) < MOST_CAUSES + len(healthy):
             names = [*(c.name for c in accepted), *([so_far.lost.name] if so_far.lost else [])]
             if ranking is None or hints is None:
                 self.progress(f"fitting every cause{in_company_of(names)}")
@@ -118,13 +124,71 @@ class Selection:
             wanted = FURTHER if accepted or so_far.lost else self.detection
             if not ranking.candidates or ranking.best.delta_bic <= wanted:
                 break
+            above = [c for c in ranking.candidates if c.delta_bic > wanted and c.fit is not ranking.reference]
+            small = [self._minor(problem, ranking, c, healthy, accepted) for c in above]
+            least = next((m for m in small if m is not None), None)
+            if least is not None and all(small) and (least.share is not None or not self._left(final)):
+                minor = (*minor, least)
+                break
+            if least is not None and least.share is None and least.cause is ranking.best.cause:
+                # It is not named, but without it in the fit its part of the error would look like another cause.
+                if len(healthy) == MOST_TOLERATED:
+                    break
+                steps.append((ranking, (least.cause.name,)))
+                accepted.append(least.cause)
+                healthy.append(least.cause)
+                final, ranking = least.fit, None
+                continue
             self.progress(f"class of {ranking.best.cause.name}{in_company_of(names)}")
             ranking = self._refined(problem, ranking, accepted, hints)
             ranking, members = classed(problem, start, ranking, accepted)
             steps.append((ranking, members))
             accepted.append(ranking.best.cause)
             final, ranking = ranking.best.fit, None
-        return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge)
+        return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge, minor)
+
+    def _minor(
+        self,
+        problem: FitProblem,
+        ranking: Ranking,
+        candidate: Candidate,
+        healthy: Sequence[Cause],
+        accepted: Sequence[Cause],
+    ) -> Minor | None:
+        """Return why a candidate would not be named although it is significant; None if it would be named."""
+        cause, fit = candidate.cause, candidate.fit
+        if tolerated(problem, self.start, cause, fit, ranking.deflation):
+            return Minor(cause, fit, None, ranking.deflation)
+        share = candidate.likelihood_ratio / max(self.cost - fit.cost, 1e-300)
+        if len(accepted) > len(healthy) and share < LEAST_SHARE:
+            return Minor(cause, fit, share, ranking.deflation)
+        return None
+
+    def _left(self, fit: Fit) -> bool:
+        """Return whether a fit leaves more than noise."""
+        return fit.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
+
+    def _tolerated(self, found: Selected) -> list[Cause]:
+        """Return the selected causes of which there is no more than any healthy machine has."""
+        deflation = self._deflation(found.final)
+        return [c for c in found.accepted if tolerated(found.acting, self.start, c, found.final, deflation)]
+
+    def _deflation(self, fit: Fit) -> float:
+        return max(dispersion(fit, self.train).deflation, self.start.least_deflation)
+
+    def _without_tolerated(self, found: Selected) -> Selected:
+        """Take the causes within their tolerance out of the selection; the fit still contains them."""
+        small = self._tolerated(found)
+        if not small:
+            return found
+        deflation = self._deflation(found.final)
+        kept = [(c, s) for c, s in zip(found.accepted, found.steps, strict=True) if c not in small]
+        return replace(
+            found,
+            accepted=tuple(c for c, _ in kept),
+            steps=tuple(s for _, s in kept),
+            minor=(*found.minor, *(Minor(c, found.final, None, deflation) for c in small)),
+        )
 
     def _pruned(self, found: Selected) -> Selected:
         """Compare each cause again and eliminate causes, until nothing changes or the rounds are used up."""
@@ -142,7 +206,17 @@ class Selection:
         if len(found.accepted) <= least:
             return found
         # Causes accepted later can make an earlier one superfluous.
-        kept, final = eliminated(found.acting, self.start, found.accepted, found.final, FURTHER, least)
+        kept, final = eliminated(
+            found.acting,
+            self.start,
+            found.accepted,
+            found.final,
+            FURTHER,
+            least,
+            LEAST_SHARE,
+            self.cost,
+            self._tolerated(found),
+        )
         if self.held is not None and len(self.held) > 0:
             kept, final = carried(found.acting, self.start, kept, final, self.held, least)
         if dispersion(final, self.train).lag_one > coloured_from(self.train):
@@ -175,7 +249,10 @@ class Selection:
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
         everything = catalogue(start.system.base).values() if self.causes is None else self.causes
         lasting = [c for c in everything if c.effect != "event"]
+        healthy = self._tolerated(found)
         for k, cause in enumerate(accepted):
+            if cause in healthy:
+                continue
             others = [*accepted[:k], *accepted[k + 1 :]]
             self.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
             less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE)
@@ -206,7 +283,7 @@ class Selection:
         if not causes:
             return None
         best = self._with_searched_losses(plain, causes)
-        left = plain.final.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
+        left = self._left(plain.final)
         if best is None and not left and plain.accepted:
             return None
         prefixes = [nothing] if plain.accepted else []

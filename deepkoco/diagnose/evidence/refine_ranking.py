@@ -9,12 +9,15 @@ from dataclasses import replace
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.evidence.classes import APART, NEAR, equivalent
+from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
-from deepkoco.diagnose.residuals.residuals import SLOTS
+from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
+HOPEFUL = 0.9  # share of what the winner explains, from which a simpler cause is fitted to convergence
+SURE = 2.0 * APART  # BIC difference from which a fit that kept the slopes of another point is not repeated
 VALLEYS = 8  # largest number of searches along a valley
 USUAL_CHANGE = 0.3  # scale of the change of a parameter, as a share of its given value
 
@@ -32,9 +35,12 @@ def front_settled(
     for k, other in enumerate(others):
         # A candidate with a better score than the winner was put behind it on purpose (`without_events_first`).
         behind = ranking.best.delta_bic - other.delta_bic
-        if behind < 0.0 or behind - _overpaid(ranking, other) >= NEAR or not other.cause.free:
+        if behind < 0.0 or not other.cause.free:
             continue
-        if other.fit.converged and not _pulled_back(problem, start, other):
+        if behind - _overpaid(ranking, other) >= NEAR and not _simpler(ranking.best, other, HOPEFUL):
+            continue
+        sure = other.fit.exact or behind - _overpaid(ranking, other) >= SURE
+        if other.fit.converged and sure and not _pulled_back(problem, start, other):
             continue
         others[k] = _better(other, settled(problem, start, accepted, other), ranking)
         if others[k].delta_bic > winner.delta_bic:
@@ -56,11 +62,20 @@ def _overpaid(ranking: Ranking, other: Candidate) -> float:
 def classed(
     problem: FitProblem, start: Baseline, ranking: Ranking, accepted: Sequence[Cause]
 ) -> tuple[Ranking, tuple[str, ...]]:
-    """Return the ranking and the names of its winner's class, a mechanism before a changed parameter.
+    """Return the ranking and the names of its winner's class, the simpler cause and the mechanism first.
+
+    Where a model error is left, a cause with more parameters must explain clearly more than a simpler one: below
+    ``LEAST_SHARE`` of the whole, it only describes the form of the simpler one. Dry friction is an example, of which a
+    log shows some excess near standstill.
 
     Almost every mechanism can be written as another value of some parameter. Where the data cannot distinguish the
     two, the mechanism leads the class. The farther the parameter is from its given value, the more evidence it needs.
     """
+    simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
+    left = ranking.best.fit.chi2 / problem.windows.samples > white_limit(problem.windows) * start.floor
+    if simple and left:
+        first = min(simple, key=lambda c: (c.cause.size, -c.delta_bic))
+        ranking = replace(ranking, candidates=(first, *(c for c in ranking.candidates if c is not first)))
     members = equivalent(problem, start, ranking, tuple(accepted))
     best = ranking.best
     if not is_changed(best.cause):
@@ -76,6 +91,13 @@ def classed(
     others = [c for c in ranking.candidates if c is not near[0]]
     ranking = replace(ranking, candidates=(near[0], *others))
     return ranking, equivalent(problem, start, ranking, tuple(accepted))
+
+
+def _simpler(best: Candidate, other: Candidate, least: float) -> bool:
+    """Return whether a lasting mechanism has fewer parameters and explains at least a share of what the best does."""
+    if not other.cause.free or is_changed(other.cause) or other.cause.effect == "event":
+        return False
+    return other.cause.size < best.cause.size and other.likelihood_ratio >= least * best.likelihood_ratio
 
 
 def _size_charge(problem: FitProblem, candidate: Candidate) -> float:

@@ -21,6 +21,7 @@ from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.parameter import widened
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
@@ -40,16 +41,20 @@ class StartPoint(NamedTuple):
 
 
 def screen(
-    problem: FitProblem, reference: Fit, prior: Prior, starts: Sequence[tuple[Cause, Mapping[str, float]]]
+    problem: FitProblem,
+    reference: Fit,
+    prior: Prior,
+    starts: Sequence[tuple[Cause, Mapping[str, float]]],
+    tangent: Linearised | None = None,
 ) -> list[StartPoint]:
-    """Return the promise of every start on top of a reference fit.
+    """Return the promise of every start on top of a reference fit; ``tangent`` is its linearisation, if known.
 
     A start at null is tested along the slopes of its free parameters. A start away from null is tested along the
     secant from null to the start, because some effects have zero slope at null. A changed parameter of the system
     needs no simulation: the linearised problem contains it, and only its prior becomes wider. It is left out where
     another cause adds to the same quantity.
     """
-    tangent = _Tangent(problem, reference, prior)
+    tangent = Linearised(problem, reference, prior) if tangent is None else tangent
     changed = [pair for pair in starts if is_changed(pair[0])]
     starts = [pair for pair in starts if not is_changed(pair[0])]
     doses, owner, forward = [], [], []
@@ -100,8 +105,12 @@ def _doses(
         if silent and name in place:
             continue
         step = PARAMETER_STEP * problem.scale[j]
-        if name.endswith((".frequency", ".centre")):
-            continue  # it changes nothing while the amplitude or the stiffness is zero
+        if name.endswith(".frequency"):
+            continue  # it changes nothing while the amplitude is zero
+        if name.endswith(".centre"):
+            # It changes nothing while the stiffness is zero. A stiffness about another centre is the second direction.
+            result.append({**result[-1], name: at[name] + problem.scale[j]})
+            continue
         step = -step if at[name] + step > problem.high[j] else step
         result.append({**at, name: at[name] + step})
     return result
@@ -119,7 +128,7 @@ def _linear(cause: Cause, place: Mapping[str, float]) -> bool:
     return cause.kind in ("cogging", "periodic", "spring") or (cause.kind == "stribeck" and len(place) == 1)
 
 
-class _Tangent:
+class Linearised:
     """Measurements linearised in the baseline's parameters and the windows' initial states at a reference."""
 
     def __init__(self, problem: FitProblem, reference: Fit, prior: Prior) -> None:
@@ -149,6 +158,10 @@ class _Tangent:
             problem.nuisances.precision,
         )
         self.slopes = torch.cat([slopes[:p], own])
+
+    def kept(self) -> FrozenSlopes:
+        """Return the slopes, for fits that start at the reference."""
+        return FrozenSlopes.of(self.reference.free, self.slopes, self.states)
 
     def slope_of(self, name: str) -> Tensor:
         """Return the whitened derivative (W * NM,) of the measurements by a free parameter."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.diagnosis import Finding
+from deepkoco.diagnose.evidence.minor import Minor
 from deepkoco.diagnose.evidence.ranking import Ranking, penalty
 from deepkoco.diagnose.evidence.residual_model import ResidualModel
 from deepkoco.diagnose.residuals.residuals import (
@@ -31,6 +32,7 @@ class Selected:
         acting: Training windows with the commands that acted; they differ from the sent ones where commands were lost.
         lost: Lost commands; None where none are accepted.
         charge: Charge of the BIC for the lost commands.
+        minor: Significant causes that are not named, because there is too little of them.
     """
 
     final: Fit
@@ -39,6 +41,7 @@ class Selected:
     acting: FitProblem
     lost: Finding | None = None
     charge: float = 0.0
+    minor: tuple[Minor, ...] = ()
 
 
 def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:

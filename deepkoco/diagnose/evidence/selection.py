@@ -13,10 +13,12 @@ from deepkoco.diagnose.causes import Cause, catalogue, is_changed
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
-from deepkoco.diagnose.evidence.screening import StartPoint, screen
+from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
+from deepkoco.fit.solve.prior import Prior
 
 # Fall of the BIC that the first cause needs, and each further one. Both were calibrated on logs of units in
 # which nothing is wrong (results/diagnose/), with other seeds than the tests use.
@@ -31,6 +33,8 @@ SLIPS = 4  # unit conversion constants that are fitted in full
 SLIP_ITERATIONS = 6
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
+FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
+MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 STARTS = 3  # largest number of starts of one cause
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
@@ -59,7 +63,8 @@ def rank(
     listed = [(cause, place) for cause in tried for place in cause.starts(hints.for_cause(cause))]
     slips = [(cause, place) for cause, place in listed if not cause.free]
     prior = prior_with(problem, start, accepted, reference.values)
-    promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free])
+    tangent = Linearised(problem, reference, prior)
+    promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
     promising = _promising(promises)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
@@ -80,28 +85,57 @@ def rank(
         )
         for p in promising
     ]
-    trials += _slipped(problem, start, accepted, reference, slips)
-    fits = _fit_best(problem, trials, reference)
-    if strained(problem, start, reference) and promising:
+    # With many parameters, the candidates of a reference share its slopes.
+    known = tangent.kept() if trials and problem.keeps_slopes(trials) else None
+    slipped = _slipped(problem, start, accepted, reference, slips)
+    if known is None:
+        trials += slipped
+        fits = _fit_best(problem, trials, reference)
+    else:
+        fits = _fit_best(problem, trials, reference, known)
+        fits |= _fit_best(problem, slipped, reference)
+        trials += slipped
+    far_away = strained(problem, start, reference)
+    far = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
+    if far_away and (promising or far):
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
+        also = {p.cause.name for p in promising}
+        far = [p for p in far if p.cause.name not in also][:MOST_AS_GIVEN]
+        promises += far
+        from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
-        values = [{**reference.values, **before, **p.values} for p in promising]
-        states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
-        free = {p.cause.name: p.cause.free for p in promising}
+        values = [{**reference.values, **before, **p.values} for p in from_given]
+        known = None
+        if problem.keeps_slopes(trials):
+            foot = {**reference.values, **before}
+            state, cost = problem.fit_states(foot, reference.state)
+            states, costs = state.expand(len(values), -1, -1), cost.expand(len(values), -1)
+            known = problem.slopes_at(foot, reference.free, state, reference.nuisance)
+        else:
+            states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
+        free = {p.cause.name: p.cause.free for p in from_given}
         footholds = [
             _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
-            for k, p in enumerate(promising)
+            for k, p in enumerate(from_given)
             if bool(torch.isfinite(costs[k]).all())
         ]
         # First fit each cause alone, so that the baseline's parameters cannot absorb it as they did in the refit.
-        alone = problem.fit([replace(t, free=tuple(free[t.name])) for t in footholds], ITERATIONS, CLOSE)
+        alone = problem.fit(
+            [replace(t, free=tuple(free[t.name])) for t in footholds],
+            ITERATIONS,
+            CLOSE,
+            known,
+            exact=False,
+            renewals=0,
+        )
         footholds = [
             replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
             for t, fit in zip(footholds, alone, strict=True)
         ]
+        trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
-        for name, fit in _fit_best(problem, footholds, reference).items():
+        for name, fit in _fit_best(problem, footholds, reference, known).items():
             if name not in fits or fit.cost < fits[name].cost:
                 fits[name] = fit
     promised = _best(promises)
@@ -112,7 +146,11 @@ def rank(
     # promised more than the winner's fall of the cost may only converge slowly.
     best = ranking.best.cause.name if ranking.candidates else ""
     won = reference.cost - min((fit.cost for fit in fits.values()), default=reference.cost)
-    unsettled = [n for n, f in fits.items() if not f.converged and (n == best or promised.get(n, 0.0) > won)]
+    unsettled = [
+        n
+        for n, f in fits.items()
+        if (not f.converged and (n == best or promised.get(n, 0.0) > won)) or (n == best and not f.exact)
+    ]
     if unsettled:
         first = {name: next(t for t in trials if t.name == name) for name in unsettled}
         longer = [
@@ -124,11 +162,44 @@ def rank(
     return replace(ranking, unfitted=unfitted)
 
 
-def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> dict[str, Fit]:
-    """Return the fit of each name: a few iterations of every trial, then more for the best trial of each name."""
+def _screened_as_given(
+    problem: FitProblem,
+    start: Baseline,
+    reference: Fit,
+    prior: Prior,
+    listed: Sequence[tuple[Cause, Mapping[str, float]]],
+) -> list[StartPoint]:
+    """Return the promising starts at the baseline's values before the refit.
+
+    Where several parameters together imitate a cause, the refit has moved them there, and the score test at the refit
+    sees nothing of it: a payload within a link is another mass and another inertia of it.
+    """
+    values = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
+    state, costs = problem.fit_states(values, reference.state)
+    if not bool(torch.isfinite(costs).all()):
+        return []
+    there = replace(reference, values=values, state=state)
+    pairs = [pair for pair in listed if pair[0].free and not is_changed(pair[0])]
+    first: dict[str, StartPoint] = {}
+    for point in _promising(screen(problem, there, prior, pairs)):
+        first.setdefault(point.cause.name, point)
+    return sorted(first.values(), key=lambda p: -p.promise)
+
+
+def _fit_best(
+    problem: FitProblem, trials: Sequence[Trial], reference: Fit, known: FrozenSlopes | None = None
+) -> dict[str, Fit]:
+    """Return the fit of each name: a few iterations of every trial, then more for the best trial of each name.
+
+    Args:
+        problem: The windows.
+        trials: The trials; several may have one name.
+        reference: Fit whose cost they lower.
+        known: Slopes near their starts, which the first iterations keep.
+    """
     if not trials:
         return {}
-    scouts = problem.fit(trials, SCOUTING, CLOSE)
+    scouts = problem.fit(trials, SCOUTING, CLOSE, known, exact=False, renewals=None if known is None else 0)
     best: dict[str, tuple[Fit, Trial]] = {}
     for trial, scout in zip(trials, scouts, strict=True):
         if trial.name not in best or scout.cost < best[trial.name][0].cost:
@@ -140,8 +211,22 @@ def _fit_best(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> d
         if not scout.converged and reference.cost - scout.cost > PROMISING_SHARE * won:
             running.append(name)
             longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
-    longer = problem.fit(longer, ITERATIONS, CLOSE)
+    longer = problem.fit(longer, ITERATIONS, CLOSE) if known is None else _fit_front(problem, longer, known)
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
+
+
+def _fit_front(problem: FitProblem, trials: Sequence[Trial], known: FrozenSlopes) -> list[Fit]:
+    """Fit trials with known slopes, then the best of them with slopes of their own."""
+    fits = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
+    front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:FRONT]
+    again = [
+        replace(trials[k], values=fits[k].values, state=fits[k].state, nuisance=fits[k].nuisance)
+        for k in front
+    ]
+    for k, fit in zip(front, problem.fit(again, ITERATIONS, CLOSE, exact=False), strict=True):
+        if fit.cost <= fits[k].cost:
+            fits[k] = fit
+    return fits
 
 
 def _best(promises: Sequence[StartPoint]) -> dict[str, float]:
@@ -201,7 +286,7 @@ def _trial(
     reference: Fit,
 ) -> Trial:
     prior = prior_with(problem, start, [*accepted, cause], values)
-    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance)
+    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance, cause.free)
 
 
 def without_events_first(

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
 from deepkoco.diagnose.causes.parameter import SCALED
-from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding
+from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding, Moved
 from deepkoco.pages.units import in_one_unit
 from deepkoco.systems.effects.effect import COMMON
 
@@ -32,7 +32,7 @@ def headline(diagnosis: Diagnosis) -> str:
     named = _named(diagnosis.causes)
     explained = "The simulation explains this log up to noise"
     if diagnosis.moved:
-        values = " and ".join(new_value(m.name, m.given, m.estimate) for m in diagnosis.moved)
+        values = " and ".join(_moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
     return {
         "cause": named,
@@ -41,6 +41,17 @@ def headline(diagnosis: Diagnosis) -> str:
         "unknown": "The simulation differs from this log, and no cause of the catalogue explains the difference",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
+
+
+def _moved_value(moved: Moved) -> str:
+    """Return a moved parameter as a clause, and the sum of which it is a part if only that sum shows."""
+    text = new_value(moved.name, moved.given, moved.estimate)
+    if not moved.sum_with:
+        return text
+    sums = [moved.sum_given + moved.estimate.value - moved.given, moved.sum_given]
+    (now, before), unit = in_one_unit(sums, moved.estimate.unit)
+    parts = " and ".join(spoken(n) for n in (moved.name, *moved.sum_with))
+    return f"{text}; only the sum of {parts} shows in the motion, it is {now} {unit}, not {before} {unit}"
 
 
 def _named(causes: Sequence[Finding]) -> str:
@@ -84,6 +95,7 @@ def lead(diagnosis: Diagnosis) -> str:
         return " ".join(diagnosis.advice)
     if diagnosis.verdict == "nothing":
         doubts = "".join(f" {text}" for text in diagnosis.unexplained.get("doubts") or ())
+        doubts += "".join(f" {text}" for text in _minor_texts(diagnosis))
         return (
             f"After a refit of the simulation's own parameters, only {noise_of(diagnosis)} is left. "
             f"No cause of the catalogue lowers the BIC enough to be named.{doubts}"
@@ -105,7 +117,15 @@ def lead(diagnosis: Diagnosis) -> str:
         others = [spoken(n) for n in cause.members[1:]]
         if others:
             text += f" These data cannot distinguish {spoken(cause.name)} from {' or '.join(others)}."
-    return f"{text} {beside_causes(diagnosis)}".strip()
+    return " ".join([text, *_minor_texts(diagnosis), beside_causes(diagnosis)]).strip()
+
+
+def _minor_texts(diagnosis: Diagnosis) -> list[str]:
+    """Return why significant causes are not named, one sentence or two for each."""
+    return [
+        spoken(minor["name"]) + minor["text"].removeprefix(minor["name"])
+        for minor in diagnosis.unexplained.get("minor", ())
+    ]
 
 
 def noise_of(diagnosis: Diagnosis) -> str:

@@ -17,6 +17,7 @@ from deepkoco.logs.quantum import quantum_of
 from deepkoco.systems import System
 
 SPEC = 0.15  # relative uncertainty of the noise in a data sheet
+USUAL_JITTER = 1e-4  # of the stamps of a healthy log that a computer's clock stamps [s]
 FLOORS = np.geomspace(1e-3, 1.0, 60)  # share of a channel's variance that jitter does not explain
 COARSE = 2.0  # step of a grid, over the noise of the data sheet, from which rounding is named
 GRID_CHANCE = 0.1  # chance that one sample of a continuous channel lies within 5 % of a grid line
@@ -41,7 +42,10 @@ class Verdict(NamedTuple):
 
 
 def jitter(view: Scatter, _: int) -> Verdict | None:
-    """Test for time stamps with standard deviation tau: the variance of a channel grows by (tau times its rate)^2."""
+    """Test for time stamps with standard deviation tau: the variance of a channel grows by (tau times its rate)^2.
+
+    The null hypothesis is the jitter of a usual computer clock, not none.
+    """
     pieces = []
     for c in range(view.windows.valid.shape[1]):
         residual, slope = residual_and_slope(view.windows, view.fit, c)
@@ -52,17 +56,22 @@ def jitter(view: Scatter, _: int) -> Verdict | None:
     largest = max(float(np.sqrt((slope**2).mean())) for _, slope in pieces)
     if not largest > 0.0:
         return None
-    # The grid covers jitter whose standard deviation moves a typical sample by 0.03 to 30 noise standard deviations.
-    grid = np.geomspace(0.03, 30.0, 16) / largest
+    # The grid covers jitter whose standard deviation moves a typical sample by 0.03 to 30 noise standard deviations,
+    # or by what the residuals show.
+    shown = max(float(np.sqrt((residual**2).mean())) for residual, _ in pieces)
+    grid = np.geomspace(0.03, max(30.0, 3.0 * shown), 24) / largest
     ratio = np.array([_heteroscedastic(pieces, tau) for tau in grid])
     near = grid[max(int(ratio.argmax()) - 1, 0)], grid[min(int(ratio.argmax()) + 1, len(grid) - 1)]
     grid = np.geomspace(*near, 80)
     ratio = np.array([_heteroscedastic(pieces, tau) for tau in grid])
     best = int(ratio.argmax())
-    if not ratio[best] > 0.0:
+    if not ratio[best] > 0.0 or grid[best] <= USUAL_JITTER:
         return None
     inside = grid[ratio > ratio[best] - 3.84]
-    return Verdict(float(ratio[best]), "sd", float(grid[best]), float(inside.min()), float(inside.max()))
+    usual = max(_heteroscedastic(pieces, USUAL_JITTER), 0.0)
+    return Verdict(
+        float(ratio[best]) - usual, "sd", float(grid[best]), float(inside.min()), float(inside.max())
+    )
 
 
 def noise_level(view: Scatter, channel: int) -> Verdict | None:
@@ -98,13 +107,15 @@ def _grid(view: Scatter, channel: int) -> float:
 def residual_and_slope(windows: Windows, fit: Fit, c: int) -> tuple[np.ndarray, np.ndarray]:
     """Return whitened residuals of a channel and its whitened rate of change [1/s], from windows with five samples."""
     sd = windows.noise[c].sd
+    # Stamps that are known to scatter are part of the noise of the fit; the test asks how much they scatter.
+    whole = fit.residual * (windows.sample_sd / sd)
     residuals, slopes = [], []
     for w in range(len(windows)):
         n = int(windows.valid[w, c].sum())
         if n < 5:
             continue
         t = windows.t[w, c, :n].numpy()
-        residual = fit.residual[w, c, :n].numpy()
+        residual = whole[w, c, :n].numpy()
         shown = windows.value[w, c, :n].numpy() / sd - residual
         residuals.append(residual)
         slopes.append(np.gradient(shown, t))

@@ -86,6 +86,8 @@ def level_advice(windows: Windows, system: System) -> tuple[str, ...]:
         system.commands[: len(system.command_joints)]
     ):  # the other commands switch or set modes
         command = np.concatenate([c.column(k) for c in windows.commands]) if windows.commands else np.zeros(0)
+        if channel.default is not None and np.all(command == channel.default):
+            continue  # no log shows it: nothing drives this joint
         levels = np.unique(np.round(command / max(np.ptp(command), 1e-12), 2)) if len(command) else command
         if 0 < len(levels) <= FEW_LEVELS:
             advice.append(

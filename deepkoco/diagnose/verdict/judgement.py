@@ -113,8 +113,9 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     if scattered and (verdict != "unknown" or (white and not found.accepted and found.lost is None)):
         # White residuals that are larger than the noise need a noise cause; no other cause is missing.
         verdict, named = (verdict if found.accepted else "cause"), (*named, *scattered)
-    if verdict not in ("cause", "ambiguous") and final is not reference:
-        # The causes are not named, so the rest of the report must not use their fit.
+    if verdict == "unknown" and final is not reference:
+        # The causes are not named, so the rest of the report must not use their fit. With "nothing", the fit differs
+        # from the refit by what any healthy machine has.
         final, gain, left, without = reference, None, dispersion(reference, base.train), base
         missing = missing_torque(base.problem, reference, left.deflation)
     if verdict == "unknown":

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes.parameter import widened
-from deepkoco.diagnose.diagnosis import Moved
+from deepkoco.diagnose.diagnosis import Estimate, Moved
+from deepkoco.diagnose.evidence.screening import SAME
 from deepkoco.diagnose.evidence.selection import CLOSE, DETECTION, ITERATIONS
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.verdict.findings import estimates
@@ -14,6 +19,8 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
+SHARED = 30  # sets of parameters from which all are first fitted with the same slopes of the initial states
+FITTED = 4  # of these sets are then fitted with slopes of their own
 MOST = 3  # parameters that are named
 FAR = 2.0  # standard deviations of the prior from which a moved parameter is news
 
@@ -46,8 +53,8 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     while best is None or best.chi2 > enough:
         if len(chosen) == MOST:
             return ()
-        further = [n for n in names if n not in chosen]
-        fits = _fits(problem, start, best, refit, [(*chosen, n) for n in further])
+        sets = [(*chosen, n) for n in names if n not in chosen]
+        fits = _fits(problem, start, best, refit, sets)
         if not fits:
             return ()
         best = min(fits, key=lambda fit: fit.chi2)
@@ -55,10 +62,53 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     if best is None or not chosen:
         return ()
     found = estimates(problem, best, chosen, deflation)
-    away = {n: abs(best.values[n] - start.values[n]) / sd[n] for n in chosen}
-    if max(away.values()) < FAR:
+    change = {n: best.values[n] - start.values[n] for n in chosen}
+    if max(abs(change[n]) / sd[n] for n in chosen) < FAR:
         return ()
-    return tuple(Moved(n, start.values[n], found[n], away[n]) for n in chosen)
+    # A change within a data sheet's standard deviation is no news.
+    return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen if abs(change[n]) >= sd[n])
+
+
+def _moved(
+    problem: FitProblem, start: Baseline, best: Fit, name: str, found: Estimate, sd: Mapping[str, float]
+) -> Moved:
+    """Return a changed parameter, or the likeliest of those that would do the same.
+
+    Only the sum of two inertias on one shaft shows in the motion. The change is then most likely in the one that is
+    known least.
+    """
+    change = best.values[name] - start.values[name]
+    alike = _same_change(problem, best, name, start.values[name], sd)
+    likely = min((name, *alike), key=lambda n: abs(change) / sd[n])
+    given = start.values[likely]
+    shift = given - start.values[name]
+    estimate = Estimate(found.value + shift, found.low + shift, found.high + shift, found.unit)
+    others = tuple(n for n in (name, *alike) if n != likely)
+    total = sum(start.values[n] for n in (name, *alike)) if others else 0.0
+    return Moved(likely, given, estimate, abs(change) / sd[likely], others, total)
+
+
+def _same_change(
+    problem: FitProblem, fit: Fit, name: str, given: float, names: Iterable[str]
+) -> tuple[str, ...]:
+    """Return the other parameters of which the same change gives the same measurements."""
+    size, unit, system = fit.values[name] - given, problem.system.parameter(name).unit, problem.system
+    others = []
+    for n in names:
+        p = system.parameter(n)
+        if n != name and "." not in n and p.unit == unit and p.low <= fit.values[n] + size <= p.high:
+            others.append(n)
+    if not others:
+        return ()
+    without = {**fit.values, name: given}
+    lanes = [fit.values, without, *({**without, n: fit.values[n] + size} for n in others)]
+    theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
+    shown = problem.predict(theta, fit.state.repeat(len(lanes), 1, 1), fit.nuisance.repeat(len(lanes), 1))
+    shown = shown * problem.weight
+    moved = (shown[1] - shown[0]).norm()
+    return tuple(
+        n for n, own in zip(others, shown[2:], strict=True) if (own - shown[0]).norm() <= SAME * moved
+    )
 
 
 def _fits(
@@ -71,5 +121,16 @@ def _fits(
         base = start.values if best is None else best.values
         # From the value of the refit, whose initial states are at hand; a large step from the value given may diverge.
         values = {**base, names[-1]: refit.values[names[-1]]}
-        trials.append(Trial(",".join(names), names, Prior.of(declared), values, refit.state, refit.nuisance))
+        trials.append(
+            Trial(",".join(names), names, Prior.of(declared), values, refit.state, refit.nuisance, names)
+        )
+    if len(trials) > SHARED:
+        # The slopes of the refit show which few are worth a fit of their own.
+        known = problem.slopes_at(refit.values, (), refit.state, refit.nuisance)
+        rough = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
+        best_first = sorted(range(len(rough)), key=lambda k: rough[k].chi2)[:FITTED]
+        trials = [
+            replace(trials[k], values=rough[k].values, state=rough[k].state, nuisance=rough[k].nuisance)
+            for k in best_first
+        ]
     return [fit for fit in problem.fit(trials, ITERATIONS, CLOSE) if not fit.diverged]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 from deepkoco.diagnose.causes import catalogue, kind_of
+from deepkoco.diagnose.causes.tolerance import Healthy
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
+from deepkoco.diagnose.evidence.minor import sample_period
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.residuals.scatter import Scatter
 from deepkoco.fit.data.windows import Windows
@@ -17,6 +19,8 @@ def scatter_findings(
     system: ExtendedSystem, windows: Windows, fit: Fit, detection: float
 ) -> tuple[Finding, ...]:
     """Return the noise causes whose fall of the BIC exceeds the threshold, strongest first.
+
+    Causes within their tolerance are left out.
 
     Args:
         system: The extended system.
@@ -37,10 +41,14 @@ def scatter_findings(
         if score <= detection:
             continue
         placed = f"{name}.{verdict.parameter}"
-        unit = system.parameter(placed).unit
+        declared = system.parameter(placed)
+        healthy = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
+        away = max(abs(verdict.low - declared.value), abs(verdict.high - declared.value))
+        if away <= cause.tolerance(healthy):
+            continue
         text = f"With this cause, the likelihood ratio of the residuals is {verdict.likelihood_ratio:.0f}."
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)
-        estimate = Estimate(verdict.value, verdict.low, verdict.high, unit)
+        estimate = Estimate(verdict.value, verdict.low, verdict.high, declared.unit)
         found.append(Finding(name, cause.family, (name,), score, 1.0, {placed: estimate}, (evidence,)))
     if any(kind_of(f.name) == "jitter" for f in found):
         # Jitter already explains why the channels are noisier than their data sheets say.

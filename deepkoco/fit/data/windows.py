@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.data.noise import Noise, estimate_noise
+from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import Motion, System
@@ -21,6 +21,13 @@ LONGEST_STEP = 0.01  # integration step [s]
 STEPS_PER_PERIOD = 50
 HISTORY = 0.1  # commands must be known for this time before a window, because of delays and lags [s]
 WARM_UP = 0.15  # or this share of a window; a slow lag then forgets commands from before the log
+SLIGHTLY = 0.01  # share by which a step may be longer, so that a window has whole periods of the commands
+EVEN, MOSTLY = (
+    0.02,
+    0.9,
+)  # commands are regular if so many gaps differ from the typical one by this share at most
+ONE_RATE = 1e-3  # relative difference of the rates of two logs up to which they are one rate
+EARLY = 1e-6  # share of a step by which a command may be before the start of a window
 MIN_SAMPLES = 6  # smallest number of samples of a channel in a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
 DWELL = 0.1  # share of a window over which rest is tested
@@ -64,6 +71,7 @@ class Windows:
         shows: Index of the state that each channel measures.
         known: Known differences of each log; empty if there are none.
         varies: Parameter -> standard deviation between logs, in its unit; empty if all logs share their parameters.
+        stamp_sd: Standard deviation of each log's time stamps [s]; empty where all stamps are exact.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -80,6 +88,7 @@ class Windows:
     shows: tuple[int, ...] = (0, 1)
     known: Known = ()
     varies: Mapping[str, float] = field(default_factory=dict)
+    stamp_sd: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -93,6 +102,19 @@ class Windows:
     def samples(self) -> int:
         """Number of measured values in all windows."""
         return int(self.valid.sum())
+
+    @property
+    def sample_sd(self) -> Tensor:
+        """(W, N, M) noise of every sample in its channel's unit: sqrt(r^2 + (rate sigma_t)^2); at least (1, N, 1).
+
+        A stamp that is wrong by dt shows the value of another time, so the error is the channel's rate times dt.
+        """
+        sd = torch.tensor([n.sd for n in self.noise], dtype=torch.float64)[None, :, None]
+        if not any(self.stamp_sd):
+            return sd
+        stamps = torch.tensor(self.stamp_sd, dtype=torch.float64)[torch.from_numpy(self.log)]
+        rate = rates(self.t.numpy(), self.value.numpy(), self.valid.numpy())
+        return torch.sqrt(sd**2 + (stamps[:, None, None] * torch.from_numpy(rate)) ** 2)
 
     def take(self, keep: np.ndarray) -> Windows:
         """Select windows by indices or by a mask (W,)."""
@@ -156,23 +178,27 @@ def cut_windows(
     Args:
         recordings: Logs of the system; each has the commands and at least one measurement.
         system: Gives the channels.
-        length: Length of a window [s].
+        length: Length of a window [s]; it is rounded to whole steps of commands that come at a regular rate.
         noise: Noise of each channel; None estimates it from these logs.
         cover: True lets neighbouring windows overlap, so that they cover each log to its end.
 
     Raises:
         LogError: A log lacks a command or every measurement.
     """
-    steps = math.ceil(length / integration_step(system) - 1e-9)
+    channels = [_channels(recording, system) for recording in recordings]
+    step, steps, regular = _grid([command.t for command, _ in channels], length, integration_step(system))
+    length = step * steps
     names = [channel.name for channel in system.measurements]
     noise = estimate_channels(recordings, system) if noise is None else noise
     commands, rows = [], []
     for index, recording in enumerate(recordings):
-        command, series = _channels(recording, system)
+        command, series = channels[index]
         commands.append(command)
         still = _resting(system, series, noise, length)
         history = 0.0 if cover else max(HISTORY, WARM_UP * length)
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
+        if regular and start < command.t[-1]:
+            start = float(command.t[np.searchsorted(command.t, start - EARLY * step)])
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
         for t0 in _starts(start, stop, length, cover):
             if any(begin < t0 + length and end > t0 - HISTORY for begin, end in recording.unknown):
@@ -197,7 +223,7 @@ def cut_windows(
         tuple(commands),
         np.array([row[0] for row in rows], dtype=int),
         np.array([row[1] for row in rows]),
-        length / steps,
+        step,
         steps,
         torch.from_numpy(t),
         torch.from_numpy(value),
@@ -208,6 +234,40 @@ def cut_windows(
         shows,
         known_of(recordings, system),
     )
+
+
+def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[float, int, bool]:
+    """Return the integration step [s], the steps of a window, and whether steps begin at commands.
+
+    A step takes the commands in it as linear in time. This is exact if they change at its ends, and nearly so if they
+    change in its middle. Where a joint turns under dry friction, a change elsewhere moves the instant of turning.
+
+    Args:
+        stamps: Times of the commands of each log [s].
+        length: Wanted length of a window [s].
+        longest: Longest step [s].
+    """
+    steps = math.ceil(length / longest - 1e-9)
+    periods = [regular_period(t) for t in stamps]
+    period = periods[0] if periods else None
+    if period is None or any(p is None or abs(p - period) > ONE_RATE * period for p in periods):
+        return length / steps, steps, False
+    share = longest * (1.0 + SLIGHTLY) / period
+    if share >= 1.0:
+        step = period * math.floor(share)
+        return step, max(round(length / step), 1), True
+    parts = math.ceil(1.0 / share)
+    return period / parts, parts * max(round(length / period), 1), True
+
+
+def regular_period(t: np.ndarray) -> float | None:
+    """Return the period of times that are evenly spaced but for a few [s]; None for other times."""
+    gaps = np.diff(t)
+    if len(gaps) < MIN_SAMPLES:
+        return None
+    typical = float(np.median(gaps))
+    even = np.abs(gaps - typical) <= EVEN * typical
+    return float(gaps[even].mean()) if typical > 0.0 and even.mean() >= MOSTLY else None
 
 
 def halved(windows: Windows) -> Windows:

@@ -12,6 +12,7 @@ from torch import Tensor
 from deepkoco.fit.data.per_log_differences import of_log
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.systems import System
+from deepkoco.systems.system import CommandTiming
 
 
 class TooManyLagsError(ValueError):
@@ -64,10 +65,16 @@ def command_efforts(
         if len(own) == 0:
             continue
         own_values = of_log(parameters, differ or {}, number)
-        delay, skew, lags = _timing(system, index, own_values, lanes)
+        timing = system.command_timing(index, own_values)
         given = torch.from_numpy(np.ascontiguousarray(command.column(index)))[:, None]
         shaped = system.shape_command(index, given, torch.from_numpy(command.t), own_values)
-        shaped = shaped.expand(len(given), lanes).numpy().T  # (L, n)
+        # Where nothing differs between lanes, one lane is computed for all.
+        alike = shaped.shape[-1] == 1 and all(
+            x.numel() == 1 for x in (timing.delay, timing.skew, *timing.lag)
+        )
+        computed = 1 if alike else lanes
+        delay, skew, lags = _times(system, index, timing, computed)
+        shaped = shaped.expand(len(given), computed).numpy().T  # (L, n)
         edges = windows.t0[own]
         # Lanes with the same efforts share one series. Lanes with the same series and delay share one result.
         key = np.column_stack([shaped[:, _probe(command, index)], *lags])
@@ -88,11 +95,10 @@ def command_efforts(
     return start, slope
 
 
-def _timing(
-    system: System, index: int, parameters: Mapping[str, Tensor], lanes: int
+def _times(
+    system: System, index: int, timing: CommandTiming, lanes: int
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
     """(L,) delay [s], skew of the clocks [1], and time constant of each lag [s]."""
-    timing = system.command_timing(index, parameters)
     delay, skew = timing.delay.expand(lanes).numpy(), timing.skew.expand(lanes).numpy()
     lags = [lag.expand(lanes).numpy() for lag in timing.lag]
     most = np.count_nonzero(np.stack(lags) > 0.0, axis=0).max() if len(lags) > 2 else 0

@@ -27,6 +27,7 @@ from deepkoco.fit.simulate.step import (
 )
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.rollout import RolloutInput
 from deepkoco.systems.system import Motion
 
 
@@ -82,6 +83,16 @@ def integrate(
     )
     pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
     parts = initial.permute(2, 1, 0).contiguous().unbind(0)
+    compiled = system.rollout(own)
+    if compiled is not None:
+        t0 = torch.from_numpy(windows.t0)[:, None]
+        loads = None if push is None else push.permute(0, 3, 2, 1)
+        given = RolloutInput(h, parts, t0, start, slope, loads, equations.friction)
+        if (found := compiled.run(given)) is not None:
+            fast = found.value[joints:]
+            return Nodes(
+                found.value, (*(v[:-1] for v in fast), *found.first), (*(v[1:] for v in fast), *found.last)
+            )
     angle, speed = parts[:joints], parts[joints:]
     angles, speeds = [angle], [speed]
     firsts, lasts = [], []

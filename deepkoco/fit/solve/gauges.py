@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from deepkoco.fit.fit_types import Fit
 from deepkoco.systems import Parameter
@@ -47,11 +48,15 @@ class Gauge:
     def text(self) -> str:
         """One or two sentences for a reader."""
         others = {n: e for n, e in self.exponents.items() if n != self.fixed}
-        scaled = [f"{n} c{'' if abs(e - 1.0) <= SMALL else f'^{e:.3g}'} times" for n, e in others.items()]
+        if all(abs(2.0 * e - round(2.0 * e)) <= 2.0 * SMALL for e in others.values()):
+            powers = {n: round(2.0 * e) / 2.0 for n, e in others.items()}
+            scaled = [f"{n} c{'' if e == 1.0 else f'^{e:g}'} times" for n, e in powers.items()]
+            change = f"with {self.fixed} c times, {_listed(scaled)} as large, nothing measured changes"
+        else:
+            change = "other values of all of them together give the same measurements"
         return (
-            f"The data give only ratios of {_listed([self.fixed, *others])}: with {self.fixed} c times, "
-            f"{_listed(scaled)} as large, nothing measured changes. One measurement settles it: {self.measure}; "
-            f"{self.how}."
+            f"The data give only ratios of {_listed([self.fixed, *others])}: {change}. "
+            f"One measurement settles it: {self.measure}; {self.how}."
         )
 
     def to_json(self) -> dict[str, object]:
@@ -63,6 +68,25 @@ class Gauge:
             "how": self.how,
             "text": self.text,
         }
+
+
+def text_of_gauges(gauges: Sequence[Gauge]) -> tuple[str, ...]:
+    """Advice about scale gauges: what to measure, and what is taken as given until then; empty without any."""
+    if not gauges:
+        return ()
+    if len(gauges) == 1:
+        return (f"{gauges[0].text} Until then, {gauges[0].fixed} keeps its value as given.",)
+    members = list(dict.fromkeys(n for g in gauges for n in g.exponents))
+    ways: dict[str, list[str]] = {}
+    for gauge in gauges:
+        ways.setdefault(gauge.how, []).append(gauge.measure)
+    each = {way if len(names) == 1 else way.replace(" it", " each", 1): names for way, names in ways.items()}
+    how = "; ".join(f"{_listed(names)} ({way})" for way, names in each.items())
+    fixed = _listed([g.fixed for g in gauges])
+    return (
+        f"The data give only ratios of {_listed(members)}. {len(gauges)} measurements settle them: {how}. "
+        f"Until then, {fixed} keep their values as given.",
+    )
 
 
 def scale_gauges(fit: Fit, declared: Sequence[Parameter]) -> tuple[Gauge, ...]:
@@ -105,20 +129,32 @@ def scale_gauges(fit: Fit, declared: Sequence[Parameter]) -> tuple[Gauge, ...]:
     if len(fixed) < null.shape[1]:
         return ()
     ways = null @ np.linalg.inv(null[fixed])
+    measured = _measured(ways, [known[n] for n in names])
     result = []
     for k, i in enumerate(fixed):
         exponents = {n: float(e) for n, e in zip(names, ways[:, k], strict=True) if abs(e) > SMALL}
         if len(exponents) > 1:
-            measure, how = _easiest([known[n] for n in exponents])
-            result.append(Gauge(names[i], exponents, measure, how))
+            easiest = known[names[measured[k]]]
+            how = MEASURED.get(easiest.unit, "measure it by itself")
+            result.append(Gauge(names[i], exponents, easiest.name, how))
     return tuple(result)
 
 
-def _easiest(members: Sequence[Parameter]) -> tuple[str, str]:
-    """Return the parameter that is measured most easily by itself, and how."""
+def _measured(ways: np.ndarray, parameters: Sequence[Parameter]) -> list[int]:
+    """Index of a parameter to measure for each gauge: those that are measured most easily and together settle all.
+
+    Args:
+        ways: (n, K) exponents.
+        parameters: The n parameters.
+    """
     units = list(MEASURED)
-    best = min(members, key=lambda p: units.index(p.unit) if p.unit in MEASURED else len(units))
-    return best.name, MEASURED.get(best.unit, "measure it by itself")
+    ease = [units.index(p.unit) if p.unit in MEASURED else len(units) for p in parameters]
+    chosen: list[int] = []
+    for i in sorted(range(len(parameters)), key=ease.__getitem__):
+        if np.linalg.matrix_rank(ways[[*chosen, i]], tol=SMALL) > len(chosen):
+            chosen.append(i)
+    _, order = linear_sum_assignment((np.abs(ways[chosen]) <= SMALL).T)
+    return [chosen[i] for i in order]
 
 
 def _listed(words: Sequence[str]) -> str:

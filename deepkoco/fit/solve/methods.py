@@ -15,7 +15,7 @@ from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.request import FitRequest
 from deepkoco.fit.solve.cma import cma_es
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.residual_noise import sharpen_noise
+from deepkoco.fit.solve.residual_noise import with_sharp_noise
 
 TOLERANCE = 1e-4  # a user's fit has converged when a step lowers its cost by less
 HELD_STEPS = 8  # Gauss-Newton steps of the initial states at fixed parameters
@@ -87,8 +87,7 @@ class LevenbergMarquardt:
         problem = request.problem()
         state, _ = problem.fit_states(first.values, first.state[::2])
         rough = run("whole windows", problem, _trial(request, first.values, state, first.nuisance))
-        noise = sharpen_noise(request.windows, rough)
-        request = replace(request, windows=replace(request.windows, noise=noise))
+        request = replace(request, windows=with_sharp_noise(request.windows, rough))
         last = run(
             "noise known", request.problem(), _trial(request, rough.values, rough.state, rough.nuisance)
         )
@@ -133,8 +132,8 @@ class CmaEs:
             progress=lambda k, cost: progress("generations", k, self.generations, cost),
         )
         values, nuisance = objective.split(search.best)
-        noise = sharpen_noise(request.windows, self._at(problem, request, values, nuisance))
-        request = replace(request, windows=replace(request.windows, noise=noise))
+        windows = with_sharp_noise(request.windows, self._at(problem, request, values, nuisance))
+        request = replace(request, windows=windows)
         fit = self._at(request.problem(), request, values, nuisance)
         stages = (("generations", tuple(search.costs[:, 0].tolist())),)
         return MethodResult(fit, request, stages, objective.simulations, search.converged, search.reason)

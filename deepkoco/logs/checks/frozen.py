@@ -65,7 +65,7 @@ def frozen_stretches(channels: Mapping[str, Series], pairs: list[tuple[str, str]
         pairs: Names of position and speed, for each joint that has both.
     """
     measured = {n: s for n, s in channels.items() if s.kind == "measurement"}
-    runs = {name: _runs(series.value) for name, series in measured.items()}
+    runs = {name: _not_filled(series, _runs(series.value)) for name, series in measured.items()}
     found = {
         (n, *run) for n in runs if measured[n].unit in POSITIONS for run in _jumping(measured[n], runs[n])
     }
@@ -136,6 +136,16 @@ def _runs(value: np.ndarray) -> list[tuple[int, int]]:
     order = np.argsort(-length, kind="stable")[:MOST]
     # `check_units` reports a channel that never changes.
     return [(int(first[k]), int(last[k])) for k in order if MIN_FROZEN_SAMPLES <= length[k] < len(value)]
+
+
+def _not_filled(series: Series, runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Leave out runs that repeat a value because missing samples were filled with it."""
+    if series.unknown is None:
+        return runs
+    filled = np.zeros(len(series), dtype=bool)
+    for begin, end in series.unknown:
+        filled |= (series.t >= begin) & (series.t < end)
+    return [(a, b) for a, b in runs if not filled[a + 1 : b + 1].all()]
 
 
 def _jump_threshold(series: Series) -> float:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from deepkoco.logs.formats.csv_head import read_head
 from deepkoco.logs.formats.list_cells import split_lists
 from deepkoco.logs.formats.log_file import LogError, LogFile, Table
 
@@ -31,7 +32,7 @@ def read_csv(path: Path, names: Sequence[str] = ()) -> LogFile:
         LogError: it is empty, not UTF-8, has no header, a repeated name, or a row with more or fewer cells than
             the header has names.
     """
-    text = _decode(path)
+    text, ahead, notes = read_head(_decode(path))
     first, _, _ = text.partition("\n")
     if not first.strip():
         raise LogError(f"{path}: the first row is empty; the column names belong there")
@@ -39,16 +40,15 @@ def read_csv(path: Path, names: Sequence[str] = ()) -> LogFile:
     try:
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
         _check_header(path, first, header, delimiter)
-        table, lines = _cells(path, delimiter, header, text)
+        table, lines = _cells(path, delimiter, header, text, ahead)
     except (ValueError, csv.Error, MemoryError) as error:
         if isinstance(error, LogError):
             raise
         raise LogError(f"{path}: not readable as csv: {' '.join(str(error).split())}") from error
     table.columns = pd.Index(header)
-    notes: tuple[str, ...] = ()
     if delimiter != "," and (commas := _decimal_commas(table)):
         table = table.assign(**{name: table[name].str.replace(",", ".") for name in commas})
-        notes = (f"read decimal commas in the column{'s' * (len(commas) > 1)} {', '.join(commas)}",)
+        notes += (f"read decimal commas in the column{'s' * (len(commas) > 1)} {', '.join(commas)}",)
     content = split_lists(str(path), Table(table, lines=lines), names)
     return LogFile(path, "CSV", {"": content}, row_name="row", notes=notes)
 
@@ -90,13 +90,15 @@ def _check_header(path: Path, line: str, header: list[str], delimiter: str) -> N
         raise LogError(f'{path}: column "{twice[0]}" is there {header.count(twice[0])} times; rename one')
 
 
-def _cells(path: Path, delimiter: str, header: list[str], text: str) -> tuple[pd.DataFrame, np.ndarray]:
+def _cells(
+    path: Path, delimiter: str, header: list[str], text: str, ahead: int
+) -> tuple[pd.DataFrame, np.ndarray]:
     """Read the cells as text, because pandas' float parser can be wrong by one unit in the last place.
 
     Returns:
         The table, and the line of each row.
     """
-    lines, widest = _checked_rows(path, delimiter, header, text)
+    lines, widest = _checked_rows(path, delimiter, header, text, ahead)
     table = pd.read_csv(
         StringIO(text),
         sep=delimiter,
@@ -106,21 +108,26 @@ def _cells(path: Path, delimiter: str, header: list[str], text: str) -> tuple[pd
         names=range(widest),
         index_col=False,
         skipinitialspace=True,
-        na_values=["", "-", "none", "None", "NAN", "Nan"],
+        na_values=["", "-", "--", "none", "None", "NAN", "Nan"],
     )
     if len(table) != len(lines):  # quotes that both readers understand differently
         raise LogError(f"{path}: a quote is not closed; correct the cells with quotes")
     return table.iloc[:, : len(header)], lines
 
 
-def _checked_rows(path: Path, delimiter: str, header: list[str], text: str) -> tuple[np.ndarray, int]:
-    """Line of each row, and the largest number of cells; a row with other cells than the header is refused."""
+def _checked_rows(
+    path: Path, delimiter: str, header: list[str], text: str, ahead: int
+) -> tuple[np.ndarray, int]:
+    """Line of each row, and the largest number of cells; a row with other cells than the header is refused.
+
+    The file has ``ahead`` more lines before the rows than the text.
+    """
     named = max(k for k, name in enumerate(header) if name) + 1 if any(header) else len(header)
     rows = csv.reader(StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
     next(rows)
     lines, widest, before = [], len(header), rows.line_num
     for cells in rows:
-        line, before = before + 1, rows.line_num
+        line, before = before + 1 + ahead, rows.line_num
         if not cells or (len(cells) == 1 and not cells[0].strip()):
             continue
         if len(cells) < named:

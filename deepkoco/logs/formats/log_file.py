@@ -17,6 +17,8 @@ RECEIVED = "received"
 HEADER = "header.stamp"
 """Column of a topic: stamp in the header of each message [s, same origin as `RECEIVED`]."""
 
+TIME_OF_DAY = r"\s*\d{1,2}:\d{2}:\d{2}([.,]\d+)?\s*"
+
 
 class LogError(ValueError):
     """A log or its sidecar cannot be used; the message names file, column and what to do."""
@@ -180,6 +182,7 @@ def iso_seconds(log: LogFile, topic: str, column: str) -> np.ndarray:
     cells = pd.Series(table.frame[column])
     if pd.api.types.is_datetime64_any_dtype(cells.dtype):
         return _seconds(cells)
+    cells = _with_date(cells)
     try:
         dates = pd.Series(pd.to_datetime(cells, utc=True, format="ISO8601", errors="coerce"))
     except (TypeError, ValueError, OverflowError):
@@ -192,6 +195,18 @@ def iso_seconds(log: LogFile, topic: str, column: str) -> np.ndarray:
             "date like 2024-05-01T12:00:00.125; if the column holds numbers, give their unit"
         )
     return _seconds(dates)
+
+
+def _with_date(cells: pd.Series) -> pd.Series:
+    """Times of a day (12:00:00.125) as dates from 1970 on; a step back of half a day or more begins the next day."""
+    text = cells.astype("string")
+    known = cells.notna()
+    if not known.any() or not text[known].str.fullmatch(TIME_OF_DAY).all():
+        return cells
+    of_day = pd.to_timedelta(text.str.strip())
+    days = (of_day[known].diff() < -pd.Timedelta(hours=12)).cumsum()
+    moments = pd.Timestamp("1970-01-01", tz="UTC") + of_day[known] + pd.to_timedelta(days, unit="D")
+    return moments.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ").reindex(cells.index)
 
 
 def _seconds(cells: pd.Series) -> np.ndarray:

@@ -60,6 +60,8 @@ def _pair(path: Path, wanted: Wanted) -> LogFile:
 
 FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
     ".csv": _csv,
+    ".tsv": _csv,
+    ".txt": _csv,
     ".parquet": _parquet,
     ".pq": _parquet,
     ".mcap": _mcap,
@@ -74,9 +76,9 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
     """Read a log file.
 
     Args:
-        path: `.csv`, `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), `.pt` (tensors), `.json` (entries), the
-            folder of a ROS 2 bag, a folder with a CSV of commands and one of measurements, or an episode of a
-            LeRobot dataset (`DATASET/episode_3`). A folder that contains one recording stands for it.
+        path: `.csv` (or `.tsv`, `.txt`), `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), `.pt` (tensors),
+            `.json` (entries), the folder of a ROS 2 bag, a folder with a CSV of commands and one of measurements, or
+            an episode of a LeRobot dataset (`DATASET/episode_3`). A folder that contains one recording stands for it.
         wanted: fields to read of each topic; None reads all. Files without topics are always read completely.
 
     Raises:

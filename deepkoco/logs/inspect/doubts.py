@@ -97,6 +97,13 @@ def _units(proposal: Proposal) -> list[str]:
         if choice.column is None:
             continue
         si = choice.channel.unit
+        if parse_unit(choice.unit).quantity != parse_unit(si).quantity:
+            result.append(
+                f'"{choice.column.name}" is in {choice.unit}, and {choice.channel.name} of {proposal.system} is in '
+                f"{si}{' (a number of its own, before gear and gain)' if si == '1' else ''}; write unit: {si} in the "
+                f"sidecar, and as scale how many {si} one {choice.unit} is"
+            )
+            continue
         if not choice.stated and choice.unit != si:
             result.append(
                 f'"{choice.column.name}" does not name its unit; its values suggest {choice.unit} and not {si} '

@@ -46,6 +46,8 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
         NoProposalError: No column is a time, no system gets a command and a measurement, or none fits the log.
         UnknownSystemError: There is no such system.
     """
+    if not any(survey.clocks.values()):
+        raise _without_time(survey)
     samples = samples_of(survey)
     proposer: Proposer | None = None
     systems = _known() if system is None else [any_system(system)]
@@ -73,13 +75,14 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
     return Fitting(best, alike, doubts[fitting[0]])
 
 
+def _without_time(survey: Survey) -> NoProposalError:
+    return NoProposalError(
+        f"{survey.log.path}: no column is a time; a log needs a column of increasing stamps, named t, time or stamp"
+    )
+
+
 def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError:
     """Error if no proposal has a command and a measurement."""
-    if not any(clocks for clocks in survey.clocks.values()):
-        return NoProposalError(
-            f"{survey.log.path}: no column is a time; a log needs a column of increasing stamps, "
-            "named t, time or stamp"
-        )
     missing = [c.channel.name for c in proposal.choices if c.column is None]
     what = (
         f"no column fits the channel {', '.join(missing)} of {proposal.system}"

@@ -138,8 +138,11 @@ def read_name(name: str) -> NameHints:
             unit = inside
         else:
             joint = inside
-    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", rest)
-    parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", spaced) if part]
+    parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", rest) if part]
+    if unit is None and joint is None:
+        # Before words are split at capitals: "mNm" is a unit, not m and Nm.
+        parts, unit = _unit_suffix(parts)
+    parts = [word for part in parts for word in re.sub(r"([a-z])([A-Z])", r"\1_\2", part).split("_")]
     if unit is None and joint is None:
         parts, unit = _unit_suffix(parts)
     words: list[str] = []
@@ -151,7 +154,7 @@ def read_name(name: str) -> NameHints:
             part = match.group(1)
         if part:
             words.append(part.lower())
-    found = set(words)
+    found = set(words) if name.strip() else {"index"}  # a column without a name counts the rows
     return NameHints(
         tuple(words),
         unit,

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
 from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
-from deepkoco.systems.system import Channel, Parameters, System, Timing
+from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.system import Acceleration, Channel, InverseInertia, Parameters, System, Timing
+
+if TYPE_CHECKING:
+    from deepkoco.systems.joint_memory import JointMemory
 
 
 class CirclingTarget(System):
@@ -44,6 +50,31 @@ class CirclingTarget(System):
     def load_scale(self) -> float:
         return self.arm.load_scale
 
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        return self.arm.accelerations(parameters)
+
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        return self.arm.free_accelerations(parameters)
+
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
+        return self.arm.dry_friction_limits(parameters)
+
+    def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
+        return self.arm.dry_friction_levels(parameters)
+
+    def joint_memory(self, parameters: Parameters) -> JointMemory:
+        return self.arm.joint_memory(parameters)
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        return self.arm.inverse_inertia(parameters)
+
+    @property
+    def smoothing_speeds(self) -> tuple[float, ...]:
+        return self.arm.smoothing_speeds
+
+    def output_play(self, parameters: Parameters) -> Levels:
+        return self.arm.output_play(parameters)
+
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         slope = self.arm.derivative(state[..., :-3], effort, parameters)
         # A tensor that follows the state: the compiled executor broadcasts no constants of its own.
@@ -62,6 +93,9 @@ class CirclingTarget(System):
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         return torch.cat([self.arm.measure(state[..., :-3], parameters), self._target(state)], -1)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        return torch.cat([self.arm.measure_shown(shown[..., :-3], parameters), self._target(shown)], -1)
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         return torch.cat([self.arm.ideal_measurement(state[..., :-3]), self._target(state)], -1)

@@ -13,7 +13,7 @@ from deepkoco.systems.effects.actuator import (
     TORQUE_BIAS,
     UNIT_SLIP,
 )
-from deepkoco.systems.effects.body import LENGTH, PAYLOAD, TILT
+from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.systems.effects.disturbance import COGGING, PERIODIC, SPRING
 from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
@@ -22,7 +22,7 @@ from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
 from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
-from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY
+from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY, STAMP_LEAD
 from deepkoco.systems.system import System
 
 # Effects on a command act in this order, those on a measurement likewise.
@@ -33,6 +33,7 @@ EFFECTS: dict[str, Effect] = {
         SENSING_DELAY,
         LAG,
         CLOCK_SKEW,
+        STAMP_LEAD,
         JITTER,
         LOST_COMMANDS,
         VISCOUS,
@@ -59,6 +60,7 @@ EFFECTS: dict[str, Effect] = {
         PAYLOAD,
         LENGTH,
         TILT,
+        FORCE,
         GEAR_PLAY,
         SCALED,
         SENSOR_SCALE,

@@ -12,7 +12,7 @@ from torch import Tensor
 from deepkoco.systems.system import Parameter, Parameters, System
 
 Place = Literal["command", "series", "timing", "load", "memory", "body", "sensor", "noise"]
-Site = Literal["system", "joint", "command", "channel", "kind", "place", "pair"]
+Site = Literal["system", "joint", "command", "channel", "kind", "place", "force place", "pair"]
 
 ALL = -1  # index of an effect that acts on all driving commands alike
 COMMON = "all"  # how its name calls them
@@ -136,8 +136,8 @@ class Effect:
         summary: One sentence for reports.
         apply: The physics.
         site: What the effect belongs to: there is one for each joint, command, channel, kind of parameters, place of
-            a payload (the tip first), or pair of coupled joints, or one in all. A load of a pair acts on the second
-            joint and is shown the state of the second joint with the effort of the first.
+            a payload (the tip first), place of an outside force, or pair of coupled joints, or one in all. A load of
+            a pair acts on the second joint and is shown the state of the second joint with the effort of the first.
         shared: Whether there is one more, ``<name>(all)``, that acts on all driving commands alike.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
@@ -224,6 +224,8 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
         # The tip is a site too, but has its own, shorter name already.
         own = ["" if site == system.tip else f"{effect.name}({site})" for site in system.payload_sites]
         names = [effect.name, *own]
+    elif effect.site == "force place":
+        names = [f"{effect.name}({site})" for site in system.force_sites]
     elif effect.site == "kind":
         names = [f"{effect.name}({kind})" for kind in parameter_kinds(system)]
     elif effect.site == "channel":

@@ -7,6 +7,7 @@ from deepkoco.systems.system import Parameter, System
 
 LONGEST = 0.3  # [s]
 FASTEST_CLOCK = 5e-3  # relative
+LONGEST_LEAD = 0.05  # [s]
 
 
 def _actuation_delay(system: System, _: int = 0) -> tuple[Parameter, ...]:
@@ -26,6 +27,11 @@ def _lag(system: System, _: int = 0) -> tuple[Parameter, ...]:
 def _skew(system: System, _: int = 0) -> tuple[Parameter, ...]:
     text = "seconds that the sensor's clock gains on the commands' per second"
     return (Parameter("rate", 0.0, "1", -FASTEST_CLOCK, FASTEST_CLOCK, 5e-4, text),)
+
+
+def _lead(system: System, _: int = 0) -> tuple[Parameter, ...]:
+    text = "time by which commands act before their stamps, beside those of the measurements"
+    return (Parameter("lead", 0.0, "s", 0.0, LONGEST_LEAD, 0.01, text),)
 
 
 ACTUATION_DELAY = Effect(
@@ -60,5 +66,13 @@ CLOCK_SKEW = Effect(
     "timing",
     _skew,
     "the clocks of commands and measurements run at different speeds",
+    site="system",
+)
+STAMP_LEAD = Effect(
+    "stamp_lead",
+    "timing",
+    "timing",
+    _lead,
+    "commands act before their time stamps",
     site="system",
 )

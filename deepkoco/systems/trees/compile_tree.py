@@ -11,7 +11,18 @@ from deepkoco.systems.trees.actuators import load_actuator, read_actuators
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
 from deepkoco.systems.trees.names import Names
 from deepkoco.systems.trees.refusals import refuse_what_is_no_tree
-from deepkoco.systems.trees.tree import CLOSE, Body, Frame, Joint, Site, Tree, TreeError, matrix, vector
+from deepkoco.systems.trees.tree import (
+    CLOSE,
+    Body,
+    Frame,
+    Joint,
+    OutsideForce,
+    Site,
+    Tree,
+    TreeError,
+    matrix,
+    vector,
+)
 
 SLIDE = 2  # mjtJoint.mjJNT_SLIDE
 
@@ -56,6 +67,7 @@ def compile_tree(model: Model, name: str) -> Tree:
         vector(gravity),
         tuple(notes),
         bare,
+        _supports(model, poses, last, gravity),
     )
 
 
@@ -185,6 +197,24 @@ def _bodies(
             )
         )
     return result
+
+
+def _supports(
+    model: Model,
+    poses: Sequence[tuple[np.ndarray, np.ndarray]],
+    last: dict[int, int],
+    gravity: np.ndarray,
+) -> tuple[OutsideForce, ...]:
+    """What gravcomp puts on each body: a share of its weight, upwards, at its centre of mass."""
+    found = []
+    for b in range(1, model.nbody):
+        top, rotation, place = _to_moving(model, b, poses)
+        force = -float(model.body_gravcomp[b] * model.body_mass[b]) * np.asarray(gravity)
+        if top and force.any():
+            inner, origin = _joint_frame(model, last[top])
+            centre = place + rotation @ model.body_ipos[b]
+            found.append(OutsideForce(last[top], vector(inner.T @ (centre - origin)), vector(force)))
+    return tuple(found)
 
 
 def _principal(

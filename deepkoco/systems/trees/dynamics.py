@@ -162,7 +162,7 @@ def _ancestors(joints: Sequence[Joint], k: int) -> tuple[int, ...]:
 def _turns(joints: Sequence[Joint], angles: Sequence[Tensor]) -> list[_Turn]:
     result = []
     for joint, q in zip(joints, angles, strict=True):
-        moved = q - joint.reference if joint.reference else q
+        moved = sub(q, joint.reference)
         if not joint.slides:
             result.append(_Turn(torch.cos(moved), torch.sin(moved), joint.frame.offset))
             continue
@@ -287,7 +287,8 @@ def _turned_second(c: Scalar, s: Scalar, second: Sequence[Scalar]) -> tuple[Scal
 
 def rotated(rotation: Matrix, second: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """Inertia matrix (xx, yy, zz, xy, xz, yz) in an outer frame."""
-    if rotation == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+    plain = all(isinstance(x, float) for row in rotation for x in row)
+    if plain and rotation == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
         return tuple(second)
     x, y, z = (_times(second, row) for row in rotation)  # rows of E I
     rx, ry, rz = rotation

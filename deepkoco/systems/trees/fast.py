@@ -58,7 +58,7 @@ class FastLaw:
         listed += [*gravity]
         listed += [values[j] for j in range(len(inertias)) for values in passive]
         listed += [v for gain, bias in laws for v in (*gain, *bias)]
-        self.shape = _common(v.shape for v in listed if isinstance(v, Tensor))
+        self.shape = common_shape(v.shape for v in listed if isinstance(v, Tensor))
         groups = math.prod(self.shape)
         table = np.empty((len(listed), *self.shape))
         for row, value in enumerate(listed):
@@ -90,7 +90,7 @@ class FastLaw:
         loads = [] if motion.loads is None else [x for x in motion.loads if x is not None]
         widths = motion.smoothing if motion.smoothing is not None else smoothing
         parts = [*motion.angles, *motion.speeds, *motion.efforts, *loads]
-        shape = _common((self.shape, *(x.shape for x in parts)))
+        shape = common_shape((self.shape, *(x.shape for x in parts)))
         count, joints = math.prod(shape), len(motion.angles)
         empty = np.empty((joints, 0))
         pushes, rubbing = empty, empty
@@ -113,7 +113,7 @@ class FastLaw:
         """J rows of J columns of the inverse mass matrix at J angles (...) [1/(kg m2) or 1/kg]."""
         from deepkoco.systems.trees.kernel import tree_inverse_inertia
 
-        shape = _common((self.shape, *(x.shape for x in angles)))
+        shape = common_shape((self.shape, *(x.shape for x in angles)))
         count, joints, a = math.prod(shape), len(angles), self.arrays
         result = np.empty((joints, joints, count))
         tree_inverse_inertia(
@@ -131,7 +131,7 @@ class FastLaw:
         return self._groups[shape]
 
 
-def _common(shapes: Iterable[tuple[int, ...]]) -> tuple[int, ...]:
+def common_shape(shapes: Iterable[tuple[int, ...]]) -> tuple[int, ...]:
     """Shape to which all broadcast; torch's own function takes a hundred times as long."""
     distinct = {tuple(shape) for shape in shapes}
     return next(iter(distinct)) if len(distinct) == 1 else np.broadcast_shapes(*distinct)

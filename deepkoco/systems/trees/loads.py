@@ -28,7 +28,7 @@ def actuator_forces(
             j, gear = actuator.joint, actuator.gear
             length, rate = mul(gear, motion.angles[j]), mul(gear, motion.speeds[j])
             if is_servo(actuator):
-                force = add(mul(gain[0], sub(effort, length)), mul(bias[2], rate))
+                force = add(mul(gain[0], sub(effort, length)), add(bias[0], mul(bias[2], rate)))
             elif is_speed_servo(actuator):
                 force = mul(gain[0], sub(effort, rate))
             else:

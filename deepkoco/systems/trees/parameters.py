@@ -11,6 +11,8 @@ from torch import Tensor
 
 from deepkoco.systems.system import Parameter, Parameters
 from deepkoco.systems.trees.dynamics import NONE, Inertia, rotated, shifted
+from deepkoco.systems.trees.geometry import products_of_inertia
+from deepkoco.systems.trees.places import point_along
 from deepkoco.systems.trees.scalars import ZERO, Scalar, Triple, add, mul, outward, plus
 from deepkoco.systems.trees.tree import Actuator, Body, Joint, Matrix, Tree
 
@@ -55,9 +57,9 @@ def declared_parameters(tree: Tree) -> tuple[Parameter, ...]:
 
 
 def is_servo(actuator: Actuator) -> bool:
-    """Whether the control is a goal of the position: force = kp (u - l) - kv l'."""
-    (g0, g1, g2), (b0, b1, _) = actuator.gain, actuator.bias
-    return g0 != 0.0 and g1 == g2 == b0 == 0.0 and b1 == -g0
+    """Whether the control is a goal of the position: force = kp (u - l) - kv l' + b0."""
+    (g0, g1, g2), (_, b1, _) = actuator.gain, actuator.bias
+    return g0 != 0.0 and g1 == g2 == 0.0 and b1 == -g0
 
 
 def is_speed_servo(actuator: Actuator) -> bool:
@@ -74,7 +76,9 @@ def link_inertias(tree: Tree, parameters: Parameters) -> list[Inertia]:
     for site in tree.sites:
         payload = parameters.get(payload_name(site.name))
         if payload is not None:
-            point = shifted(NONE._replace(mass=payload), site.offset)
+            along = parameters.get(payload_place_name(site.name))
+            at = site.offset if along is None else point_along(tree, site, along)
+            point = shifted(NONE._replace(mass=payload), at)
             result[site.joint] = _sum(result[site.joint], point)
     return result
 
@@ -82,6 +86,11 @@ def link_inertias(tree: Tree, parameters: Parameters) -> list[Inertia]:
 def payload_name(site: str) -> str:
     """Name of the mass of a payload at a site, for those who hold a tree's parameters."""
     return f"payload({site})"
+
+
+def payload_place_name(site: str) -> str:
+    """Name of the distance of a payload along its link."""
+    return f"payload_along({site})"
 
 
 def body_inertia(body: Body, parameters: Parameters) -> Inertia:
@@ -94,7 +103,7 @@ def body_inertia(body: Body, parameters: Parameters) -> Inertia:
         [_value(parameters, f"inertia_{a}({body.name})", body.moments[i]) for i, a in enumerate(AXES)]
     )
     axes = _product(body.frame.rotation, body.axes)
-    central = rotated(axes, (*moments, 0.0, 0.0, 0.0))
+    central = rotated(axes, (*moments, *products_of_inertia(body, parameters)))
     centre = plus(body.frame.offset, outward(body.frame.rotation, com))
     return shifted(Inertia(mass, ZERO, central), centre)  # pyright: ignore[reportArgumentType]
 
@@ -130,8 +139,8 @@ def actuator_law(actuator: Actuator, parameters: Parameters) -> tuple[Sequence[S
         return tuple(gain), tuple(bias)
     else:
         gain[0] = _value(parameters, f"gain({name})", gain[0])
-        bias[0] = _value(parameters, f"bias({name})", bias[0])
         bias[1] = mul(-1.0, _value(parameters, f"kp({name})", -bias[1]))
+    bias[0] = _value(parameters, f"bias({name})", bias[0])
     bias[2] = mul(-1.0, _value(parameters, f"kv({name})", -bias[2]))
     return tuple(gain), tuple(bias)
 
@@ -237,14 +246,14 @@ def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
         if g0 != 0.0:
             of = "1" if unit == force else f"{force}/({unit})"
             found.append(_positive(f"gain({name})", g0, of, "gain", f"k, force of {name} per command"))
-        if b0 != 0.0:
-            text, size = f"force of {name} at no command", abs(b0)
-            found.append(
-                Parameter(f"bias({name})", b0, force, -50.0 * size, 50.0 * size, PRIORS["bias"] * size, text)
-            )
         if b1 != 0.0:
             text = f"k_p, stiffness of {name}"
             found.append(_positive(f"kp({name})", -b1, f"{force}/{per}", "kp", text))
+    if b0 != 0.0:
+        text, size = f"force of {name} at no command and no deviation", abs(b0)
+        found.append(
+            Parameter(f"bias({name})", b0, force, -50.0 * size, 50.0 * size, PRIORS["bias"] * size, text)
+        )
     if b2 != 0.0:
         found.append(
             _positive(f"kv({name})", -b2, f"{force}/({rate})", "kv", f"k_v, damping of the servo {name}")

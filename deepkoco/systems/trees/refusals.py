@@ -33,7 +33,15 @@ def refuse_what_is_no_tree(model: Model) -> None:
                 "body, or use the MuJoCo engine"
             )
     for e in range(model.neq):
-        if model.eq_active0[e]:
+        if not model.eq_active0[e]:
+            continue
+        if mujoco.mjtEq(model.eq_type[e]) == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0:
+            one, other = (of(kinds.mjOBJ_JOINT, int(ids[e])) for ids in (model.eq_obj1id, model.eq_obj2id))
+            raise TreeError(
+                f'the joint "{one}" follows the joint "{other}" (<mimic>, or an equality of joints), and joints of a '
+                f'tree are free; fix "{one}" to its parent, or use the MuJoCo engine'
+            )
+        else:
             raise TreeError(f'the equality constraint "{of(kinds.mjOBJ_EQUALITY, e)}" is active; {OTHERWISE}')
     for t in range(model.ntendon):
         acts = (
@@ -50,10 +58,11 @@ def refuse_what_is_no_tree(model: Model) -> None:
         )
         if acts:
             raise TreeError(f'the tendon "{of(kinds.mjOBJ_TENDON, t)}" acts on joints; {OTHERWISE}')
-    for b in range(model.nbody):
-        if model.body_gravcomp[b]:
+    for j in range(model.njnt):
+        if model.jnt_actgravcomp[j]:
             raise TreeError(
-                f'the body "{of(kinds.mjOBJ_BODY, b)}" has gravcomp; set it to 0, or use the MuJoCo engine'
+                f'the joint "{of(kinds.mjOBJ_JOINT, j)}" has actuatorgravcomp; set it to "false": its bodies are then '
+                "held up without the limits of the actuator"
             )
     if model.nflex or model.nplugin:
         raise TreeError(f"the model has a flexible body or a plugin; {OTHERWISE}")

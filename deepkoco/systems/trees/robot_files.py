@@ -57,6 +57,12 @@ def changes_text(system: System, written: WriteBack) -> str:
         ]
     else:
         lines += ["No number changed."]
+    if written.first_order:
+        lines += [
+            "",
+            f'MuJoCo\'s integrator "{written.first_order}" is of first order: motions are late by about half a time '
+            'step, also without these changes. With `integrator="RK4"` the file moves as the diagnosis simulated it.',
+        ]
     lines += ["", "## Not in the file", ""]
     lines += [f"- {text}" for text in written.left_out] or ["Nothing: the file holds every effect."]
     if robot is not None:

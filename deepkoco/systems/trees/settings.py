@@ -31,6 +31,8 @@ class TreeSettings:
           mass(fore): 0.75          # a value alone
           "com_*(fore)": {prior_sd: 0.02}
           "damping(*)": {value: 0.1, prior_sd: 0.05, low: 0, high: 1}   # also where the model has none
+          "length(*)": {prior_sd: 0.002}      # fixed unless it is named here, as axis_x, axis_y, axis_z, zero,
+          zero(elbow): {prior_sd: 0.01}       # inertia_xy, inertia_xz and inertia_yz are
         servos:                     # of joints whose model has no actuators: goals of positions in place of loads
           "*": {kp: 20, kv: 0.5, force: 3.0}
         noise: {"q_*": 0.0015}      # standard deviation of sensors
@@ -92,14 +94,25 @@ class TreeSettings:
                         joint = joints[index] = replace(joint, **{kind: float(value)})
         return replace(tree, joints=tuple(joints))
 
-    def parameters(self, declared: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    def parameters(
+        self, declared: Iterable[Parameter], optional: Iterable[Parameter] = ()
+    ) -> tuple[Parameter, ...]:
         """The declared parameters with the values, priors and bounds given here.
+
+        Args:
+            declared: Parameters of the system.
+            optional: Parameters that it has if their kind is written here: ``length(fore)`` or ``length(*)``.
 
         Raises:
             TreeError: No parameter has the name, or a value is outside its bounds.
         """
         result = {p.name: p for p in declared}
-        for pattern, fields in self._of("parameters").items():
+        patterns = self._of("parameters")
+        for p in optional:
+            kind = p.name.partition("(")[0] + "("
+            if any(pattern.startswith(kind) and fnmatchcase(p.name, pattern) for pattern in patterns):
+                result[p.name] = p
+        for pattern, fields in patterns.items():
             found = self._matching(pattern, result, "parameter")
             for name in found:
                 own = self._fields(pattern, fields)

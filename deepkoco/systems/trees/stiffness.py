@@ -23,8 +23,14 @@ from deepkoco.systems.trees.scales import random_poses
 from deepkoco.systems.trees.tree import Actuator, Tree
 
 SWING = 0.5  # turn of the fastest swinging motion in one integration step [rad]: 5e-4 rad of phase error
-FADE = 1.0  # decay of the fastest motion in one step; the Runge-Kutta method is stable to 2.78
+# Decay of the fastest motion, and turn of a swing that no log shows, in one step. The Runge-Kutta method is stable to
+# 2.78. A log shows no error of a decay within a few milliseconds: commands that jump inside a step leave larger ones.
+STABLE = 1.8
+LARGEST = 2.5  # the same where a fit changes the parameters
 FASTEST, FASTEST_SWING = 1000.0, 500.0  # [1/s, rad/s]
+# Smallest swing in which a servo is followed [rad, m]. What a drive of limited force exerts there bounds
+# the stiffness that a step must follow: a drive that is cut off before pulls with its limit, not with its stiffness.
+SEEN_TURN, SEEN_WAY = 0.05, 0.005
 
 
 def least_inertias(tree: Tree) -> tuple[float, ...]:
@@ -38,6 +44,7 @@ def added_armatures(
     least: Sequence[float],
     passive: Mapping[str, Sequence[Scalar]],
     laws: Sequence[Law],
+    step: float = 0.0,
 ) -> list[Scalar]:
     """Armature of each joint [kg m2 or kg] that keeps its motion at `FASTEST` and `FASTEST_SWING`; mostly 0.
 
@@ -46,11 +53,14 @@ def added_armatures(
         least: As of :func:`least_inertias`.
         passive: Damping and stiffness of each joint.
         laws: Gain and bias of each actuator.
+        step: Integration step [s] that must stay stable under these values.
     """
+    fastest = min(FASTEST, LARGEST / max(step, 1e-9))
+    swing = min(FASTEST_SWING, LARGEST / max(step, 1e-9))
     dampings, springs = resistances(actuators, passive, laws)
     result: list[Scalar] = []
     for own, damping, spring in zip(least, dampings, springs, strict=True):
-        needed = _larger(mul(1.0 / FASTEST, damping), mul(FASTEST_SWING**-2, spring))
+        needed = _larger(mul(1.0 / fastest, damping), mul(swing**-2, spring))
         result.append(_larger(add(needed, -own), 0.0))
     return result
 
@@ -76,7 +86,8 @@ def longest_step(tree: Tree, armatures: Sequence[float], laws: Sequence[Law]) ->
 
     The motion about a pose is M q'' + D q' + K q = 0, with the springs and the servos in K and D. Where the imaginary
     part of an eigenvalue is the larger one the motion swings, and a step turns it by at most `SWING`. Else it fades,
-    and a step must only be stable.
+    and a step must only be stable. Where the force of a servo is limited, its stiffness counts up to what it exerts in
+    a swing of `SEEN_TURN`; in smaller swings a step must only be stable too.
 
     Args:
         tree: The tree.
@@ -84,17 +95,37 @@ def longest_step(tree: Tree, armatures: Sequence[float], laws: Sequence[Law]) ->
         laws: Gain and bias of each actuator.
     """
     passive = {kind: [getattr(joint, kind) for joint in tree.joints] for kind in ("damping", "stiffness")}
-    damping, stiffness = (np.array(x, dtype=float) for x in resistances(tree.actuators, passive, laws))
-    inverse, size = _inverses(tree, armatures), len(tree.joints)
-    matrix = np.zeros((len(inverse), 2 * size, 2 * size))
-    matrix[:, :size, size:] = np.eye(size)
-    matrix[:, size:, :size] = -inverse * (stiffness + _weights(tree))
-    matrix[:, size:, size:] = -inverse * damping
-    values = np.linalg.eigvals(matrix)
+    inverse, weights = _inverses(tree, armatures), _weights(tree)
+    damping, full = (np.array(x, dtype=float) for x in resistances(tree.actuators, passive, laws))
+    shown = np.minimum(full, np.array(passive["stiffness"], dtype=float) + _limits(tree))
+    values = _small_motions(inverse, damping, shown + weights)
     swings = np.abs(values.imag) > np.abs(values.real)
     turn = float(np.abs(values[swings]).max(initial=0.0)) / SWING
-    fade = float(np.abs(values).max(initial=0.0)) / FADE
-    return 1.0 / max(turn, fade, 1e-3)
+    fastest = np.abs(_small_motions(inverse, damping, full + weights))
+    return 1.0 / max(turn, float(fastest.max(initial=0.0)) / STABLE, 1e-3)
+
+
+def _small_motions(inverse: np.ndarray, damping: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+    """Eigenvalues [1/s] of the small motions about each pose."""
+    size = inverse.shape[-1]
+    matrix = np.zeros((len(inverse), 2 * size, 2 * size))
+    matrix[:, :size, size:] = np.eye(size)
+    matrix[:, size:, :size] = -inverse * stiffness
+    matrix[:, size:, size:] = -inverse * damping
+    return np.linalg.eigvals(matrix)
+
+
+def _limits(tree: Tree) -> np.ndarray:
+    """(J,) largest stiffness that servos show in a swing that a log shows [N m/rad or N/m]."""
+    result = np.zeros(len(tree.joints))
+    for actuator in tree.actuators:
+        seen = SEEN_WAY if tree.joints[actuator.joint].slides else SEEN_TURN
+        most = max(abs(actuator.force_low), abs(actuator.force_high))
+        result[actuator.joint] += abs(actuator.gear) * most / seen
+    for j, joint in enumerate(tree.joints):
+        seen = SEEN_WAY if joint.slides else SEEN_TURN
+        result[j] = min(result[j], max(abs(joint.force_low), abs(joint.force_high)) / seen)
+    return result
 
 
 def _inverses(tree: Tree, armatures: Sequence[float]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,20 @@ class Frame(NamedTuple):
 
     rotation: Matrix
     offset: Vector  # [m]
+
+
+class OutsideForce(NamedTuple):
+    """A force of fixed direction in the world.
+
+    Attributes:
+        joint: Index of the joint with which its point moves.
+        point: In the joint's frame [m].
+        force: In the frame of the base [N]; each entry a number or of a shape that broadcasts against the motion's.
+    """
+
+    joint: int
+    point: tuple[Any, Any, Any]
+    force: tuple[Any, Any, Any]
 
 
 @dataclass(frozen=True)
@@ -136,6 +150,7 @@ class Tree:
         gravity: Acceleration in the base's frame [m/s2].
         notes: Sentences on what the model has and the compiled tree leaves out.
         without_actuators: Whether the model has none, and the actuators are plain loads on the joints.
+        supports: Forces that hold bodies up against gravity (gravcomp), at the masses of the model.
     """
 
     name: str
@@ -146,6 +161,7 @@ class Tree:
     gravity: Vector
     notes: tuple[str, ...] = ()
     without_actuators: bool = False
+    supports: tuple[OutsideForce, ...] = ()
 
 
 def matrix(rotation: np.ndarray) -> Matrix:

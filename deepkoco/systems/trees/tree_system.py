@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from deepkoco.systems import drawing
 from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import (
@@ -25,14 +27,17 @@ from deepkoco.systems.system import (
     Outline,
     Parameter,
     Parameters,
+    PayloadWay,
     System,
     Timing,
 )
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
+from deepkoco.systems.trees.geometry import geometry_parameters, shaped, turned_forces, turned_inertias
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.model_file import read_model
+from deepkoco.systems.trees.outside_forces import force_name, outside_forces, with_forces
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
@@ -43,16 +48,20 @@ from deepkoco.systems.trees.parameters import (
     joint_value,
     link_inertias,
     payload_name,
+    payload_place_name,
     time_constant,
 )
 from deepkoco.systems.trees.picture import choose_view, lines
+from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
+from deepkoco.systems.trees.rollout import KINDS, TreeRollout
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
 from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
-from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
+from deepkoco.systems.trees.tree import Actuator, Joint, OutsideForce, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
+LONGEST_STEP = 0.01  # of a fit [s]; see deepkoco.fit.data.windows
 ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
 SPEED_NOISE, RATE_NOISE = 0.05, 5e-3  # [rad/s, m/s]
 TILT_SD, LARGEST_TILT = 0.05, 0.5  # of the base [rad]
@@ -121,13 +130,16 @@ class TreeSystem(System):
             for a, control in zip(tree.actuators, controls, strict=True)
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
+        self.force_sites = tuple(body.name for body in tree.bodies)
         self._least_inertias = least_inertias(tree)
+        self._longest_step = 0.0  # of the nominal values, which follow
         nominal = _Numbers.of(self, {}, steady=True)
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
         self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        self.parameters = settings.parameters(visible_parameters(self, declared_parameters(tree)))
+        declared = visible_parameters(self, declared_parameters(tree))
+        self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
@@ -243,9 +255,22 @@ class TreeSystem(System):
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         return self._law(numbers._replace(passive=passive))
 
+    def rollout(self, parameters: Parameters) -> TreeRollout | None:
+        numbers = _Numbers.of(self, parameters, steady=True)
+        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
+        fast = numbers._replace(passive=passive).without_forces().fast(self._arrays)
+        if fast is None or not is_plain([x for force in numbers.forces for x in force.force]):
+            return None
+        return TreeRollout(fast, numbers.forces)
+
+    def rolls(self, effect: Effect) -> bool:
+        if effect.place == "load":
+            return effect.steady or effect.name in KINDS
+        return effect.place != "memory"
+
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        joints, own = self.tree.joints, _Numbers.of(self, parameters, steady=True)
-        fast = own.fast(self._arrays)
+        own = _Numbers.of(self, parameters, steady=True)
+        joints, fast = own.joints, own.without_forces().fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
             if fast is not None and is_plain(motion.angles):
@@ -258,12 +283,12 @@ class TreeSystem(System):
         self, parameters: Parameters
     ) -> Callable[[Motion, Sequence[Tensor]], tuple[Tensor, ...]]:
         """(motion, accelerations) -> outside load on each joint [N m or N] under which it moves so."""
-        tree, own = self.tree, _Numbers.of(self, parameters)
+        own = _Numbers.of(self, parameters)
         law = self._law(own)
 
         def loads(motion: Motion, accelerations: Sequence[Tensor]) -> tuple[Tensor, ...]:
             missing = [a - b for a, b in zip(accelerations, law(motion), strict=True)]
-            mass = mass_matrix(tree.joints, own.inertias, own.passive["armature"], motion.angles)
+            mass = mass_matrix(own.joints, own.inertias, own.passive["armature"], motion.angles)
             rows = range(self.joints)
             return tuple(total([mul(mass[max(j, k)][min(j, k)], missing[k]) for k in rows]) for j in rows)
 
@@ -272,13 +297,15 @@ class TreeSystem(System):
     def _law(self, numbers: _Numbers) -> Acceleration:
         tree, passive = self.tree, numbers.passive
         smooth = self.smoothing_speeds
-        fast = numbers.fast(self._arrays)
-        dynamics = forward_dynamics(tree.joints, numbers.inertias, passive["armature"], numbers.gravity)
+        fast = numbers.without_forces().fast(self._arrays)
+        arrays = self._arrays if numbers.as_given else None
+        dynamics = forward_dynamics(numbers.joints, numbers.inertias, passive["armature"], numbers.gravity)
         forces = actuator_forces(tree.actuators, numbers.laws)
         resisting = passive_loads(passive, smooth)
         drives = self._drives()
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+            motion = with_forces(motion, numbers.joints, numbers.forces, arrays)
             if fast is not None and is_plain(_all_of(motion)):
                 return fast(motion, smooth)
             given = forces(motion)
@@ -304,8 +331,16 @@ class TreeSystem(System):
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         return self.with_payload_at(self.tip, mass, parameters)
 
-    def with_payload_at(self, site: str, mass: Tensor, parameters: Parameters) -> Parameters:
+    def with_payload_at(
+        self, site: str, mass: Tensor, parameters: Parameters, along: Tensor | None = None
+    ) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to one of `payload_sites`.
+
+        Args:
+            site: A site of the model, or a body: then the mass is at its centre of mass, or ``along`` its link.
+            mass: (...) [kg].
+            parameters: Those before.
+            along: (...) distance from the body's joint along its link, see `payload_way` [m].
 
         Raises:
             TreeError: There is no such place.
@@ -314,7 +349,38 @@ class TreeSystem(System):
             raise TreeError(f'{self.name} has no place "{site}"; it has: {", ".join(self.payload_sites)}')
         name = payload_name(site)
         before = parameters.get(name)
-        return {**parameters, name: mass if before is None else before + mass}
+        placed = {} if along is None else {payload_place_name(site): along}
+        return {**parameters, **placed, name: mass if before is None else before + mass}
+
+    def payload_way(self, site: str) -> PayloadWay | None:
+        return self._payload_ways.get(site)
+
+    @cached_property
+    def _payload_ways(self) -> dict[str, PayloadWay]:
+        return payload_ways(self.tree)
+
+    def force_parameters(self, site: str) -> tuple[Parameter, ...]:
+        return self._force_parameters.get(site, ())
+
+    @cached_property
+    def _force_parameters(self) -> dict[str, tuple[Parameter, ...]]:
+        return force_parameters(self.tree, self._load_scales)
+
+    def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
+        """Parameters under a force at the centre of mass of a body.
+
+        Args:
+            site: One of `force_sites`.
+            force: x, y or z -> (...) component along that axis of the world [N].
+            parameters: Those before; a force that they have already is added to.
+
+        Raises:
+            TreeError: There is no such body.
+        """
+        if site not in self.force_sites:
+            raise TreeError(f'{self.name} has no body "{site}"; it has: {", ".join(self.force_sites)}')
+        added = {force_name(site, axis): value for axis, value in force.items()}
+        return {**parameters, **{n: v + parameters[n] if n in parameters else v for n, v in added.items()}}
 
     def outline(self, angles: np.ndarray) -> Outline:
         return lines(self.tree, angles, self._view)
@@ -381,6 +447,9 @@ class _Numbers(NamedTuple):
     gravity: Triple
     passive: dict[str, list[Scalar]]
     laws: list[Law]
+    forces: tuple[OutsideForce, ...]
+    joints: tuple[Joint, ...]
+    as_given: bool  # whether the joints are those of the file
 
     @staticmethod
     def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
@@ -389,12 +458,24 @@ class _Numbers(NamedTuple):
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
         if steady:
-            added = added_armatures(tree.actuators, system._least_inertias, passive, laws)
+            step = min(system.longest_step, LONGEST_STEP)
+            added = added_armatures(tree.actuators, system._least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
-        return _Numbers(link_inertias(tree, parameters), system.gravity(parameters), passive, laws)
+        inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
+        gravity, shape = system.gravity(parameters), shaped(tree, parameters)
+        if shape is None:
+            return _Numbers(inertias, gravity, passive, laws, forces, tree.joints, True)
+        inertias, forces = turned_inertias(shape, inertias), turned_forces(shape, forces)
+        return _Numbers(inertias, gravity, passive, laws, forces, shape.joints, False)
+
+    def without_forces(self) -> _Numbers:
+        """The same, for callers that add the loads of the forces themselves."""
+        return self._replace(forces=())
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:
-        """The compiled loop; None where it cannot be used."""
+        """The compiled loop; None where it cannot be used: it knows the joints of the file, and no outside forces."""
+        if not self.as_given or self.forces:
+            return None
         flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
         flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
         flat += [v for gain, bias in self.laws for v in (*gain, *bias)]

@@ -22,7 +22,9 @@ from deepkoco.systems.trees.tree import Body, TreeError
 from deepkoco.systems.trees.tree_system import TreeSystem
 
 SAME = 1e-6  # relative difference below which a value of the file stays as it is: MJCF is written with six digits
-CREEP = 1e-3  # time constant with which dry friction stops a joint in MuJoCo, at least two of its steps [s]
+# Time constant with which dry friction stops a joint [s]; MuJoCo takes two of its steps where that is more.
+CREEP = 1e-4
+ROUNDING = 1e-5  # share by which numbers of the file differ from what was meant, with room to spare
 POINT = 1e-8  # inertia of a point mass in the file, per mass [m2]: a body needs one
 Values = Mapping[str, float]
 
@@ -56,11 +58,13 @@ class WriteBack:
         xml: Text of the file.
         changes: Numbers that differ from the given file.
         left_out: One sentence for each effect that MJCF cannot hold.
+        first_order: Name of the file's integrator; empty for RK4.
     """
 
     xml: str = ""
     changes: list[Change] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+    first_order: str = ""
 
 
 def tree_of(system: System) -> TreeSystem | None:
@@ -111,9 +115,13 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
             for index in indices:
                 writer.write_effect(placed.effect.name, placed.name, index, own)
     writer.finish_actuators()
+    writer.finish_joints()
     _move_paths(spec, path, Path(folder))
     spec.compile()  # what cannot be compiled must not be written
     result.xml = spec.to_xml()
+    kinds = _mujoco().mjtIntegrator
+    if spec.option.integrator != kinds.mjINT_RK4:
+        result.first_order = kinds(spec.option.integrator).name.removeprefix("mjINT_").lower()
     return result
 
 
@@ -182,7 +190,7 @@ class _Writer:
         own = self.bodies[self.owner[number]]
         own.explicitinertial = True
         own.mass, own.ipos = now[0], now[1:4]
-        own.inertia = [float(m) for m in physical_moments(now[4:])]
+        own.inertia = _written_moments([float(m) for m in physical_moments(now[4:])])
         own.iquat, own.fullinertia = _quaternion(np.array(body.axes)), [math.nan] * 6
         self.spec.compiler.inertiafromgeom = 2  # automatic: a given inertial counts
         # Bodies that are welded to it are part of these numbers already.
@@ -223,9 +231,6 @@ class _Writer:
             own.springref = math.degrees(after)
         else:
             setattr(own, kind, after)
-        if kind == "frictionloss":
-            # MuJoCo's own 0.02 s let a joint that friction holds creep on.
-            own.solref_friction = [CREEP, 1.0]
         self.note(f'joint "{self.robot.joint_names[number]}"', kind, before, after, unit, reason)
 
     def _add_to_joint(self, number: int, kind: str, amount: float, unit: str, reason: str, name: str) -> None:
@@ -366,6 +371,23 @@ class _Writer:
     def _delayed(self, name: str, index: int, own: Values) -> None:
         self.delay[index] += own["delay"]
 
+    def finish_joints(self) -> None:
+        """Let joints stick as ours do, where the file changes at all.
+
+        MuJoCo's own 0.02 s let a joint that friction holds creep on, by more than many an effect moves it.
+        """
+        safe = not self.spec.option.disableflags & _mujoco().mjtDisableBit.mjDSBL_REFSAFE
+        wanted = CREEP if safe else max(CREEP, 2.0 * float(self.spec.option.timestep))
+        for number, own in enumerate(self.joints):
+            if own.frictionloss <= 0.0 or not self.result.changes:
+                continue
+            before = float(own.solref_friction[0])
+            own.solref_friction = [wanted, 1.0]
+            name = self.robot.joint_names[number]
+            self.note(
+                f'joint "{name}"', "solreffriction 1", before, wanted, "s", "friction holds a joint at rest"
+            )
+
     def finish_actuators(self) -> None:
         """Write what several effects of one command make together."""
         m = _mujoco()
@@ -418,6 +440,7 @@ LEFT_OUT = {
     "quantisation": "round the measurements in your own loop",
     "jitter": "it belongs to the time stamps of the log",
     "clock_skew": "it belongs to the clocks of the log",
+    "stamp_lead": "it belongs to the time stamps of the log",
     "lost_commands": "drop commands in your own loop",
     "bristle": "MJCF has no friction with a memory; use model.yaml",
     "gear_play": "MJCF needs a joint of its own for play; add one behind the gear by hand",
@@ -431,6 +454,16 @@ def _free_name(name: str, spec: Any) -> str:
     while free in taken:
         free, number = f"{name}_{number}", number + 1
     return free
+
+
+def _written_moments(moments: list[float]) -> list[float]:
+    """Moments of inertia that MuJoCo takes with six digits too: the largest is below the sum of the others."""
+    small, middle, largest = np.argsort(moments)
+    room = moments[small] + moments[middle] - (1.0 + ROUNDING) * moments[largest]
+    if room < 0.0:
+        for k in (small, middle):
+            moments[k] -= 0.5 * room
+    return moments
 
 
 def _same(a: float, b: float) -> bool:

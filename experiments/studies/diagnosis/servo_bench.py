@@ -3,7 +3,8 @@
 python -m experiments.studies.diagnosis.servo_bench --data FOLDER [--held sin_sin]
 
 Healthy are the logs at gain 100; diagnosed are a log at gain 200 and, as a control, a log at gain 100 that the healthy
-ones leave out. FOLDER holds kp100_*.csv and kp200_*.csv with t, position, goal_position, torque_enable, input_volts.
+ones leave out. FOLDER holds kp100_*.csv and kp200_*.csv with t, position, goal_position, torque_enable. The supply
+voltage of each second is the same within 1 % (the readings of a millisecond are not: pulses), so it is no input.
 """
 
 from __future__ import annotations
@@ -22,39 +23,52 @@ from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.report.text import headline
 from deepkoco.logs.recording import Recording, read_log
 from deepkoco.systems import drawing
+from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.gear_friction import gear_friction_of, gear_friction_parameters
 from deepkoco.systems.joint import angle_channel
 from deepkoco.systems.servo import Servo
-from deepkoco.systems.system import Acceleration, Channel, Delivery, Motion, Parameter, Parameters, System
+from deepkoco.systems.system import (
+    Acceleration,
+    Channel,
+    Delivery,
+    InverseInertia,
+    Motion,
+    Parameter,
+    Parameters,
+    System,
+)
 
-MASS, LENGTH, GRAVITY, VOLTS = 0.49, 0.1, 9.81, 7.4
-# PWM per encoder tick and gain is 1 / 128 of 885 units, a turn has 4096 ticks (data sheet of the XL330).
-SHARE_PER_GAIN = 4096 / (2 * np.pi) / 128 / 885  # of the full voltage, per rad and unit of the gain
+MASS, LENGTH, GRAVITY, VOLTS = 0.49, 0.1, 9.81, 7.3
+# The drive's own reading of its load is this share of the voltage in all eight logs; a turn has 4096 ticks.
+SHARE_PER_GAIN = 4096 / (2 * np.pi) / 256 / 1000  # of the full voltage, per rad and unit of the gain
 MOTIONS = ("sin_sin", "sin_time_square", "up_and_down", "lift_and_drop")
 
 
 class Xl330Bench(System):
-    """(m l^2 + J) theta'' = servo(q) - m g l sin(theta) - b theta' - (c + a |load|) sign(theta'), theta = 0 hanging."""
+    """(m l^2 + J) theta'' = servo(q) - m g l sin(theta + z) - b theta' - friction of the gear, theta = 0 hanging."""
 
     name, joints = "xl330_bench", 1
     state_names, state_units = ("theta", "omega"), ("rad", "rad/s")
 
     def __init__(self) -> None:
         self.parameters = (
-            Parameter("servo_gain", 100.0, "1", 10.0, 1000.0, 1.0, "k, set in the drive"),
-            Parameter("stall_torque", 0.6, "N m", 0.1, 3.0, 0.3, "at full voltage"),
-            Parameter("back_emf", 0.06, "N m s/rad", 0.0, 1.0, 0.05, "k_e"),
+            Parameter("servo_gain", 100.0, "1", 10.0, 1000.0, 0.1, "k, a setting that the drive tells"),
+            # Data sheet: 0.52 N m and 1.47 A at 5 V and standstill.
+            Parameter("torque_constant", 0.35, "N m/A", 0.05, 2.0, 0.1, "K, behind the gear"),
+            Parameter("resistance", 3.4, "ohm", 0.3, 20.0, 1.0, "R, of the motor"),
             Parameter("armature", 1e-3, "kg m2", 1e-6, 0.02, 1e-3, "J, behind the gear"),
             Parameter("viscous", 0.01, "N m s/rad", 0.0, 0.5, 0.01, "b"),
-            Parameter("dry_friction", 0.02, "N m", 0.0, 0.5, 0.02, "c"),
+            # The drive compares the goal with its own encoder: a zero of it acts as a turned direction of gravity.
+            Parameter("zero", 0.0, "rad", -0.2, 0.2, 0.02, "z, of the encoder against hanging"),
+            *gear_friction_parameters(0.02, 0.8),
         )
-        self.measurements = (angle_channel(0.0005, zero_sd=0.01),)
+        self.measurements = (angle_channel(0.0005),)
 
     @property
     def commands(self) -> tuple[Channel, ...]:
         return (
             Channel("goal", "rad", "command", -3.2, 3.2, description="goal of the servo"),
             Channel("enable", "1", "command", 0.0, 1.0, description="1 while on", default=1.0),
-            Channel("supply", "V", "command", 0.0, 12.0, description="supply voltage", default=VOLTS),
         )
 
     @property
@@ -77,33 +91,52 @@ class Xl330Bench(System):
         return ((self.load_scale, "N m"),)
 
     def delivery(self, parameters: Parameters) -> Delivery:
-        p = parameters
-        stall = p["stall_torque"]
+        constant = parameters["torque_constant"]
+        per_volt = constant / parameters["resistance"]
+        stall = VOLTS * per_volt
+        stiffness = SHARE_PER_GAIN * parameters["servo_gain"] * stall
+        servo = Servo(stiffness, 0.0, stall, constant * per_volt)
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
-            goal, enable, volts = motion.efforts
-            servo = Servo(SHARE_PER_GAIN * p["servo_gain"] * stall, 0.0, stall, p["back_emf"], volts / VOLTS)
+            goal, enable = motion.efforts
             return (servo.torque(goal, motion.angles[0], motion.speeds[0], enable),)
 
         return deliver
 
+    def _weight(self, motion: Motion, parameters: Parameters) -> Tensor:
+        mass = MASS + parameters.get("payload", 0.0)
+        return -mass * GRAVITY * LENGTH * torch.sin(motion.angles[0] + parameters["zero"])
+
     def accelerations(self, parameters: Parameters) -> Acceleration:
-        p, deliver = parameters, self.delivery(parameters)
-        mass = MASS + p.get("payload", 0.0)
+        p, deliver, friction = parameters, self.delivery(parameters), gear_friction_of(parameters)
+        inertia = (MASS + p.get("payload", 0.0)) * LENGTH**2 + p["armature"]
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
-            torque = deliver(motion)[0] - mass * GRAVITY * LENGTH * torch.sin(motion.angles[0])
-            torque = torque - p["viscous"] * motion.speeds[0]
-            if motion.smoothing is not None:
-                torque = torque - p["dry_friction"] * torch.tanh(motion.speeds[0] / motion.smoothing[0])
+            motor, weight, speed = deliver(motion)[0], self._weight(motion, p), motion.speeds[0]
+            torque = motor + weight - p["viscous"] * speed
+            if motion.smoothing is not None and not bool(torch.isinf(motion.smoothing[0]).all()):
+                level = friction.level(motor, weight, speed)
+                torque = torque - level * torch.tanh(speed / motion.smoothing[0])
             if motion.loads is not None and motion.loads[0] is not None:
                 torque = torque + motion.loads[0]
-            return (torque / (mass * LENGTH**2 + p["armature"]),)
+            return (torque / inertia,)
 
         return acceleration
 
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        inverse = 1.0 / ((MASS + parameters.get("payload", 0.0)) * LENGTH**2 + parameters["armature"])
+        return lambda motion: ((inverse,),)
+
     def dry_friction_limits(self, parameters: Parameters) -> tuple[Tensor, ...]:
         return (parameters["dry_friction"],)
+
+    def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
+        deliver, friction = self.delivery(parameters), gear_friction_of(parameters)
+
+        def levels(motion: Motion, steady: Levels) -> Levels:
+            return (friction.level(deliver(motion)[0], self._weight(motion, parameters), motion.speeds[0]),)
+
+        return DryFriction((parameters["dry_friction"],), (0,), levels)
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         theta, omega = state.unbind(-1)
@@ -125,7 +158,6 @@ def read(folder: Path, gain: int, motion: str) -> Recording:
     columns = {
         "goal": ("goal_position", "rad", "command"),
         "enable": ("torque_enable", "1", "command"),
-        "supply": ("input_volts", "V", "command"),
         "theta": ("position", "rad", "measurement"),
     }
     channels = {name: dict(zip(("column", "unit", "kind"), c, strict=True)) for name, c in columns.items()}

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from deepkoco.systems.effects import effects_of
+from deepkoco.systems.system import Motion
 from deepkoco.systems.trees import TreeError, TreeSystem
 
 LINK = '<body name="{name}"><joint name="{joint}" axis="0 1 0"/>{inside}</body>'
@@ -62,7 +63,18 @@ REFUSED = {
             link() + link(name="b", joint="y"),
             '<equality><joint name="mimic" joint1="hinge" joint2="y"/></equality>',
         ),
-        'the equality constraint "mimic" is active',
+        'the joint "hinge" follows the joint "y"',
+    ),
+    "weld": (
+        mjcf(
+            link() + link(name="b", joint="y"),
+            '<equality><weld name="glue" body1="arm" body2="b"/></equality>',
+        ),
+        'the equality constraint "glue" is active',
+    ),
+    "gravity held up by the actuator": (
+        mjcf('<body><joint name="x" axis="0 1 0" actuatorgravcomp="true"/><geom size=".1"/></body>'),
+        'the joint "x" has actuatorgravcomp',
     ),
     "tendon": (
         mjcf(
@@ -165,6 +177,28 @@ def test_two_actuators_of_one_joint_add_up_and_the_second_comes_last(tmp_path):
     mujoco.mj_forward(model, data)
     found = system.derivative(torch.from_numpy(np.r_[q, v]), torch.from_numpy(u), system.default_parameters())
     np.testing.assert_allclose(found[2:].numpy(), data.qacc, rtol=1e-9)
+
+
+def test_a_position_servo_with_a_constant_force_keeps_the_unit_of_its_joint(tmp_path):
+    law = 'biastype="affine" gainprm="4000" biasprm="12 -4000 -150"'
+    text = mjcf(
+        f'<body name="quill"><joint name="z" type="slide"/>{INERTIAL}</body>',
+        f'<actuator><general name="lift" joint="z" {law}/></actuator>',
+    )
+    system = read(tmp_path, text)
+    (command,) = system.commands
+    assert command.unit == "m"
+    values = {p.name: p.value for p in system.parameters}
+    assert (values["kp(lift)"], values["bias(lift)"], values["kv(lift)"]) == (4000.0, 12.0, 150.0)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = 0.03, 0.2, 0.05
+    mujoco.mj_forward(model, data)
+    place, speed, effort = (torch.tensor(x, dtype=torch.float64) for x in (0.03, 0.2, 0.05))
+    parameters = system.default_parameters()
+    for own in (parameters, {n: v.requires_grad_() for n, v in parameters.items()}):
+        (found,) = system.accelerations(own)(Motion((place,), (speed,), (effort,)))
+        np.testing.assert_allclose(found.item(), data.qacc[0], rtol=1e-9)
 
 
 @pytest.mark.skipif("DEEPKOCO_REAL_LOGS" not in os.environ, reason="needs the real logs")

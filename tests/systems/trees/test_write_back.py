@@ -211,6 +211,7 @@ def test_the_written_robot_loads_again_with_the_new_values(arm, tmp_path):
     assert again.parameter("time_constant(lift)").value == pytest.approx(0.03)
     assert again.parameter("delay(bend)").value == pytest.approx(0.0345)
     assert "coulomb(elbow)" in text.read_text()
+    assert 'MuJoCo\'s integrator "euler" is of first order' in text.read_text()
     with pytest.raises(FileExistsError):
         write_robot(system, tmp_path / "out")
 

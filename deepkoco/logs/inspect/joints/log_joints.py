@@ -63,7 +63,8 @@ class LogJoint:
 
     Attributes:
         label: name of the joint in the log, in lower case.
-        columns: "position", "speed", "goal" or "effort" -> column; "goal effort" is a commanded effort.
+        columns: "position", "speed", "goal" or "effort" -> column; "goal effort" is a commanded effort, "goal speed" a
+            commanded speed.
     """
 
     label: str
@@ -88,6 +89,13 @@ def loose_goals(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -> 
     return [c for c in columns if c.usable and role_of(c)[0] == "goal" and c.label not in known]
 
 
+def loose_efforts(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -> list[ColumnSurvey]:
+    """Columns of efforts that belong to none of the joints by their names, commanded ones first."""
+    known = {column.label for joint in joints for column in joint.columns.values()}
+    free = [c for c in columns if c.usable and c.label not in known]
+    return [c for role in ("goal effort", "effort") for c in free if role_of(c)[0] == role]
+
+
 def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
     """What a column measures or commands, None if its name does not say it; and the name of the joint."""
     name, label = column.name, ""
@@ -105,7 +113,7 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
     topic = set(_words(column.topic))
     goal = bool(said & GOAL) or (bool(topic & GOAL) and not said & MEASURED and not topic & MEASURED)
     if said & SPEED:
-        role = None if goal else "speed"
+        role = "goal speed" if goal else "speed"
     elif said & EFFORT:
         role = "goal effort" if goal else "effort"
     elif goal:
@@ -120,9 +128,9 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
 def _words(text: str) -> list[str]:
     """Words and numbers of a name in lower case, without a unit at its end."""
     plain = re.sub(r"\[[^\[\]]*\]", " ", text)
-    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).lower()
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain.replace("mNm", "mnm")).lower()
     words = [part for part in re.split(r"[^a-z0-9]+", spaced) if part]
-    if len(words) > 1 and words[-1] in ("rad", "deg", "nm", "rpm"):
+    if len(words) > 1 and words[-1] in ("rad", "deg", "nm", "mnm", "rpm"):
         words.pop()
     split: list[str] = []
     for word in words:

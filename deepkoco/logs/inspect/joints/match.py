@@ -28,6 +28,16 @@ _ALIKE = (
 )
 
 
+_ALONG = (
+    {"base", "waist", "pan", "yaw"},
+    {"shoulder", "hip"},
+    {"elbow", "knee", "forearm"},
+    {"wrist", "ankle"},
+    {"gripper", "jaw", "hand", "tool", "foot"},
+)
+"""Words in the order of joints from the base outwards."""
+
+
 class Match(NamedTuple):
     """One pair of joints, by their numbers, with probability and reason."""
 
@@ -44,8 +54,12 @@ def match_joints(log: Sequence[str], model: Sequence[str]) -> list[Match]:
         log: names of the joints in the log, in its order.
         model: names of the model's joints, in its order.
     """
+    places = _places(log)
     score = np.array(
-        [[_score(i, a, j, b, len(log) == len(model)) for j, b in enumerate(model)] for i, a in enumerate(log)]
+        [
+            [_score(places[i], a, j, b, len(log) == len(model)) for j, b in enumerate(model)]
+            for i, a in enumerate(log)
+        ]
     )
     if score.size == 0:
         return []
@@ -62,9 +76,28 @@ def match_joints(log: Sequence[str], model: Sequence[str]) -> list[Match]:
         second = max(float(barred[other_rows, other_columns].sum()), best - float(score[i, j]) + NOTHING)
         probability = 1.0 / (1.0 + float(np.exp(np.clip(second - best, -50.0, 50.0))))
         found.append(
-            Match(i, j, probability, _reason(str(log[i]), str(model[j]), i == j and len(log) == len(model)))
+            Match(
+                i,
+                j,
+                probability,
+                _reason(str(log[i]), str(model[j]), places[i] == j and len(log) == len(model)),
+            )
         )
     return found
+
+
+def _places(log: Sequence[str]) -> list[int]:
+    """Place of each joint in the order from the base outwards: that of the columns, where words do not tell another."""
+    ranks = {}
+    for i, name in enumerate(log):
+        found = {r for r, words in enumerate(_ALONG) if words & set(_parts(name))}
+        if len(found) == 1:
+            ranks[i] = found.pop()
+    places = list(range(len(log)))
+    if len(set(ranks.values())) == len(ranks):
+        for place, i in zip(sorted(ranks), sorted(ranks, key=lambda i: ranks[i]), strict=True):
+            places[i] = place
+    return places
 
 
 def _score(i: int, log: str, j: int, model: str, ordered: bool) -> float:

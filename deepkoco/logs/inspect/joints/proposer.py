@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from deepkoco.logs.by_name import wanted_names
+from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, hold, track
 from deepkoco.logs.inspect.joints.gravity import SLOW, JointEvidence, Slow, signs_and_zeros
-from deepkoco.logs.inspect.joints.log_joints import LogJoint, log_joints, loose_goals
+from deepkoco.logs.inspect.joints.log_joints import LogJoint, log_joints, loose_efforts, loose_goals
 from deepkoco.logs.inspect.joints.match import Match, match_joints
 from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
 from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
+from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
 
 STEP = 0.1  # between compared samples [s]
 SPREAD = 0.15  # half of the time over which a speed is taken [s]
 GOAL_ZERO = 0.2  # difference of goal and position above which their zeros differ [rad or m]
+NAMED = 0.95  # probability that a column with the name of an actuator is its command
+LOOSE = 0.5  # probability that an effort without the name of a joint drives the next joint in the order
 LEAST = 3.0  # evidence of a proposal for each joint [nats], compared with other systems
 
 
@@ -55,10 +61,12 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     evidence = _gravity(surveys, system, joints)
     findings = {joint.number: _finding(survey, system, joint, evidence) for joint in joints}
     by_number = {joint.number: joint for joint in joints}
-    choices = [
-        *(_measurement(survey, system, c, by_number, findings) for c in system.measurements),
-        *(_command(survey, system, k, by_number, findings) for k in range(len(system.commands))),
-    ]
+    measured = [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
+    commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
+    commanded = [_by_name(survey, choice) for choice in commanded]
+    taken = {c.column.label for c in commanded if c.column is not None}
+    loose = [column for column in loose_efforts(survey.columns, found) if column.label not in taken]
+    choices = [*measured, *_with_loose_efforts(system, commanded, loose)]
     clocks = [survey.clock(c.column) for c in choices if c.column is not None]
     time = next((clock.unit for clock in clocks if clock is not None), "s")
     score = LEAST * sum(joint.match.probability for joint in joints)
@@ -115,9 +123,16 @@ def _scaled(
     for match, scaling in zip(matches, scalings, strict=True):
         log = found[match.log]
         goal = log.columns.get("goal")
+        if any(c.unit != system.state_units[match.model] for c in _driving(system, match.model)):
+            goal = None  # a force or a speed, which a position does not follow
         tracking = None if goal is None else _best_track(surveys, log.columns["position"], goal)
         result.append(_Joint(match.model, match, log, scaling, tracking))
     return result
+
+
+def _driving(system: System, joint: int) -> list[Channel]:
+    """Commands that drive a joint."""
+    return [c for c, driven in zip(system.commands, system.command_joints, strict=False) if driven == joint]
 
 
 def _slides(system: System, joint: int) -> bool:
@@ -189,9 +204,7 @@ def _pull(
 ) -> np.ndarray:
     """Position minus goal where the joint has a servo, else minus the commanded torque; NaN if neither is there."""
     unknown = np.full(len(times), np.nan)
-    driving = [
-        c for c, driven in zip(system.commands, system.command_joints, strict=False) if driven == joint.number
-    ]
+    driving = _driving(system, joint.number)
     if not driving:
         return unknown
     servo = driving[0].unit == system.state_units[joint.number]
@@ -312,11 +325,12 @@ def _command(
         return Choice(channel, None, channel.unit, False, 1.0, ())
     finding, tracking = findings[driven], joint.tracking
     if channel.unit != system.state_units[driven]:
-        column = _effort(joint.log)
+        speed = parse_unit(channel.unit).quantity in SPEEDS
+        column = joint.log.columns.get("goal speed") if speed else _effort(joint.log)
         if column is None:
             return Choice(channel, None, channel.unit, False, 1.0, ())
         said = [finding.reason]
-        if "goal effort" not in joint.log.columns and "effort" in joint.log.columns:
+        if not speed and "goal effort" not in joint.log.columns and "effort" in joint.log.columns:
             said.append("a measured effort in the place of the command")
         scaling = Scaling(column.hints.unit or channel.unit, 1.0, 0.0, column.hints.unit is not None)
         return _chosen(channel, column, scaling, finding, said, float(finding.sign), 0.0)
@@ -337,6 +351,50 @@ def _command(
     scale, offset = _frame(finding, scaling, direction)
     offset += finding.sign * shift / (scaling.factor / scaling.scale)
     return _chosen(channel, column, scaling, finding, reasons, scale, offset)
+
+
+def _by_name(survey: Survey, choice: Choice) -> Choice:
+    """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`."""
+    if choice.column is not None:
+        return choice
+    names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
+    for column in survey.columns:
+        plain = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", column.name).strip().lower()
+        if column.usable and plain in names:
+            unit = column.hints.unit
+            return Choice(
+                choice.channel,
+                column,
+                unit or choice.channel.unit,
+                unit is not None,
+                NAMED,
+                ("the same name",),
+            )
+    return choice
+
+
+def _with_loose_efforts(
+    system: System, commands: Sequence[Choice], loose: Sequence[ColumnSurvey]
+) -> list[Choice]:
+    """Give efforts without names of joints, in their order, to the commands of forces that have no column."""
+    free = [
+        k
+        for k, choice in enumerate(commands)
+        if choice.column is None
+        and k < len(system.command_joints)
+        and choice.channel.unit != system.state_units[system.command_joints[k]]
+        and parse_unit(choice.channel.unit).quantity not in SPEEDS
+    ]
+    result = list(commands)
+    if not loose or len(loose) > len(free):
+        return result
+    for k, column in zip(free, loose, strict=False):
+        channel = commands[k].channel
+        unit = column.hints.unit
+        result[k] = Choice(
+            channel, column, unit or channel.unit, unit is not None, LOOSE, ("the next effort in the order",)
+        )
+    return result
 
 
 def _frame(finding: JointFinding, scaling: Scaling, direction: float) -> tuple[float, float]:

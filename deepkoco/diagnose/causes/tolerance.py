@@ -1,0 +1,74 @@
+"""Tolerance of a cause: the amount of it that any healthy machine has.
+
+No model is exact. Loads, gains and readings of a healthy machine differ a little from every simulation, clocks run
+apart by some parts per million, and samples are stamped a little early or late. With sensors of low noise, such amounts
+are significant. They are no fault, so a cause of which the log shows no more is not named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from deepkoco.systems import Parameter
+
+# The declared standard deviation of an effect's parameter is the size of a usual small fault: 20 % of a joint's typical
+# load for dry friction. A healthy machine has this share of it, so its friction is known to 0.05 % of that load.
+SHARE_OF_USUAL = 2.5e-3
+LOAD_SHARE = 5e-4  # of a joint's typical load
+PUSH_LASTS = 1.0  # a load of that share may act for so long [s]; a shorter one may be stronger
+CLOCK_RATE = 5e-5  # crystal clocks differ by 20 to 50 parts per million
+LEAD_SHARE = (
+    0.5  # of the sample period, by which commands may act before their stamps: nothing acts before it is sent
+)
+SAMPLE_SHARE = 0.01  # of the sample period, by which stamps are early or late
+
+
+class Healthy(NamedTuple):
+    """What the tolerance of one parameter may depend on.
+
+    Attributes:
+        parameter: Its declaration.
+        load: Typical load of the joint of the cause [N m or N].
+        period: Sample period of the log [s].
+        values: Fitted values of all parameters.
+    """
+
+    parameter: Parameter
+    load: float
+    period: float
+    values: dict[str, float]
+
+
+Tolerance = Callable[[Healthy], float]
+
+
+def share_of_usual(healthy: Healthy) -> float:
+    """Return a share of the size of a usual small fault."""
+    return SHARE_OF_USUAL * healthy.parameter.prior_sd
+
+
+def of_data_sheet(healthy: Healthy) -> float:
+    """Return the declared standard deviation of a parameter of the machine itself."""
+    return healthy.parameter.prior_sd
+
+
+def of_clock(healthy: Healthy) -> float:
+    """Return the difference of the rates of two crystal clocks."""
+    return CLOCK_RATE
+
+
+def of_sample(healthy: Healthy) -> float:
+    """Return a share of the sample period [s]."""
+    return SAMPLE_SHARE * healthy.period
+
+
+def of_stamps(healthy: Healthy) -> float:
+    """Return the part of a sample period by which stamps are rounded [s]."""
+    return LEAD_SHARE * healthy.period
+
+
+def of_impulse(healthy: Healthy) -> float:
+    """Return the load whose impulse is that of a share of the typical load for one second."""
+    lasts = healthy.values["event.duration"]
+    return LOAD_SHARE * healthy.load * max(PUSH_LASTS / lasts, 1.0)

@@ -1,0 +1,66 @@
+"""Minor causes: significant, but no more than a healthy machine has, or hardly anything beside a first cause."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes.tolerance import Healthy
+from deepkoco.diagnose.evidence.priors import declared
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem
+
+# Share of what all causes explain, below which a further cause describes the form of the first: a friction is never
+# exactly Coulomb's, and a motion with little noise shows it. Second causes that were there explained 6 % and more.
+LEAST_SHARE = 0.02
+
+
+class Minor(NamedTuple):
+    """A cause that is significant and not named.
+
+    Attributes:
+        cause: The cause.
+        fit: Fit with it.
+        share: What it explains, over what all causes together explain; None if the amount of it is the reason.
+        deflation: Factor on the covariance of the fit.
+    """
+
+    cause: Cause
+    fit: Fit
+    share: float | None
+    deflation: float
+
+
+def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, deflation: float) -> bool:
+    """Return whether a log shows no more of a cause than any healthy machine has.
+
+    The 95 % interval of every size of the cause must lie within its tolerance about the baseline's value. A cause
+    without such a parameter is never tolerated.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        cause: The cause.
+        fit: Fit with it.
+        deflation: Factor on the covariance of the fit.
+    """
+    if not cause.sizes or not set(cause.sizes) <= set(fit.free):
+        return False
+    loads = start.system.load_scales
+    load = max(loads) if cause.joint is None else loads[cause.joint]
+    period = sample_period(problem.windows)
+    for parameter in declared(problem, cause.sizes):
+        i = fit.free.index(parameter.name)
+        reach = 1.96 * float(np.sqrt(max(fit.covariance[i, i], 0.0) * deflation))
+        away = abs(fit.values[parameter.name] - start.values[parameter.name])
+        if not away + reach <= cause.tolerance(Healthy(parameter, load, period, dict(fit.values))):
+            return False
+    return True
+
+
+def sample_period(windows: Windows) -> float:
+    """Return the time between two samples of the channel that is sampled fastest [s]."""
+    return windows.length / max(float(windows.valid.sum(-1).max()), 1.0)

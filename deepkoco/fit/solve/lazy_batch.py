@@ -1,0 +1,278 @@
+"""Levenberg-Marquardt with slopes that are kept as long as they predict the steps: for many parameters.
+
+A simulation for each of 70 parameters and 12 initial states costs as much as 80 steps with known slopes. Steps use the
+slopes of an earlier point, mended by what each step has shown, while they lower the cost by about as much as these
+slopes predict. Otherwise, and before a fit is called converged, the slopes are computed again.
+
+Source: Kelley, Solving Nonlinear Equations with Newton's Method (2003), ch. 2 and 4: chord and Broyden's methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.shooting import ShootingProblem
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
+from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, TOLERANCE, Batch
+from deepkoco.fit.solve.normal_equations import NormalEquations
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.fit.tangent import Tangent
+
+MANY = 20  # parameters and initial states from which slopes are kept
+POOR = 0.2  # share of the predicted fall of the cost below which they are computed again
+MATTERS = 0.01  # promise of one parameter, as a share of the largest, from which its slopes are computed again first
+LANES = 256  # simulations in one batch
+# Scale of a change of an initial state [rad or m, per s], beside prior standard deviations of parameters, when what a
+# step has shown is shared out.
+POSITION_SCALE, SPEED_SCALE = 0.1, 1.0
+STEPS = 3  # with kept slopes, for each iteration that is allowed
+
+
+class LazyBatch(Batch):
+    """State of the trials of one call of :meth:`FitProblem.fit`.
+
+    Args:
+        problem, trials, tolerance: As for :class:`.Batch`.
+        known: Slopes from which the trials start; None computes them at the start of each trial. They have every
+            parameter that a trial frees and does not renew.
+        exact: Whether a fit ends with slopes at its own point. Without, it may end with older ones.
+        renewals: How often a trial may compute its slopes again; None for half of the iterations.
+    """
+
+    def __init__(
+        self,
+        problem: ShootingProblem,
+        trials: Sequence[Trial],
+        tolerance: float = TOLERANCE,
+        known: FrozenSlopes | None = None,
+        exact: bool = True,
+        renewals: int | None = None,
+    ) -> None:
+        super().__init__(problem, trials, tolerance)
+        self.exact, self.most = exact, renewals
+        count = len(trials)
+        self.slopes: list[FrozenSlopes | None] = [known] * count
+        self.renewed = [
+            tuple(n for n in t.free if n in t.renew or (known is not None and n not in known.names))
+            for t in trials
+        ]
+        self.current = np.zeros(count, dtype=bool)  # slopes are those of the best point
+        self.renewing = np.full(count, known is None)
+        self.predicted = np.full(count, np.inf)
+        self.left = np.zeros(count, dtype=int)
+        self.whole = np.ones(count, dtype=bool)  # all slopes are computed again, not only those that matter
+        self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
+        self.fresh: list[dict[str, Tensor]] = [{}] * count
+
+    def run(self, iterations: int) -> list[Fit]:
+        points = self.theta.copy(), self.initial.clone(), self.nuisance.clone()
+        self.left = np.full(len(self.trials), iterations // 2 + 1 if self.most is None else self.most)
+        last = STEPS * (iterations - 1)
+        for iteration in range(last + 1):
+            active = np.flatnonzero(~self.done)
+            if len(active) == 0:
+                break
+            for k, normal in zip(active, self._evaluate(active, *points), strict=True):
+                if self.normal[k] is not None and self.renewing[k]:
+                    self._renew(k, normal)
+                else:
+                    self._judge(k, normal, points)
+                if not self.done[k] and not self.renewing[k] and iteration < last:
+                    self._propose(k, points)
+                if self.renewing[k]:
+                    for part, best in zip(points, (self.theta, self.initial, self.nuisance), strict=True):
+                        part[k] = best[k]
+        return [replace(self._result(k), exact=bool(self.current[k])) for k in range(len(self.trials))]
+
+    def _tolerance(self, k: int) -> float:
+        """Return the fall of the cost below which a trial has converged, for residuals of the size that it has.
+
+        A cost far above the number of samples shows model error, and costs are then compared by their ratio.
+        """
+        return self.tolerance * max(1.0, float(self.cost[k]) / max(self.problem.windows.samples, 1))
+
+    def _judge(self, k: int, normal: NormalEquations, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
+        """Accept or reject a point."""
+        decrease = self.cost[k] - normal.cost
+        first = self.normal[k] is None
+        fresh, self.renewing[k] = bool(self.renewing[k]), False
+        if normal.finite and decrease >= 0:
+            if not (first or fresh) and self.most != 0:
+                normal = self._mended(k, normal, points)
+            self.normal[k], self.cost[k] = normal, normal.cost
+            self.theta[k], self.initial[k], self.nuisance[k] = (part[k] for part in points)
+            self.current[k], self.partly[k] = fresh, False
+            if not first:
+                self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
+                if decrease < self._tolerance(k):
+                    self._settle(k)
+                elif decrease < POOR * self.predicted[k]:
+                    self._ask_for_slopes(k)
+        elif first:
+            self.done[k] = True
+        elif self.current[k] or not self._ask_for_slopes(k):
+            self.damping[k] *= 20.0
+            # If the step raises the cost by rounding errors only, the cost is at its minimum.
+            if normal.finite and -decrease < 1e-3 * self._tolerance(k):
+                self._settle(k)
+            self.done[k] |= self.damping[k] > LARGEST_DAMPING
+        self.history[k].append(float(self.cost[k]))
+
+    def _mended(
+        self, k: int, normal: NormalEquations, points: tuple[np.ndarray, Tensor, Tensor]
+    ) -> NormalEquations:
+        """Mend the slopes by what the step to a point has shown; return the equations there."""
+        slopes, before, problem = self.slopes[k], self.normal[k], self.problem
+        assert slopes is not None
+        assert before is not None
+        columns = np.array([problem.names.index(n) for n in slopes.names], dtype=int)
+        spread = np.concatenate([problem.scale[columns], problem.nuisances.spread])
+        own = torch.from_numpy(points[0][k, columns] - self.theta[k, columns])
+        own = torch.cat([own, points[2][k] - self.nuisance[k]])
+        states = points[1][k] - self.initial[k]
+        shown = (before.residual - normal.residual).flatten(1)
+        expected = (own @ slopes.rows.flatten(1)).view_as(shown) + (slopes.states @ states[..., None])[..., 0]
+        for name, slope in self.fresh[k].items():
+            i = problem.names.index(name)
+            there = slopes.rows[slopes.names.index(name)] if name in slopes.names else 0.0
+            expected = expected + float(points[0][k, i] - self.theta[k, i]) * (slope.flatten(1) - there)
+        half = states.shape[1] // 2
+        scale = torch.tensor([POSITION_SCALE] * half + [SPEED_SCALE] * half, dtype=torch.float64)
+        kept = torch.tensor([n not in self.fresh[k] for n in slopes.names] + [True] * len(points[2][k]))
+        moved = torch.where(kept, own / torch.from_numpy(spread), 0.0)
+        size = (moved**2).sum() + ((states / scale) ** 2).sum(1)
+        missed = (shown - expected) / size.clamp_min(1e-30)[:, None]
+        slopes = slopes.after(moved / torch.from_numpy(spread), states / scale**2, missed)
+        self.slopes[k] = slopes
+        return self._built(k, normal.residual, points[0][k], points[2][k])
+
+    def _ask_for_slopes(self, k: int, whole: bool = False) -> bool:
+        """Let the next simulations give slopes at the best point, if the trial may have them: first those that matter.
+
+        Args:
+            k: The trial.
+            whole: Whether all slopes are computed again.
+        """
+        if self.left[k] > 0:
+            self.left[k] -= 1
+            self.renewing[k], self.whole[k] = True, whole or self.partly[k]
+        return bool(self.renewing[k])
+
+    def _renew(self, k: int, normal: NormalEquations) -> None:
+        """Take new slopes at the best point."""
+        self.renewing[k] = False
+        if normal.finite:
+            self.normal[k], self.current[k], self.partly[k] = normal, self.whole[k], True
+        else:
+            # The cost is finite although a lane of the finite differences diverged.
+            self.done[k] = True
+
+    def _settle(self, k: int) -> None:
+        """End a trial whose steps no longer lower the cost, or renew its slopes before."""
+        if not self.exact or self.current[k] or not self._ask_for_slopes(k, whole=True):
+            self.done[k] = self.converged[k] = True
+
+    def _propose(self, k: int, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
+        try:
+            *step, gain = self._step(int(k))
+        except DivergedError:
+            self.done[k] = True
+            return
+        for part, moved in zip(points, step, strict=True):
+            part[k] = moved
+        self.predicted[k] = gain
+        if gain < 0.25 * self._tolerance(k):
+            self._settle(k)
+
+    def _that_matter(self, k: int) -> list[str]:
+        """Return the parameters whose steps promise much, and those whose slopes are always computed."""
+        normal, free = self.normal[k], self.trials[k].free
+        assert normal is not None
+        p = len(free)
+        if p == 0:
+            return []
+        promise = normal.gp[:p] ** 2 / torch.diagonal(normal.hpp)[:p].clamp_min(1e-300)
+        matters = promise >= MATTERS * promise.max()
+        known = self.slopes[k].names if self.slopes[k] is not None else ()
+        return [
+            n
+            for n, yes in zip(free, matters.tolist(), strict=True)
+            if n in known and (yes or n in self.renewed[k])
+        ]
+
+    def _evaluate(
+        self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
+    ) -> list[NormalEquations]:
+        """Simulate the points of the active trials, with the lanes that each needs, in batches."""
+        problem, tangents, names = self.problem, [], []
+        for k in active:
+            free = self.trials[k].free
+            renewing = bool(self.renewing[k])
+            if renewing and self.whole[k]:
+                moved = [*free, *varying(problem, free)]
+            else:
+                moved = self._that_matter(k) if renewing else list(self.renewed[k])
+            columns = np.array([problem.names.index(n) for n in moved], dtype=int)
+            tangents.append(Tangent.at(problem, theta[k], columns, initial[k], states=renewing))
+            names.append(moved)
+        result: list[NormalEquations] = []
+        at = 0
+        while at < len(active):
+            stop, lanes = at + 1, len(tangents[at])
+            while stop < len(active) and lanes + len(tangents[stop]) <= LANES:
+                lanes += len(tangents[stop])
+                stop += 1
+            some = tangents[at:stop]
+            owner = [k for k, tangent in zip(active[at:stop], some, strict=True) for _ in range(len(tangent))]
+            predicted = problem.predict(
+                np.concatenate([tangent.theta for tangent in some]),
+                torch.cat([tangent.state for tangent in some]),
+                nuisance[owner],
+            )
+            first = 0
+            for i in range(at, stop):
+                own = predicted[first : first + len(tangents[i])]
+                first += len(tangents[i])
+                k = active[i]
+                result.append(self._equations(k, tangents[i], names[i], own, theta[k], nuisance[k]))
+            at = stop
+        return result
+
+    def _equations(
+        self,
+        k: int,
+        tangent: Tangent,
+        moved: Sequence[str],
+        lanes: Tensor,
+        theta: np.ndarray,
+        nuisance: Tensor,
+    ) -> NormalEquations:
+        problem, free = self.problem, self.trials[k].free
+        residual = (problem.windows.value - lanes[0]) * problem.weight
+        fresh: dict[str, Tensor] = {}
+        slopes = self.slopes[k]
+        if self.renewing[k] and (self.whole[k] or slopes is None):
+            self.slopes[k] = slopes_at(problem, tangent, lanes, free)
+        elif self.renewing[k]:
+            assert slopes is not None
+            self.slopes[k] = slopes.replaced(moved, tangent.slopes(lanes, problem.weight))
+            fresh = {n: s for n, s in self.fresh[k].items() if n not in slopes.names}
+        else:
+            fresh = dict(zip(moved, tangent.slopes(lanes, problem.weight), strict=True))
+        self.fresh[k] = fresh
+        return self._built(k, residual, theta, nuisance)
+
+    def _built(self, k: int, residual: Tensor, theta: np.ndarray, nuisance: Tensor) -> NormalEquations:
+        """Normal equations of a trial at a point, with the slopes that it has."""
+        free, slopes = self.trials[k].free, self.slopes[k]
+        assert slopes is not None
+        p = len(free)
+        prior = self.precision[k, :p, :p]
+        offset = torch.from_numpy(theta[self.columns[k]]) - self.mean[k, :p]
+        return slopes.equations(self.problem, free, self.fresh[k], residual, prior, offset, nuisance)

@@ -1,0 +1,101 @@
+"""What a motion can show of a payload's place on a link, and of an outside force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.systems.system import Parameter, PayloadWay
+from deepkoco.systems.trees.outside_forces import AXES
+from deepkoco.systems.trees.places import body_places, link_line
+from deepkoco.systems.trees.scales import random_poses
+from deepkoco.systems.trees.tree import Joint, Tree
+
+FAINT = 1e-9  # lever that is rounding [m, or 1 for a slide]
+SHORTEST_LINK = 1e-3  # on which the place of a payload makes a difference [m]
+AHEAD, BEHIND = (
+    2.0,
+    0.5,
+)  # bounds of a payload's place, beyond the link and behind its axis [lengths of the link]
+FORCE_SD, LARGEST_FORCE = 0.1, 2.0  # of a force, as shares of the one that equals a joint's typical load
+
+
+def payload_ways(tree: Tree) -> dict[str, PayloadWay]:
+    """The line of each body on which a payload may hang; a body on which no motion shows the place is left out.
+
+    The line goes through the centre of mass, in the direction from the joint's axis to the next joint or site.
+    """
+    frames = _frames(tree)
+    given = {site.name: site for site in tree.sites}
+    found = {}
+    for site in body_places(tree):
+        # A site of the model with the body's name is a known place.
+        if not np.allclose(given[site.name].offset, site.offset):
+            continue
+        direction, length = link_line(tree, site)
+        if length < SHORTEST_LINK:
+            continue
+        rotation, _ = frames[site.joint]
+        turning = [
+            np.cross(frames[k][0][:, :, 2], rotation @ direction)
+            for k in _to_base(tree.joints, site.joint)
+            if not tree.joints[k].slides
+        ]
+        if max((float(np.abs(lever).max()) for lever in turning), default=0.0) < FAINT:
+            continue
+        at = float(direction @ site.offset)
+        length = max(length, 2.0 * abs(at))
+        found[site.name] = PayloadWay(at, min(at, 0.0) - BEHIND * length, AHEAD * length, 0.5 * length)
+    return found
+
+
+def force_parameters(tree: Tree, load_scales: Sequence[float]) -> dict[str, tuple[Parameter, ...]]:
+    """Moving body -> the components of an outside force at its centre of mass that load a joint."""
+    frames, found = _frames(tree), {}
+    for site in body_places(tree):
+        rotation, origin = frames[site.joint]
+        point = origin + rotation @ site.offset
+        shares, reached = np.zeros(3), np.zeros(3)
+        for k in _to_base(tree.joints, site.joint):
+            axis = frames[k][0][:, :, 2]
+            levers = np.abs(axis if tree.joints[k].slides else np.cross(axis, point - frames[k][1])).max(0)
+            reached = np.maximum(reached, levers)
+            shares = np.maximum(shares, levers / load_scales[k])
+        own = []
+        for axis, lever, share in zip(AXES, reached, shares, strict=True):
+            if lever > FAINT:
+                most, sd = LARGEST_FORCE / float(share), FORCE_SD / float(share)
+                text = f"F_{axis}, outside force at {site.name} along the {axis} axis of the world"
+                own.append(Parameter(axis, 0.0, "N", -most, most, sd, text))
+        if own:
+            found[site.name] = tuple(own)
+    return found
+
+
+def _to_base(joints: Sequence[Joint], k: int) -> list[int]:
+    path = []
+    while k >= 0:
+        path.append(k)
+        k = joints[k].parent
+    return path
+
+
+def _frames(tree: Tree) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rotation (n, 3, 3) and origin (n, 3) of each joint's frame in the base's, in random poses."""
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for joint, q in zip(tree.joints, random_poses(tree), strict=True):
+        moved = q.numpy() - joint.reference
+        turn = np.zeros((len(moved), 3, 3))
+        turn[:, 2, 2] = 1.0
+        c, s = (np.ones_like(moved), 0.0 * moved) if joint.slides else (np.cos(moved), np.sin(moved))
+        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = c, -s, s, c
+        rotation, offset = np.array(joint.frame.rotation), np.array(joint.frame.offset)
+        own, place = rotation @ turn, np.broadcast_to(offset, (len(moved), 3))
+        if joint.slides:
+            place = offset + moved[:, None] * rotation[:, 2]
+        if joint.parent >= 0:
+            above, at = found[joint.parent]
+            own, place = above @ own, at + np.einsum("nij,nj->ni", above, place)
+        found.append((own, place))
+    return found

@@ -1,0 +1,115 @@
+"""Simulations of a tree along logs: the arrays of the compiled loop, and which calls it can take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.systems.dry_friction import CLOSE, SWEEPS
+from deepkoco.systems.plain import is_plain
+from deepkoco.systems.rollout import EffectLoad, RolloutInput, RolloutResult
+from deepkoco.systems.trees.fast import FastLaw, common_shape
+from deepkoco.systems.trees.outside_forces import force_parts, force_table
+from deepkoco.systems.trees.tree import OutsideForce
+
+KINDS = ("viscous", "quadratic", "spring", "cogging", "periodic", "crosstalk", "stribeck", "load_friction")
+"""Effects whose loads the loop knows, in the order of its constants."""
+
+
+class TreeRollout:
+    """A tree under G sets of parameters, with loads of effects.
+
+    Args:
+        law: Its equations of motion without dry friction.
+        forces: Outside forces.
+        loads: Loads of effects.
+    """
+
+    def __init__(
+        self, law: FastLaw, forces: Sequence[OutsideForce] = (), loads: Sequence[EffectLoad] = ()
+    ) -> None:
+        self._law, self._forces, self._loads = law, tuple(forces), tuple(loads)
+
+    def knows(self, kind: str) -> bool:
+        """Whether the loop can add the loads of effects of this name."""
+        return kind in KINDS
+
+    def with_loads(self, loads: Sequence[EffectLoad]) -> TreeRollout | None:
+        """The same with loads of effects; None where their values are no plain numbers."""
+        if not is_plain([v for load in loads for v in load.values]):
+            return None
+        return TreeRollout(self._law, self._forces, (*self._loads, *loads))
+
+    def run(self, given: RolloutInput) -> RolloutResult | None:
+        """Simulate; None where a tensor is no plain number."""
+        from deepkoco.systems.trees.rollout_kernel import MOST_VALUES, tree_rollout
+
+        tensors = [*given.start, *given.begin, *given.slope, given.loads, *given.friction.steady]
+        if not is_plain(tensors):
+            return None
+        law, joints = self._law, len(given.start) // 2
+        steps, windows, lanes = given.begin[0].shape if given.begin else (0, 0, 0)
+        listed = [v for load in self._loads for v in load.values]
+        levels = given.friction.steady
+        pulls = force_parts(self._forces)
+        drawn = (*listed, *(x for x in levels if x is not None), *(x for x in pulls if isinstance(x, Tensor)))
+        numbers = common_shape((law.shape, *(tuple(v.shape) for v in drawn)))
+        values = np.zeros((len(self._loads), MOST_VALUES, *numbers))
+        for row, load in enumerate(self._loads):
+            for column, value in enumerate(load.values):
+                values[row, column] = value.numpy()
+        steady = np.zeros((joints, *numbers))
+        for j, level in enumerate(levels):
+            if level is not None:
+                steady[j] = level.numpy()
+        groups, count = math.prod(numbers), windows * lanes
+        shape = (windows, lanes)
+        group = np.broadcast_to(np.arange(groups).reshape(numbers), shape).ravel()
+        start = np.stack([x.expand(shape).numpy() for x in given.start]).reshape(2 * joints, count)
+        begin, slope = (_stacked(x, (steps, *shape)) for x in (given.begin, given.slope))
+        loads = np.empty((0, steps, count))
+        if given.loads is not None:
+            loads = np.ascontiguousarray(given.loads.numpy()).reshape(joints, steps, count)
+        value = np.empty((2 * joints, steps + 1, count))
+        left, right = np.empty((joints, steps, count)), np.empty((joints, steps, count))
+        a = law.arrays
+        tree = (
+            a.parent, a.turns, a.rotation, a.offset, a.reference, a.limits, a.drives, a.gear, a.force_limits,
+        )  # fmt: skip
+        own = tuple(
+            _in_groups(x, law.shape, numbers) for x in (law.inertia, law.gravity, law.passive, law.law)
+        )
+        time = np.broadcast_to(given.time.numpy(), shape).ravel()
+        tree_rollout(
+            tree, np.ascontiguousarray(group), own,
+            np.array([KINDS.index(load.kind) for load in self._loads], np.int64),
+            np.array([(load.joint, load.source) for load in self._loads], np.int64).reshape(-1, 2),
+            values.reshape(len(self._loads), MOST_VALUES, groups),
+            np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
+            np.array(given.friction.joints, np.int64),
+            steady.reshape(joints, groups), given.step, start, np.ascontiguousarray(time), begin, slope, loads,
+            1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, value, left, right,
+        )  # fmt: skip
+        return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))
+
+
+def _stacked(values: Sequence[Tensor], shape: tuple[int, int, int]) -> np.ndarray:
+    """(M, n, N) of M signals (n, W, L)."""
+    return np.stack([x.expand(shape).numpy() for x in values]).reshape(len(values), shape[0], -1)
+
+
+def _in_groups(table: np.ndarray, had: tuple[int, ...], wanted: tuple[int, ...]) -> np.ndarray:
+    """(..., G) numbers of the parameters, with one set for each group of a larger shape."""
+    if had == wanted:
+        return table
+    rows = table.shape[:-1]
+    whole = np.broadcast_to(table.reshape(*rows, *[1] * (len(wanted) - len(had)), *had), (*rows, *wanted))
+    return np.ascontiguousarray(whole).reshape(*rows, -1)
+
+
+def _parts(table: np.ndarray, shape: tuple[int, int]) -> tuple[Tensor, ...]:
+    return torch.from_numpy(table).view(*table.shape[:2], *shape).unbind(0)

@@ -1,0 +1,1 @@
+"""Study: policies trained in the mended model of a robot of one's own, run on units that the package did not write."""

@@ -1,0 +1,142 @@
+"""Tolerance: a cause is not named where the log shows no more of it than any healthy machine has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.causes.tolerance import CLOCK_RATE, LOAD_SHARE, Healthy
+from deepkoco.diagnose.evidence.classes import APART, width
+from deepkoco.diagnose.evidence.minor import sample_period, tolerated
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
+from deepkoco.diagnose.evidence.refine_ranking import classed
+from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, white_limit
+from deepkoco.diagnose.verdict.minor_causes import minor_causes
+from deepkoco.fit import FitProblem, cut_windows
+from deepkoco.systems import make_system
+from tests.oracle.unit import hidden_log
+
+BASE = make_system("rod_pendulum")
+KNOWN = catalogue(BASE)
+LOAD = BASE.load_scales[0]
+
+
+@pytest.fixture(scope="module")
+def stage():
+    """Windows, their baseline, and its simulation with given values of a cause's parameters."""
+    windows = cut_windows([hidden_log("rod_pendulum", {}, "steps", 20001, 6.0)], BASE, 1.6)
+    start = baseline_from(BASE, windows)
+    problem = FitProblem(start.system, windows)
+    at_rest = problem.evaluate(start.values)
+
+    def fitted(values, sd):
+        free = tuple(values)
+        return replace(
+            at_rest, values={**at_rest.values, **values}, free=free, covariance=np.diag([sd**2] * len(free))
+        )
+
+    return problem, start, fitted
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    share=st.floats(-3.0, 3.0),
+    sd=st.floats(1e-4, 1.0),
+    name=st.sampled_from(["coulomb", "clock_skew", "gain", "actuation_delay", "payload"]),
+)
+def test_cause_is_tolerated_if_its_whole_interval_lies_within_its_tolerance(stage, name, share, sd):
+    problem, start, fitted = stage
+    cause = KNOWN[name]
+    (size,) = cause.sizes
+    declared, period = start.system.parameter(size), sample_period(problem.windows)
+    most = cause.tolerance(Healthy(declared, LOAD, period, {}))
+    fit = fitted({size: start.values[size] + share * most}, sd * most)
+    ends = abs(share) + 1.96 * sd
+    if abs(ends - 1.0) > 1e-6:
+        assert tolerated(problem, start, cause, fit, 1.0) == (ends < 1.0)
+
+
+def test_tolerances_are_those_of_a_healthy_machine(stage):
+    problem, start, _ = stage
+    period = sample_period(problem.windows)
+    assert period == pytest.approx(0.01, rel=0.02)
+
+    def most(name, parameter, values=()):
+        declared = start.system.parameter(parameter)
+        return KNOWN[name].tolerance(Healthy(declared, LOAD, period, dict(values)))
+
+    assert most("coulomb", "coulomb.torque") == pytest.approx(LOAD_SHARE * LOAD)
+    assert most("clock_skew", "clock_skew.rate") == CLOCK_RATE
+    assert most("actuation_delay", "actuation_delay.delay") == pytest.approx(1e-4, rel=0.02)
+    # A push of 0.1 s may be ten times as strong as a load that acts for a second.
+    long, short = (
+        KNOWN["event"].tolerance(Healthy(start.system.parameters[0], LOAD, period, {"event.duration": d}))
+        for d in (1.0, 0.1)
+    )
+    assert (long, short) == pytest.approx((LOAD_SHARE * LOAD, 10.0 * LOAD_SHARE * LOAD))
+
+
+def test_cause_without_a_size_is_never_tolerated(stage):
+    problem, start, fitted = stage
+    assert KNOWN["unit_slip"].free == ()
+    assert not tolerated(problem, start, KNOWN["unit_slip"], fitted({}, 1.0), 1.0)
+
+
+def test_shape_parameters_are_no_sizes():
+    assert KNOWN["stribeck"].sizes == ("stribeck.coulomb", "stribeck.breakaway")
+    assert KNOWN["spring"].sizes == ("spring.stiffness",)
+    assert KNOWN["event"].sizes == ("event.torque",)
+
+
+def ranking_of(stage, chi2, ratios, samples=1000.0):
+    """A ranking of causes with these likelihood ratios whose best leaves this chi2 per sample."""
+    problem, _, fitted = stage
+    fit = fitted({}, 1.0)
+    left = replace(fit, chi2=chi2 * problem.windows.samples)
+    candidates = tuple(Candidate(KNOWN[n], left, r, r) for n, r in ratios.items())
+    return Ranking(fit, candidates, Dispersion(chi2, 1.0, 0.0), 1.0, samples)
+
+
+def test_width_of_a_class_grows_with_the_model_error_that_is_left(stage):
+    problem, start, _ = stage
+    limit = white_limit(problem.windows)
+    widths = [width(problem, start, ranking_of(stage, chi2, {"coulomb": 1.0})) for chi2 in (1.0, limit)]
+    assert widths == [APART, APART]
+    # With 1,000 independent samples of a model error of mean square 3, of which one window shows SLOTS values.
+    wide = width(problem, start, ranking_of(stage, limit + 3.0, {"coulomb": 1.0}))
+    assert wide == pytest.approx(APART * (1.0 + 3.0 * 1000.0 / SLOTS) / 4.0)
+    # More windows do not average the model error out.
+    longer = width(problem, start, ranking_of(stage, limit + 3.0, {"coulomb": 1.0}, 2000.0))
+    assert longer / wide == pytest.approx(2.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("chi2", "coulomb", "first"),
+    [(5.0, 990.0, "coulomb"), (1.0, 990.0, "stribeck"), (5.0, 900.0, "stribeck")],
+)
+def test_simpler_cause_leads_where_model_error_hides_what_the_other_adds(stage, chi2, coulomb, first):
+    problem, start, _ = stage
+    ranking = ranking_of(stage, chi2, {"stribeck": 1000.0, "coulomb": coulomb})
+    # No candidate is within reach of the class, so no fit is needed.
+    candidates = [replace(c, delta_bic=100.0 * c.delta_bic) for c in ranking.candidates]
+    found, members = classed(problem, start, replace(ranking, candidates=tuple(candidates)), ())
+    assert found.best.cause.name == members[0] == first
+
+
+def test_minor_causes_say_why_they_are_not_named(stage):
+    from deepkoco.diagnose.evidence.minor import Minor
+    from deepkoco.diagnose.evidence.selected import Selected
+
+    problem, _, fitted = stage
+    fit = fitted({"clock_skew.rate": 1e-6}, 1e-7)
+    step = (None, ("coulomb",))
+    minor = (Minor(KNOWN["clock_skew"], fit, None, 1.0), Minor(KNOWN["clock_skew"], fit, 0.004, 1.0))
+    small, shape = minor_causes(Selected(fit, (KNOWN["coulomb"],), (step,), problem, minor=minor))
+    assert "no larger than on any healthy machine" in small["text"]
+    assert "0.4 %" in shape["text"]
+    assert "the form of coulomb" in shape["text"]
+    assert small["parameters"]["clock_skew.rate"]["value"] == 1e-6

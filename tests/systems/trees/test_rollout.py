@@ -1,0 +1,125 @@
+"""The compiled loop over all steps of a simulation, against the steps of the simulator in torch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.fit.data.noise import Noise
+from deepkoco.fit.data.windows import CommandSeries, Windows
+from deepkoco.fit.shooting import ShootingProblem
+from deepkoco.fit.simulate.simulator import integrate
+from deepkoco.systems import ExtendedSystem
+from deepkoco.systems.effects import effects_of
+from deepkoco.systems.trees import TreeSystem
+from deepkoco.systems.trees.rollout import KINDS, TreeRollout
+
+ARM = """
+<mujoco model="arm">
+  <worldbody>
+    <body name="rail" pos="0 0 1">
+      <joint name="cart" type="slide" axis="1 0 0" damping="2" frictionloss="0.8"/>
+      <inertial pos="0 0 0" mass="2" diaginertia="0.02 0.02 0.02"/>
+      <body name="upper" pos="0 0 0">
+        <joint name="shoulder" axis="0 1 0" damping="0.5" armature="0.01" frictionloss="0.3" stiffness="1"/>
+        <inertial pos="0 0 -0.15" mass="1" diaginertia="0.01 0.01 0.001"/>
+        <body name="fore" pos="0.1 0 -0.3">
+          <joint name="elbow" axis="0 1 1" damping="0.1" armature="0.005"/>
+          <inertial pos="0 0 -0.12" mass="0.5" diaginertia="0.004 0.004 0.0005"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="m_cart" joint="cart" ctrlrange="-10 10"/>
+    <position name="m_shoulder" joint="shoulder" kp="40" kv="1" forcerange="-4 4" ctrlrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+SECONDS, STEP, LANES = 0.4, 0.004, 12
+
+
+@pytest.fixture
+def arm(tmp_path) -> TreeSystem:
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM)
+    return TreeSystem.from_file(path)
+
+
+def three_windows(arm: TreeSystem, rng: np.random.Generator) -> Windows:
+    stamps = np.arange(0.0, 3.0, 0.05)
+    commands = CommandSeries(stamps, rng.uniform(-1.0, 1.0, (len(stamps), 2)) * [4.0, 0.8])
+    none = torch.zeros(3, len(arm.measurements), 0, dtype=torch.float64)
+    return Windows(
+        (commands,),
+        np.zeros(3, dtype=int),
+        np.array([0.5, 1.0, 2.0]),
+        STEP,
+        round(SECONDS / STEP),
+        none,
+        none,
+        none.bool(),
+        (Noise(1e-3, 0.0),) * len(arm.measurements),
+        torch.zeros(3, 6, dtype=torch.float64),
+        np.zeros(3, dtype=bool),
+    )
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "coulomb", "gain", "force"])
+def test_compiled_rollout_takes_the_steps_of_the_simulator(arm, kind, monkeypatch):
+    rng = np.random.default_rng(3)
+    placed = effects_of(arm)
+    system = ExtendedSystem(arm, tuple(name for name, own in placed.items() if own.effect.name == kind))
+    values = {}
+    for p in system.parameters:
+        drawn = p.value + p.prior_sd * rng.uniform(-0.5, 1.0, LANES)
+        drawn[0] = p.value  # the first lane has no effect
+        values[p.name] = torch.from_numpy(np.clip(drawn, p.low, p.high))
+    windows = three_windows(arm, rng)
+    start = torch.from_numpy(rng.normal(size=(LANES, 3, 6)) * [0.1, 0.5, 0.5, 0.3, 1.0, 1.0])
+    start[:, 0, 3:] = 0.0  # all joints rest
+    push = torch.zeros(3, LANES, 3, windows.steps, dtype=torch.float64)
+    push[1, 4, :, 20:40] = 2.0
+    compiled = integrate(system, windows, values, start, push)
+    assert system.rollout(values) is not None
+    monkeypatch.setattr(TreeSystem, "rollout", lambda *_: None)
+    expected = integrate(system, windows, values, start, push)
+    for part, other in zip(compiled, expected, strict=True):
+        for own, wanted in zip(part, other, strict=True):
+            torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
+    sticks = (expected.value[3] == 0.0).double().mean()
+    assert 0.0 < sticks < 1.0
+
+
+def test_effects_that_remember_the_way_of_a_joint_have_no_compiled_rollout(arm):
+    system = ExtendedSystem(arm, ("bristle(shoulder)",))
+    assert system.rollout(system.default_parameters()) is None
+
+
+def test_rollout_leaves_gradients_to_torch(arm):
+    values = {n: v.clone().requires_grad_() for n, v in arm.default_parameters().items()}
+    assert arm.rollout(values) is None
+
+
+def test_lanes_with_an_effect_that_the_loop_does_not_know_leave_the_others_in_it(arm, monkeypatch):
+    rng = np.random.default_rng(5)
+    windows = three_windows(arm, rng)
+    stamps = torch.linspace(0.0, SECONDS, 9, dtype=torch.float64).expand(3, 6, 9)
+    windows = replace(windows, t=stamps, value=torch.zeros(3, 6, 9, dtype=torch.float64), valid=stamps >= 0.0)
+    problem = ShootingProblem(ExtendedSystem(arm, ("bristle(shoulder)", "viscous(elbow)")), windows)
+    values = {p.name: p.value for p in problem.system.parameters}
+    theta = np.repeat([[values.get(n, 0.0) for n in problem.names]], 4, axis=0)
+    theta[1, problem.names.index("bristle(shoulder).level")] = 0.4
+    theta[3, problem.names.index("viscous(elbow).change")] = 0.2
+    start = torch.from_numpy(rng.normal(size=(4, 3, 6)))
+    none = problem.nuisances.none().repeat(4, 1)
+    run, lanes = TreeRollout.run, []
+    monkeypatch.setattr(
+        TreeRollout, "run", lambda self, given: lanes.append(given.start[0].shape[1]) or run(self, given)
+    )
+    found = problem.predict(theta, start, none)
+    assert lanes == [3]
+    for k in range(4):
+        alone = problem.predict(theta[[k]], start[[k]], none[[k]])
+        torch.testing.assert_close(found[[k]], alone, rtol=1e-9, atol=1e-9)
