@@ -303,7 +303,9 @@ def _cell(value: Any) -> str:
 
 
 def _over(row: Mapping[str, Any]) -> list[str]:
-    """Causes whose probability is above one half, "unknown" left out."""
+    """Causes whose probability is above one half; none where an unknown cause is as probable."""
+    if float(row["unknown"]) > NAMED:
+        return []
     return [n for n, p in json.loads(row["probabilities"]).items() if p > NAMED and n != "unknown"]
 
 

@@ -1,5 +1,7 @@
 """The distribution of a further log compared with a dense joint normal distribution of all logs."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -46,7 +48,8 @@ def test_further_log_and_evidence_are_those_of_the_joint_normal_distribution(see
     )
     np.testing.assert_allclose(found.mean, expected_mean, atol=1e-7)
     np.testing.assert_allclose(np.linalg.inv(found.precision), expected_cov, rtol=1e-6, atol=1e-9)
-    expected = scipy.stats.multivariate_normal(tall @ mean, cov).logpdf(residual.ravel())
+    density: Any = scipy.stats.multivariate_normal
+    expected = density(tall @ mean, cov).logpdf(residual.ravel())
     assert log_evidence + -0.5 * count * SAMPLES * np.log(2 * np.pi) == pytest.approx(expected, abs=1e-6)
 
 

@@ -37,7 +37,8 @@ def with_friction():
 
 
 def test_the_hidden_cause_is_the_most_probable_one_and_its_size_is_known(with_friction):
-    answer = probabilities(*with_friction, CAUSES)
+    problem, reference, start = with_friction
+    answer = probabilities(problem, reference, start, CAUSES)
     assert answer.of_cause("coulomb") > 0.9
     size = answer.explanations[0].parameters["coulomb"]["coulomb.torque"]
     assert size.low < 0.05 < size.high
@@ -45,7 +46,8 @@ def test_the_hidden_cause_is_the_most_probable_one_and_its_size_is_known(with_fr
 
 
 def test_nothing_is_the_most_probable_answer_for_a_healthy_unit():
-    answer = probabilities(*fitted(hidden_log(SYSTEM, {}, "steps", 20502, 12.0)), CAUSES)
+    problem, reference, start = fitted(hidden_log(SYSTEM, {}, "steps", 20502, 12.0))
+    answer = probabilities(problem, reference, start, CAUSES)
     assert answer.nothing > 0.8
 
 
