@@ -115,7 +115,7 @@ class FitProblem(ShootingProblem):
 
     def keeps_slopes(self, trials: Sequence[Trial]) -> bool:
         """Return whether trials have so many parameters that slopes are kept from step to step."""
-        return max(len(t.free) for t in trials) + self.windows.state.shape[1] >= MANY
+        return max((len(t.free) for t in trials), default=0) + self.windows.state.shape[1] >= MANY
 
     def slopes_at(
         self, values: Mapping[str, float], names: Sequence[str], state: Tensor, nuisance: Tensor

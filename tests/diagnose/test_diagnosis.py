@@ -229,8 +229,9 @@ def test_diagnose_command_shows_progress_on_a_terminal_only(log, tmp_path, monke
     assert stream is Terminal or shown == ""
 
 
-def told(*_, progress):
+def told(*_, progress, evidence):
     """A diagnosis that ends at once."""
+    assert evidence is False
     progress("fitting every [b]cause")
     time.sleep(0.2)  # the line is drawn ten times a second
     return SimpleNamespace(verdict="insufficient", to_json=dict)
