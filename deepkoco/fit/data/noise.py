@@ -129,7 +129,8 @@ def stamp_jitter(
     grid = np.append(0.0, np.geomspace(0.03, 30.0, 25) / typical)
     grid = grid[grid <= largest]
     best = {
-        c: [_profile(square, fast, sigma, least[c]) for sigma in grid] for c, (square, fast) in pieces.items()
+        c: [_profile(square, fast, sigma, float(least[c])) for sigma in grid]
+        for c, (square, fast) in pieces.items()
     }
     cost = np.sum([[own for own, _ in found] for found in best.values()], axis=0)
     # Neighbouring differences share samples: about one third of them is independent.
