@@ -227,7 +227,7 @@ def test_open_log_reads_semicolons_with_decimal_commas(tmp_path):
         (b"t,\xb0\n1,2\n", "byte 0xb0 in line 1; save the file as UTF-8"),
         ("t,x\n1,2\n".encode("utf-16"), "in UTF-16; save it as UTF-8"),
         (b"0,1\n1,2\n", "first row contains numbers"),
-        (b"t theta\n1 2\n", "is one column; separate the columns"),
+        (b"t theta\n1 2 3\n", "is one column; separate the columns"),
         (b"t,x\n1,\x002\n", "zero byte in line 2"),
     ],
 )

@@ -287,7 +287,8 @@ def test_read_log_refuses_times_in_two_units(tmp_path):
             "t,command,theta,omega\n0,1,2,3\n1,5,2,3,4\n",
             r"line 3 has \d+ cells and the header has 4 names",
         ),
-        ("log.txt", "1 2", 'format ".txt" is not known; known: .csv'),
+        ("log.txt", "1 2", "is one column; separate the columns"),
+        ("log.docx", "1 2", 'format ".docx" is not known; known: .csv'),
         ("log.parquet", "nonsense", "not readable as parquet"),
     ],
 )

@@ -32,12 +32,13 @@ def read_csv(path: Path, names: Sequence[str] = ()) -> LogFile:
         LogError: it is empty, not UTF-8, has no header, a repeated name, or a row with more or fewer cells than
             the header has names.
     """
-    text, ahead, notes = read_head(_decode(path))
-    first, _, _ = text.partition("\n")
-    if not first.strip():
-        raise LogError(f"{path}: the first row is empty; the column names belong there")
-    delimiter = max(DELIMITERS, key=first.count)
+    content = _decode(path)
     try:
+        text, ahead, notes = read_head(content)
+        first, _, _ = text.partition("\n")
+        if not first.strip():
+            raise LogError(f"{path}: the first row is empty; the column names belong there")
+        delimiter = max(DELIMITERS, key=first.count)
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
         _check_header(path, first, header, delimiter)
         table, lines = _cells(path, delimiter, header, text, ahead)
@@ -49,8 +50,8 @@ def read_csv(path: Path, names: Sequence[str] = ()) -> LogFile:
     if delimiter != "," and (commas := _decimal_commas(table)):
         table = table.assign(**{name: table[name].str.replace(",", ".") for name in commas})
         notes += (f"read decimal commas in the column{'s' * (len(commas) > 1)} {', '.join(commas)}",)
-    content = split_lists(str(path), Table(table, lines=lines), names)
-    return LogFile(path, "CSV", {"": content}, row_name="row", notes=notes)
+    columns = split_lists(str(path), Table(table, lines=lines), names)
+    return LogFile(path, "CSV", {"": columns}, row_name="row", notes=notes)
 
 
 def _decode(path: Path) -> str:

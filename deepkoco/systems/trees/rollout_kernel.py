@@ -34,6 +34,9 @@ from deepkoco.systems.trees.kernel import (
     _solve,
 )
 
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "2efbbaf0fe48f61d"
+
 # Loads of effects that the loop knows; from STRIBECK on they are levels of dry friction.
 VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION = range(8)
 LEVELS = STRIBECK
