@@ -23,7 +23,7 @@ from deepkoco.systems.trees.names import Names
 from deepkoco.systems.trees.parameters import AXES, actuator_law
 from deepkoco.systems.trees.tree import Actuator, TreeError
 from deepkoco.systems.trees.tree_system import TreeSystem
-from deepkoco.systems.trees.write_bodies import BodyWriter, same
+from deepkoco.systems.trees.write_bodies import FITTED, BodyWriter, same
 
 # Time constant with which dry friction stops a joint [s]; MuJoCo takes two of its steps where that is more.
 CREEP = 1e-4
@@ -188,7 +188,7 @@ class _Writer:
             for kind, unit in units.items():
                 after = self.values.get(f"{kind}({joint.name})", float(getattr(joint, kind)))
                 before = float(getattr(self.file.joints[number], kind))
-                self._set_joint(number, kind, before, after, unit, "fitted")
+                self._set_joint(number, kind, before, after, unit, FITTED)
 
     def _set_joint(self, number: int, kind: str, before: float, after: float, unit: str, reason: str) -> None:
         if same(before, after):
@@ -225,7 +225,7 @@ class _Writer:
                 values = np.array(getattr(own, label), dtype=float)
                 for i, (before, after) in enumerate(zip(given, now, strict=True)):
                     if not same(before, float(after)):
-                        self.note(element, f"{label} {i + 1}", before, float(after), "1", "fitted")
+                        self.note(element, f"{label} {i + 1}", before, float(after), "1", FITTED)
                         values[i] = float(after)
                 setattr(own, label, values)
             self.lag[number] = self.values.get(f"time_constant({actuator.name})", actuator.time_constant)

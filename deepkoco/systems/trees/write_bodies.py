@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SAME = 1e-6  # relative difference below which a value of the file stays as it is: MJCF is written with six digits
 ROUNDING = 1e-5  # share by which numbers of the file differ from what was meant, with room to spare
 POINT = 1e-8  # inertia of a point mass in the file, per mass [m2]: a body needs one
+FITTED = "fitted"  # why a value of the model itself changed
 NEAR = 1e-6  # distance between two points that are one [m]
 Note = Callable[[str, str, float, float, str, str], None]
 LeaveOut = Callable[[str, str], None]
@@ -90,7 +91,7 @@ class BodyWriter:
         changed = [name for name, (_, _, before) in kinds.items() if not same(before, now[name])]
         for name in changed:
             label, unit, before = kinds[name]
-            self.note(f'body "{body.name}"', label, before, now[name], unit, "fitted")
+            self.note(f'body "{body.name}"', label, before, now[name], unit, FITTED)
         if changed:
             values = list(now.values())
             self._set_inertial(number, body, values[0], np.array(values[1:4]), values[4:7])
@@ -171,9 +172,8 @@ class BodyWriter:
             place = np.array(own.pos) + longer
             for i, axis in enumerate(AXES):
                 if not same(float(own.pos[i]), float(place[i])):
-                    reason = f"length({name}) is {after:.6g} m, not {before:.6g}"
                     self.note(
-                        f'body "{own.name}"', f"pos {axis}", float(own.pos[i]), float(place[i]), "m", reason
+                        f'body "{own.name}"', f"pos {axis}", float(own.pos[i]), float(place[i]), "m", FITTED
                     )
             own.pos = place
 
@@ -195,7 +195,7 @@ class BodyWriter:
                         float(given[i]),
                         float(axis[i]),
                         "1",
-                        "fitted",
+                        FITTED,
                     )
             self.joints[body.joint].axis = axis
 
@@ -207,7 +207,7 @@ class BodyWriter:
             unit = "m" if joint.slides else "rad"
             degrees = bool(self.spec.compiler.degree) and not joint.slides
             self.joints[k].ref = math.degrees(after) if degrees else after
-            self.note(f'joint "{joint.name}"', "ref", joint.reference, after, unit, "fitted")
+            self.note(f'joint "{joint.name}"', "ref", joint.reference, after, unit, FITTED)
 
     def _at_reference(self) -> Any:
         m = mujoco_library()

@@ -289,9 +289,21 @@ def test_the_written_robot_loads_again_with_the_new_values(arm, tmp_path):
     assert again.parameter("time_constant(lift)").value == pytest.approx(0.03)
     assert again.parameter("delay(bend)").value == pytest.approx(0.0345)
     assert "coulomb(elbow)" in text.read_text()
+    assert "fitted together" not in text.read_text()
     assert 'MuJoCo\'s integrator "euler" is of first order' in text.read_text()
     with pytest.raises(FileExistsError):
         write_robot(system, tmp_path / "out")
+
+
+def test_what_was_found_stands_above_what_was_fitted_with_it(arm, tmp_path):
+    system = ExtendedSystem(arm, ("coulomb(elbow)",), {"coulomb(elbow).torque": 0.2, "damping(elbow)": 0.201})
+    _, text = write_robot(system, tmp_path)
+    lines = text.read_text().splitlines()
+    rows = [
+        next(k for k, line in enumerate(lines) if word in line)
+        for word in ("frictionloss", "fitted together", "damping")
+    ]
+    assert rows == sorted(rows)
 
 
 def test_a_system_that_came_from_no_file_is_refused():
