@@ -159,12 +159,12 @@ def test_pruned_ranks_the_last_cause_again_without_those_that_are_removed():
     problem, start, causes, fit, reference = fitted(log, ["coulomb", "cogging"])
     selection = Selection(start, problem.windows, None, causes, 24.0)
     hints = selection._hints(problem, reference, missing_torque(problem, reference))
-    first = rank(problem, start, reference, (), hints, causes[:1])
-    step = (first, ("coulomb",))
-    found = selection._pruned(Selected(fit, tuple(causes), (step, step), problem))
+    steps = [(rank(problem, start, reference, (), hints, causes), ("coulomb", "cogging")), (None, ())]
+    found = selection._pruned(Selected(fit, tuple(causes), tuple(steps), problem))
     assert found.accepted == (causes[0],)
-    ((ranking, _),) = found.steps
+    ((ranking, members),) = found.steps
     # Beside a detent, the friction was compared with everything but the detent.
     assert {c.cause.name for c in ranking.candidates} == {"coulomb", "cogging"}
+    assert members == ("coulomb",)
     assert not any(n.startswith("cogging") for n in ranking.reference.free)
     assert found.final is ranking.best.fit

@@ -192,13 +192,14 @@ class Selection:
 
     def _pruned(self, found: Selected) -> Selected:
         """Compare each cause again and eliminate causes, until nothing changes or the rounds are used up."""
+        first = found.steps[0][0] if found.steps and found.lost is None else None
         for _ in range(MAX_ROUNDS):
             kept = self._kept(self._reconsidered(found))
             if kept.accepted == found.accepted:
                 return kept
             if len(kept.accepted) == 1:
                 # Its ranking and class were those beside causes that are removed now.
-                return self._reconsidered(kept, 1)
+                return self._reconsidered(kept, 1) if first is None else self._alone(kept, first)
             found = kept
         return self._reconsidered(found)
 
@@ -275,6 +276,17 @@ class Selection:
                 accepted[k] = ranking.best.cause
             final = ranking.best.fit
         return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
+
+    def _alone(self, kept: Selected, first: Ranking) -> Selected:
+        """Compare the only cause that is kept with all lasting causes in the ranking in which none was accepted."""
+        start, problem, (cause,) = self.start, kept.acting, kept.accepted
+        pushed = cause.effect == "event"
+        rivals = [c for c in first.candidates if not pushed and c.cause.effect != "event"]
+        ranking = with_fit(problem, replace(first, candidates=tuple(rivals)), cause, kept.final)
+        ranking = front_settled(problem, start, (), ranking)
+        ranking, members = classed(problem, start, ranking, (), self.held)
+        best = ranking.best
+        return replace(kept, final=best.fit, accepted=(best.cause,), steps=((ranking, members),))
 
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
         """Accept lost commands and further causes if they explain clearly more than causes alone; else return None.
