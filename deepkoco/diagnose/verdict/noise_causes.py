@@ -53,9 +53,9 @@ def scatter_findings(
             continue
         placed = f"{name}.{verdict.parameter}"
         declared = system.parameter(placed)
-        healthy = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
+        machine = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
         away = max(abs(verdict.low - declared.value), abs(verdict.high - declared.value))
-        if away <= cause.tolerance(healthy):
+        if away <= cause.tolerance(machine):
             continue
         known = None if usual is None else cause.scatter(usual, cause.index)
         if known is not None and verdict.low <= (1.0 + SAME) * known.high:
