@@ -11,6 +11,7 @@ What the log still tells less of than the prior needs no slopes: such parameters
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -88,9 +89,10 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     """Refit from sizes that a coarse search finds; None where the values as given are as good a start."""
     few = few_windows(windows, FEW_WINDOWS)
     some = windows.take(few)
-    values, left = search_scales(
-        FitProblem(declared.system, some), _sizes(declared), declared.values, some.state
-    )
+    # With states that suit the values as given, these have the better chance.
+    problem = FitProblem(declared.system, some)
+    state, _ = problem.fit_states(declared.values, some.state)
+    values, left = search_scales(problem, sizes_of_joints(declared), declared.values, state)
     if left > FAR_OFF:
         return None
     # A short window has fewer minima.
@@ -119,15 +121,30 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     return start, windows, problem.fit_one(_from(start, fit))
 
 
-def _sizes(start: Baseline) -> list[str]:
-    """Return the parameters of which another order of size is possible: masses and inertias are known from drawings."""
+def sizes_of_joints(start: Baseline, names: Sequence[str] | None = None) -> dict[int, dict[str, str]]:
+    """Return joint -> kind -> parameter of which another order of size is possible, by its place in brackets.
+
+    Masses and inertias are known from drawings.
+
+    Args:
+        start: The baseline.
+        names: Parameters to choose from; None takes those with a wide prior.
+    """
+    system, result = start.system, {}
     spread = np.sqrt(start.prior.covariance.diagonal())
-    units = {p.name: p.unit for p in start.system.parameters}
-    return [
+    wide = [
         n
         for n, s in zip(start.prior.names, spread, strict=True)
-        if s >= (1.0 - 1e-9) * LOOSE * abs(start.values[n]) and "kg" not in units[n]
+        if s >= (1.0 - 1e-9) * LOOSE * abs(start.values[n]) and "kg" not in system.parameter(n).unit
     ]
+    joints = {name: j for j, name in enumerate(system.joint_names)}
+    if len(system.commands) == len(system.command_joints):
+        joints |= {c.name: j for c, j in zip(system.commands, system.command_joints, strict=True)}
+    for name in wide if names is None else names:
+        kind, _, place = name.partition("(")
+        if place[:-1] in joints:
+            result.setdefault(joints[place[:-1]], {})[kind] = name
+    return result
 
 
 def _from(start: Baseline, fit: Fit) -> Trial:
