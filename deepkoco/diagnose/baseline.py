@@ -64,6 +64,8 @@ class Baseline:
         gauges: Scale gauges that the logs leave open, each with a parameter that keeps its value as given.
         healthy: The healthy logs from which it was learned, if any.
         runs: Run-to-run variance of these logs; None for fewer than two.
+        tempering: Factor by which its prior is narrower, as a variance, than it was declared; see
+            :mod:`deepkoco.diagnose.tempered`.
     """
 
     system: ExtendedSystem
@@ -76,6 +78,7 @@ class Baseline:
     gauges: tuple[Gauge, ...] = ()
     healthy: Healthy | None = None
     runs: RunToRun | None = None
+    tempering: float = 1.0
 
     @property
     def least_deflation(self) -> float:
@@ -185,7 +188,7 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
         free: Parameters to free; None frees all that the prior covers.
     """
     names = start.prior.names if free is None else free
-    few = _few_windows(windows, len(names))
+    few = few_windows(windows, len(names))
     halves = halved(windows.take(few))
     short = FitProblem(start.system, halves)
     state, _ = short.fit_states(start.values, halves.state)
@@ -197,8 +200,8 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
     return problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
 
 
-def _few_windows(windows: Windows, parameters: int) -> np.ndarray:
-    """Return the windows that a first fit needs: all, or an even choice where there are many for few parameters."""
+def few_windows(windows: Windows, parameters: int) -> np.ndarray:
+    """Return the windows with which a fit of so many parameters can begin: an even choice of many, else all."""
     most = max(FEW_WINDOWS, parameters // 2)
     size = len(windows)
     if parameters + windows.state.shape[1] < MANY or size <= most:
