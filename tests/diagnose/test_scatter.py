@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from deepkoco.diagnose.baseline import catalogue_system
 from deepkoco.diagnose.residuals.scatter import Scatter, jitter, noise_level, quantisation
+from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.fit import Fit, Noise, cut_windows
 from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
@@ -55,3 +57,11 @@ def test_quantisation_is_found_from_twice_the_noise():
     assert quantisation(view(step=0.02), 0).value == pytest.approx(0.02)
     assert quantisation(view(step=0.001), 0) is None
     assert quantisation(view(), 0) is None
+
+
+@pytest.mark.parametrize(("healthy", "named"), [(None, True), (0.02, False), (0.008, True)])
+def test_scatter_findings_leave_out_what_healthy_logs_show_as_much(healthy, named):
+    seen = view(step=0.02)
+    before = None if healthy is None else view(step=healthy)[1:]
+    found = scatter_findings(catalogue_system(seen.system), seen.windows, seen.fit, 24.0, before)
+    assert ("quantisation(theta)" in [f.name for f in found]) == named

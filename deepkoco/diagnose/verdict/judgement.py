@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deepkoco.diagnose.baseline import healthy_under_floor
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
@@ -87,7 +88,9 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     """
     base, found = explanation.base, explanation.found
     reference, final, seed = base.reference, found.final, request.seed
-    scattered = tuple(scatter_findings(base.start.system, base.train, final, request.detection))
+    scattered = scatter_findings(
+        base.start.system, base.train, final, request.detection, healthy_under_floor(base.learned)
+    )
     left = dispersion(final, base.train)
     without = with_parameters_kept(base, [n for c in found.accepted if is_changed(c) for n in c.free])
     missing = missing_torque(base.problem, without.reference, left.deflation)

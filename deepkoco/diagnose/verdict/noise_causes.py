@@ -14,21 +14,29 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 from deepkoco.systems import ExtendedSystem
 
+RUN_TO_RUN = 1.1  # ratio to which noise of one machine differs from log to log
+
 
 def scatter_findings(
-    system: ExtendedSystem, windows: Windows, fit: Fit, detection: float
+    system: ExtendedSystem,
+    windows: Windows,
+    fit: Fit,
+    detection: float,
+    healthy: tuple[Windows, Fit] | None = None,
 ) -> tuple[Finding, ...]:
     """Return the noise causes whose fall of the BIC exceeds the threshold, strongest first.
 
-    Causes within their tolerance are left out.
+    Causes within their tolerance are left out, and causes of which healthy logs show as much.
 
     Args:
         system: The extended system.
         windows: Training windows.
         fit: The final model on them.
         detection: Fall of the BIC from which a cause is named.
+        healthy: Windows of healthy logs with the same noise, and their fit; None without any.
     """
     view = Scatter(system.base, windows, fit)
+    before = None if healthy is None else Scatter(system.base, *healthy)
     deflation = dispersion(fit, windows).correlation
     found = []
     for name, cause in catalogue(system.base).items():
@@ -39,6 +47,9 @@ def scatter_findings(
             continue
         score = verdict.likelihood_ratio / deflation - cause.size * math.log(max(windows.samples, 2))
         if score <= detection:
+            continue
+        usual = None if before is None else cause.scatter(before, cause.index)
+        if usual is not None and verdict.low <= RUN_TO_RUN * usual.high:
             continue
         placed = f"{name}.{verdict.parameter}"
         declared = system.parameter(placed)
