@@ -31,7 +31,7 @@ SECONDS = 12.0
 SCATTER = (0.0, 5e-5, 2e-4, 5e-4)  # standard deviations of the stamps [s]
 COLUMNS = ("robot", "seed", "scatter_s", "hidden", "verdict", "named", "chi2_refit", "chi2_final", "cpu_s")
 MOTOR = f"{Path(__file__).parents[3] / 'docs' / 'examples' / 'motor.py'}:Motor"
-HIDDEN = {"pendulum": "gain", "motor": "coulomb", "arm": "frictionloss"}
+HIDDEN = {"pendulum": "gain", "motor": "coulomb", "arm": "delay"}
 
 
 def scattered(t: np.ndarray, scatter: float, seed: int) -> np.ndarray:
@@ -57,7 +57,7 @@ def log_of(
         unit = MotorUnit(coulomb=0.02) if hidden else MotorUnit()
         return str(unit.log(folder, seed=seed, seconds=SECONDS, jitter=scatter)), MOTOR
     arm = random_arm(np.random.default_rng(seed), 2, "motor")
-    effect = dosed(arm, "frictionloss", "j2", 3.0) if hidden else None
+    effect = dosed(arm, HIDDEN[robot], "j2", 3.0) if hidden else None
     log = record(arm, effect, seed, SECONDS)
     path = replace(log, t=scattered(log.t, scatter, seed)).write(folder, "log")
     return str(path), any_system(str(path.with_suffix(".xml")))
