@@ -192,6 +192,17 @@ def _rubbed_in_a_loop(
     return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
 
 
+def sliding_loads(levels: Levels, direction: Levels) -> Levels:
+    """Friction loads of joints at given shares of their levels.
+
+    A level below 0 drives the joint and is part of its free motion: it has no friction load.
+    """
+    return tuple(
+        None if level is None or share is None else -level.clamp_min(0.0) * share
+        for level, share in zip(levels, direction, strict=True)
+    )
+
+
 def as_shares(loads: Levels, levels: Levels, direction: Levels) -> tuple[Levels, Levels, Levels]:
     """Write friction loads as shares of their levels, against them, and what is left of each load.
 

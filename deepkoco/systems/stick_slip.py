@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from deepkoco.systems.dry_friction import DryFriction, Levels, Values, as_shares, rubbed
+from deepkoco.systems.dry_friction import DryFriction, Levels, Values, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import Acceleration, InverseInertia, Motion, Parameters, System
@@ -156,7 +156,7 @@ class StickSlip:
         if self._friction.varying:
             slide = self._friction.levels(halfway._replace(speeds=tuple(0.5 * v for v in speeds)))
             stick = self._friction.levels(halfway._replace(speeds=tuple(torch.zeros_like(v) for v in speeds)))
-        found = rubbed(speeds, free[1], _loads(slide, direction), slide, stick, inverse, h)
+        found = rubbed(speeds, free[1], sliding_loads(slide, direction), slide, stick, inverse, h)
         direction, left_over, applied = as_shares(found.load, slide, direction)
         again = self._runge_kutta(joints, efforts, direction, h, left_over)
         found = rubbed(speeds, again[1], applied, slide, stick, inverse, h)
@@ -177,14 +177,6 @@ def _against(levels: Levels, direction: Levels) -> Levels:
     """Loads of dry friction; None for a joint without any."""
     return tuple(
         None if level is None or share is None else -level * share
-        for level, share in zip(levels, direction, strict=True)
-    )
-
-
-def _loads(levels: Levels, direction: Levels) -> Levels:
-    """As :func:`_against`; a level below 0 drives the joint and is part of its free motion."""
-    return tuple(
-        None if level is None or share is None else -level.clamp_min(0.0) * share
         for level, share in zip(levels, direction, strict=True)
     )
 

@@ -101,7 +101,7 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     doubts = _doubts(explanation, request.system, missing, left)
     verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
     learned = None
-    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train)
+    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train, white)
     if base.start.tempering > 1.0 and verdict == "unknown":
         unfitted = (*unfitted, TOO_SLOW)
     elif verdict == "unknown" or rival:

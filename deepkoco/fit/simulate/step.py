@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from deepkoco.systems.dry_friction import DryFriction, Levels, as_shares, rubbed
+from deepkoco.systems.dry_friction import DryFriction, Levels, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.system import Acceleration, InverseInertia, Motion
 
@@ -172,7 +172,7 @@ def corrected(
     if friction.varying:
         slide = _mean_levels(friction, halfway, drive, tuple(0.5 * v for v in speed))
         stick = _mean_levels(friction, halfway, drive, tuple(torch.zeros_like(v) for v in speed))
-    found = rubbed(speed, step.speed, _loads(slide, direction), slide, stick, inverse, h)
+    found = rubbed(speed, step.speed, sliding_loads(slide, direction), slide, stick, inverse, h)
     direction, left_over, applied = as_shares(found.load, slide, direction)
     again = step_of(equations, angle, speed, drive.with_load(left_over), direction, h)
     found = rubbed(speed, again.speed, applied, slide, stick, inverse, h)
@@ -196,14 +196,6 @@ def corrected(
         assert share is not None
         rest[j] = torch.where(stays, share, torch.zeros((), dtype=share.dtype))
     return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), tuple(rest))
-
-
-def _loads(levels: Levels, direction: Levels) -> Levels:
-    """Friction loads; a level below 0 drives the joint and is part of its free motion."""
-    return tuple(
-        None if level is None or share is None else -level.clamp_min(0.0) * share
-        for level, share in zip(levels, direction, strict=True)
-    )
 
 
 def _mean_levels(friction: DryFriction, halfway: Motion, drive: Drive, speeds: Values) -> Levels:
