@@ -9,6 +9,7 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, kind_of
+from deepkoco.diagnose.evidence.flexible import BENDING, FLEXIBLE_CAUSES, PUSHES
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.selection import CLOSE, ITERATIONS
@@ -16,9 +17,7 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
-BENDING = ("cogging", "periodic")  # lasting causes that can fit the residuals of other causes
-PUSHES = ("event",)
-FLEXIBLE_CAUSES = (*PUSHES, *BENDING)  # all causes that can fit the residuals of other causes
+__all__ = ["BENDING", "FLEXIBLE_CAUSES", "PUSHES", "carried", "eliminated", "without", "without_kinds"]
 
 
 def eliminated(
@@ -53,7 +52,7 @@ def eliminated(
     """
     kept = list(accepted)
     while len(kept) > least:
-        fits = problem.fit([without(problem, start, kept, cause, fit) for cause in kept], ITERATIONS, CLOSE)
+        fits = _less(problem, start, kept, kept, fit)
         spread = dispersion(fit, problem.windows)
         deflation = max(spread.deflation, start.least_deflation)
         samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
@@ -96,9 +95,7 @@ def carried(
     """
     kept = list(accepted)
     while len(kept) > least and (lasting := [c for c in kept if c.effect != "event"]):
-        fits = problem.fit(
-            [without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
-        )
+        fits = _less(problem, start, kept, lasting, fit)
         now = held_out_chi2(problem, start, fit, held)
         # A cause can win by letting baseline parameters return to their prior instead of improving the simulation.
         # Held-out windows cannot test such a cause, so its harm is set to zero.
@@ -134,6 +131,18 @@ def held_out_chi2(problem: FitProblem, start: Baseline, fit: Fit, held: Windows)
 def beyond_chance(harm: np.ndarray) -> bool:
     """Return whether held-out errors (W,) are larger in total than their differences between windows explain."""
     return bool(harm.sum() > np.sqrt(len(harm)) * harm.std())
+
+
+def _less(
+    problem: FitProblem, start: Baseline, kept: Sequence[Cause], out: Sequence[Cause], fit: Fit
+) -> list[Fit]:
+    """Return a fit without each of some causes."""
+    trials = [without(problem, start, kept, cause, fit) for cause in out]
+    if start.tempering == 1.0:
+        return problem.fit(trials, ITERATIONS, CLOSE)
+    # What is compared is large, so slopes at the fit of all causes will do, with one renewal.
+    known = problem.slopes_at(fit.values, fit.free, fit.state, fit.nuisance)
+    return problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=1)
 
 
 def _mostly_prior_penalty(less: Fit, fit: Fit) -> bool:

@@ -21,6 +21,7 @@ from deepkoco.diagnose.evidence.elimination import (
     without,
     without_kinds,
 )
+from deepkoco.diagnose.evidence.joint_by_joint import select_by_joint
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE, Minor, tolerated
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
@@ -117,6 +118,8 @@ class Selection:
     ) -> Selected:
         """Accept further causes as long as the BIC falls enough."""
         start, problem = self.start, so_far.acting
+        if start.tempering > 1.0:
+            return select_by_joint(problem, start, so_far, self._ranked, ranking, self.detection)
         final, accepted, steps, charge = so_far.final, [*so_far.accepted], [*so_far.steps], so_far.charge
         healthy: list[Cause] = []  # accepted causes of which there is no more than a healthy machine has
         minor = so_far.minor
@@ -151,6 +154,12 @@ class Selection:
             accepted.append(ranking.best.cause)
             final, ranking = ranking.best.fit, None
         return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge, minor)
+
+    def _ranked(self, fit: Fit, accepted: Sequence[Cause]) -> Ranking:
+        """Return the ranking of the catalogue on top of a fit with these causes."""
+        self.progress(f"fitting every cause{in_company_of(c.name for c in accepted)}")
+        hints = self._hints(self.problem, fit, missing_torque(self.problem, fit))
+        return rank(self.problem, self.start, fit, accepted, hints, self.causes)
 
     def _minor(
         self,
@@ -271,7 +280,7 @@ class Selection:
             found: The selection.
             least: Number of causes from which they are compared again.
         """
-        if len(found.accepted) < least:
+        if len(found.accepted) < least or self.start.tempering > 1.0:
             return found
         start, problem = self.start, found.acting
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
@@ -319,7 +328,9 @@ class Selection:
             plain: The causes that remain after elimination.
         """
         causes = self._loss_causes()
-        if not causes:
+        # While structure remains, no lost commands are named (see `verdict_of`), so they are not searched for where
+        # a simulation of many parameters leaves much of it.
+        if not causes or (self.start.tempering > 1.0 and self._left(plain.final)):
             return None
         best = self._with_searched_losses(plain, causes)
         left = self._left(plain.final)

@@ -39,6 +39,7 @@ from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
 
+TOO_SLOW = "a learned load: it is too slow for so many parameters that are so far from their values as given"
 NO_GAIN = "the held-out windows, so there is no gain"
 
 
@@ -100,8 +101,10 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     doubts = _doubts(explanation, request.system, missing, left)
     verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
     learned = None
-    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train)
-    if verdict == "unknown" or rival:
+    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train, white)
+    if base.start.tempering > 1.0 and verdict == "unknown":
+        unfitted = (*unfitted, TOO_SLOW)
+    elif verdict == "unknown" or rival:
         request.progress("a learned load")
         learned, failed = _learned_load(base, missing, seed)
         unfitted = (*unfitted, *failed)

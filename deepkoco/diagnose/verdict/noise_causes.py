@@ -15,7 +15,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 from deepkoco.systems import ExtendedSystem
 
-SAME = 0.01  # relative difference below which two steps of a grid are the same
+RUN_TO_RUN = 1.1  # ratio to which noise of one machine differs from log to log
 
 
 def scatter_findings(
@@ -58,7 +58,7 @@ def scatter_findings(
         if away <= cause.tolerance(machine):
             continue
         known = None if usual is None else cause.scatter(usual, cause.index)
-        if known is not None and verdict.low <= (1.0 + SAME) * known.high:
+        if known is not None and verdict.low <= RUN_TO_RUN * known.high:
             continue
         text = f"With this cause, the likelihood ratio of the residuals is {verdict.likelihood_ratio:.0f}."
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)
