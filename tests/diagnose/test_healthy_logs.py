@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import BaselineError, diagnose
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence import forward
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
-from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
+from deepkoco.diagnose.evidence.seen_when_healthy import (
+    Hypothesis,
+    consistent_with_healthy,
+    healthy_shows_pushes,
+)
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.healthy import extended, learn_baseline
-from deepkoco.diagnose.residuals.residuals import dispersion
+from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import ExtendedSystem, make_system
@@ -158,3 +162,22 @@ def test_selection_tests_lasting_causes_against_healthy_logs_with_all_others(ben
         ("coulomb", ["viscous", "cogging", "event"]),
         ("viscous", ["coulomb", "cogging", "event"]),
     ]
+
+
+def pushed(torque):
+    """Windows of a log with a push of that torque, their refit and its problem."""
+    hidden = {"event": {"torque": torque, "start": 4.3, "duration": 0.2}} if torque else {}
+    windows = cut_windows([hidden_log("rod_pendulum", hidden, "steps", 20007, 8.0)], SYSTEM, LENGTH)
+    start = baseline_from(SYSTEM, windows)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    return start, windows, reference
+
+
+@pytest.mark.parametrize(("usual", "shown"), [(0.3, True), (0.0, False), (0.05, False)])
+def test_a_push_is_usual_where_healthy_logs_show_one_nearly_as_strong(usual, shown):
+    before, healthy, fit = pushed(usual)
+    start = replace(before, healthy=Healthy((), healthy, before, (), fit))
+    _, windows, reference = pushed(0.3)
+    missing = missing_torque(FitProblem(start.system, windows), reference)
+    assert healthy_shows_pushes(start, windows, missing, 0) == shown
+    assert not healthy_shows_pushes(before, windows, missing, 0)

@@ -1,5 +1,6 @@
 """Search for lost commands tick by tick."""
 
+import math
 from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
@@ -12,9 +13,12 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.data import cut_data
+from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.lost_commands import sequence as loss_pattern
+from deepkoco.diagnose.lost_commands.report import deflation_with
 from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
 from deepkoco.diagnose.lost_commands.sequence import Responses, held_over, innovations, offset_of, pattern
+from deepkoco.diagnose.residuals.residuals import Dispersion
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
@@ -216,3 +220,26 @@ def test_charge_of_lost_commands_is_the_description_length():
     found = LostCommands(0, (), SimpleNamespace(windows=windows), SimpleNamespace(), 5, 50, 50, 5, 4.0)
     assert found.charge == pytest.approx(2 * np.log(2_118_760) + 6.907755, rel=1e-6)
     assert replace(found, found=50).charge == pytest.approx(6.907755, rel=1e-6)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 60), st.floats(1.0, 20.0), st.floats(0.5, 30.0), st.integers(0, 100_000))
+def test_deflation_counts_the_independent_samples_that_positions_use_up(positions, correlation, chi2, seed):
+    spread = Dispersion(chi2, correlation, 0.0)
+    many = 1e7 * correlation
+    assert deflation_with(positions, spread, many) == pytest.approx(spread.deflation, rel=1e-3)
+    assert deflation_with(positions, spread, 0.99 * positions * correlation) == math.inf
+    # Positions that fit noise of variance 1 leave (1 - positions / independent) of it; the estimate stays 1.
+    independent = positions + 2000
+    noise = np.random.default_rng(seed).standard_normal(independent)
+    noise[:positions] = 0.0
+    fitted = Dispersion(float((noise**2).mean()), 1.0, 0.0)
+    assert deflation_with(positions, fitted, independent) == pytest.approx(1.0, abs=0.15)
+
+
+def test_losses_that_use_up_the_independent_samples_are_not_found():
+    """A pattern of 54 losses that leaves less than noise in 440 samples, of which 92 are independent."""
+    spread = Dispersion(0.64, 4.77, 0.85)
+    ratio, charge = 1719.0, 309.0
+    assert ratio / spread.deflation - charge > FURTHER
+    assert ratio / deflation_with(54, spread, 440) - charge < 0.0

@@ -27,7 +27,11 @@ from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.refine_ranking import classed, front_settled, with_fit
 from deepkoco.diagnose.evidence.sanity_checks import at_bound
-from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
+from deepkoco.diagnose.evidence.seen_when_healthy import (
+    Hypothesis,
+    consistent_with_healthy,
+    healthy_shows_pushes,
+)
 from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic
 from deepkoco.diagnose.evidence.selection import FURTHER, PATIENCE, rank, without_events_first
 from deepkoco.diagnose.evidence.start_values import Hints
@@ -76,6 +80,7 @@ class Selection:
         self.problem = FitProblem(start.system, train)
         self.before = math.inf  # chi2 of the refit
         self.cost = math.inf  # cost of the refit: chi2 and the penalty of the prior
+        self.usual_pushes: set[str] = set()  # pushes that are no stronger than those of healthy logs
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
         """Return the first ranking (over the whole catalogue) and the selection."""
@@ -166,12 +171,23 @@ class Selection:
     ) -> Minor | None:
         """Return why a candidate would not be named although it is significant; None if it would be named."""
         cause, fit = candidate.cause, candidate.fit
-        if tolerated(problem, self.start, cause, fit, ranking.deflation):
+        if self._usual_push(problem, ranking, cause) or tolerated(
+            problem, self.start, cause, fit, ranking.deflation
+        ):
             return Minor(cause, fit, None, ranking.deflation)
         share = candidate.likelihood_ratio / max(self.cost - fit.cost, 1e-300)
         if len(accepted) > len(healthy) and share < LEAST_SHARE:
             return Minor(cause, fit, share, ranking.deflation)
         return None
+
+    def _usual_push(self, problem: FitProblem, ranking: Ranking, cause: Cause) -> bool:
+        """Return whether a cause is a push of which the healthy logs show nearly as much."""
+        if cause.effect != "event" or self.start.healthy is None:
+            return False
+        missing = missing_torque(problem, ranking.reference)
+        usual = healthy_shows_pushes(self.start, problem.windows, missing, cause.joint or 0)
+        (self.usual_pushes.add if usual else self.usual_pushes.discard)(cause.name)
+        return usual
 
     def _left(self, fit: Fit) -> bool:
         """Return whether a fit leaves more than noise."""
@@ -180,7 +196,11 @@ class Selection:
     def _tolerated(self, found: Selected) -> list[Cause]:
         """Return the selected causes of which there is no more than any healthy machine has."""
         deflation = self._deflation(found.final)
-        return [c for c in found.accepted if tolerated(found.acting, self.start, c, found.final, deflation)]
+        return [
+            c
+            for c in found.accepted
+            if c.name in self.usual_pushes or tolerated(found.acting, self.start, c, found.final, deflation)
+        ]
 
     def _deflation(self, fit: Fit) -> float:
         return max(dispersion(fit, self.train).deflation, self.start.least_deflation)

@@ -15,11 +15,16 @@ from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
+from deepkoco.diagnose.evidence.start_values import WIDTHS
+from deepkoco.diagnose.residuals.residuals import MissingTorque, missing_torque
 from deepkoco.diagnose.run_to_run import within_bounds
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import dispersion
 
+# A push must be at least twice as strong, four times the fall of chi2, as the strongest that the healthy logs show: one
+# of a few logs is always the one with the largest.
+PUSH_MARGIN = 4.0
 CONFIDENCE = 0.975  # of the chi2 test that the estimates from healthy logs and from the other logs differ
 
 
@@ -62,6 +67,40 @@ def consistent_with_healthy(
         hypothesis.cause.name not in known and chi2 <= limit
         for hypothesis, chi2, limit in zip(hypotheses, least, limits, strict=True)
     ]
+
+
+def healthy_shows_pushes(
+    start: Baseline, windows: Windows, missing: Sequence[MissingTorque], joint: int
+) -> bool:
+    """Return whether the healthy logs show pushes on a joint nearly as strong as those of other logs.
+
+    A model error can come in bursts. Each burst looks like a push, in healthy logs too. The falls of chi2 are compared
+    that pushes of several durations would bring; those of the healthy logs count beyond what chance brings.
+
+    Args:
+        start: The baseline; without healthy logs the result is False.
+        windows: Windows of the other logs, whose noise counts.
+        missing: Missing load of each joint there.
+        joint: The joint of the push.
+    """
+    healthy = start.healthy
+    if healthy is None:
+        return False
+    usual = replace(healthy.windows, noise=windows.noise)
+    share = healthy.windows.sample_sd / usual.sample_sd
+    fit = replace(healthy.fit, residual=healthy.fit.residual * share)
+    known = missing_torque(FitProblem(start.system, usual), fit)[joint].score
+    chance = 2.0 * math.log(max(known.size, 1))
+    return all(
+        _strongest(missing[joint].score, width)
+        <= PUSH_MARGIN * max(_strongest(known, width) - width * chance, 0.0)
+        for width in WIDTHS
+    )
+
+
+def _strongest(score: np.ndarray, width: int) -> float:
+    """Largest sum of so many neighbouring scores (W, K) in a window."""
+    return float(np.lib.stride_tricks.sliding_window_view(score, width, axis=1).sum(-1).max(initial=0.0))
 
 
 def _healthy_estimates(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.selection import PATIENCE
 from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
-from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, missing_torque
+from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, dispersion, missing_torque
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.prior import Prior
 
@@ -62,13 +63,33 @@ def best_losses(
     if not found:
         return None
     _, cause, lost = min(found, key=lambda item: item[0])
-    deflation = max(dispersion(lost.fit, problem.windows).deflation, floor)
+    deflation = max(
+        deflation_with(lost.found, dispersion(lost.fit, problem.windows), problem.windows.samples), floor
+    )
     ratio = fit.cost - lost.fit.cost
     score = ratio / deflation - lost.charge
     if score <= wanted:
         return None
     needed = (lost.charge + wanted) * deflation
     return Losses(_finding(lost, cause, ratio, score, needed), lost.problem, lost.fit, lost.charge)
+
+
+def deflation_with(positions: int, spread: Dispersion, samples: float) -> float:
+    """Return the deflation of a fit in which so many ticks were chosen freely; infinite where nothing else is left.
+
+    Each chosen position uses up one independent sample, as a fitted parameter does. So chi2 is divided by the
+    independent samples that remain. Without this, a pattern of losses fits a log of few independent samples, and the
+    small residuals that it leaves speak for it.
+
+    Args:
+        positions: Number of ticks that were counted as lost.
+        spread: Dispersion of the residuals of the fit.
+        samples: Number of samples.
+    """
+    independent = samples / spread.correlation
+    if independent <= positions:
+        return math.inf
+    return max(1.0, spread.chi2_per_sample * independent / (independent - positions)) * spread.correlation
 
 
 def instead_of_push(

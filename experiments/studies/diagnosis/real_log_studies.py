@@ -178,11 +178,15 @@ QUBE_FURUTA = Study(
             train=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 10.0) for k in (0, 1, 2, 3)),
             test=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 16.0) for k in (4, 5)),
         ),
-        "control": FitRequest(
-            train=(Piece("ep_04.csv", 4.0, 10.0),),
-            test=(Piece("ep_05.csv", 4.0, 10.0),),
-            healthy=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 10.0) for k in (0, 1)),
-        ),
+        # Episodes of the same unit beside two healthy ones.
+        **{
+            f"control {k}": FitRequest(
+                train=(Piece(f"ep_{k:02d}.csv", 4.0, 10.0),),
+                test=(Piece(f"ep_{other:02d}.csv", 4.0, 10.0),),
+                healthy=tuple(Piece(f"ep_{j:02d}.csv", 4.0, 10.0) for j in (0, 1)),
+            )
+            for k, other in ((2, 5), (3, 5), (4, 5), (5, 4))
+        },
     },
 )
 
