@@ -17,11 +17,9 @@ from deepkoco.fit.solve.lazy_batch import MANY, LazyBatch
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.tangent import Tangent, state_steps
+from deepkoco.fit.tangent import MANY_STATES, Tangent, state_steps
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
-
-MANY_STATES = 8  # in a window, from which a fit of states keeps slopes for a second iteration
 
 
 class FitProblem(ShootingProblem):
