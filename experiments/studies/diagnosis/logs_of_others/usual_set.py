@@ -42,6 +42,7 @@ from deepkoco.systems import ExtendedSystem, System, any_system
 from experiments.studies.diagnosis.yaml_studies import read_study
 
 OF_JOINT = ("armature", "damping", "frictionloss")
+OF_BODY = ("mass(", "com_", "inertia_")
 DELAY = "actuation_delay(all).delay"
 DELAYS = (0.0, 0.05, 0.1)  # at which fits start [s]
 WIDE = 100.0  # prior standard deviations of the usual set, in declared ones
@@ -191,7 +192,8 @@ def names_at(system: System, answer: Mapping[str, Any], joint: str) -> list[str]
     causes = [c["name"] for c in answer["causes"] if c["name"].partition("(")[2].rstrip(")") in places]
     far = []
     for name, (_, low, high, _unit) in answer["refit"].items():
-        if name.partition("(")[2].rstrip(")") in places and f"changed({name})" not in causes:
+        of_body = name.startswith(OF_BODY)  # a body may have the name of a joint
+        if name.partition("(")[2].rstrip(")") in places and not of_body and f"changed({name})" not in causes:
             p = system.parameter(name)
             away = max(low - p.value, p.value - high) / p.prior_sd
             if away > FAR:
