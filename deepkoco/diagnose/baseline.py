@@ -25,6 +25,7 @@ from deepkoco.systems.effects.learned import is_weight
 
 OPEN = 0.1  # relative standard deviation of a prior from which it leaves a scale open
 FIXED = 1e-4  # and of one that fixes it
+LONG = 75  # iterations of a refit that starts far from its minimum
 FEW_WINDOWS = (
     20  # of a log, or half the number of parameters, that give a fit of many parameters its start values
 )
@@ -180,7 +181,9 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
     """Fit the baseline's parameters under their prior, first on windows of half the length.
 
     The cost of a long window across an unstable equilibrium has many minima; that of half windows has fewer. The fit
-    on half windows gives the start values of parameters and initial states for the full windows.
+    on half windows gives the start values of parameters and initial states for the full windows. Where that fit ends
+    without a minimum, as in a valley of stick and slip that no slope leaves, the full windows are fitted from the
+    present values too, and the lower cost is kept.
 
     Args:
         start: Prior and present values.
@@ -197,7 +200,12 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
     guess = windows.state.clone()
     guess[torch.from_numpy(few)] = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
-    return problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
+    found = problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
+    if not first.stuck:
+        return found
+    state, _ = problem.fit_states(start.values, windows.state)
+    again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG)[0]
+    return again if not again.diverged and again.cost < found.cost else found
 
 
 def few_windows(windows: Windows, parameters: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
-from deepkoco.diagnose.run_to_run import RunToRun, log_information, sampling_variance
+from deepkoco.diagnose.run_to_run import RunToRun, log_information, sampling_variance, variances_between
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
@@ -23,11 +23,12 @@ SETTLED = 0.9  # ratio of two successive floors from which the rounds end
 def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     """Refit every healthy log separately and estimate the run-to-run variance.
 
-    Each refit frees the parameters of the pooled fit, and the floor counts as noise. The run-to-run variance is the
-    variance of the estimates between logs, minus their sampling variance. The floor is chi2 per sample of each log
-    under the prior that the other logs and this variance give, as in a diagnosis.
+    Each refit frees the parameters of the pooled fit, and the floor counts as noise. The run-to-run variance starts
+    from the variance of the estimates between logs, minus their sampling variance. It ends where the estimates of all
+    logs together are most likely, because errors of one log are correlated between its parameters. The floor is chi2
+    per sample of each log under the prior that the other logs and this variance give, as in a diagnosis.
 
-    Source: random effects by the method of moments (DerSimonian and Laird 1986).
+    Source: random effects, started by the method of moments (DerSimonian and Laird 1986).
 
     Args:
         healthy: The logs and their pooled fit.
@@ -58,12 +59,14 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     values = np.array([[fit.values[n] for n in prior.names] for fit in alone.fits])
     pairs = list(zip(alone.fits, alone.spreads, strict=True))
     by_noise = np.array([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs])
-    between = np.diag(np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0))
+    alike = np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0)
     told = {
         k: log_information(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)
     }
     degrees = int(long.sum()) - 1
     declared = np.diag(prior.covariance)
+    those = [told[k] for k, enough in zip(logs, long, strict=True) if enough]
+    between = np.diag(variances_between(those, centred, alike))
     found = RunToRun(told, between, degrees, declared, alone.floor, alone.correlation, alone.lag_one)
     again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
     return replace(found, floor=again.floor, correlation=again.correlation, lag_one=again.lag_one)

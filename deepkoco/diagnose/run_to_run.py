@@ -5,6 +5,7 @@ Source: random effects (DerSimonian and Laird 1986), in the information form of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +17,10 @@ from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 from deepkoco.systems import System
+
+STEPS = 200  # of the search for the most likely run-to-run variances
+SETTLED = 1e-4  # relative change of every variance from which that search ends
+NONE = 1e-6  # variance over the declared one, below which there is none
 
 
 class LogInformation(NamedTuple):
@@ -88,6 +93,48 @@ class RunToRun:
         sure = scipy.stats.t.ppf(0.975, self.degrees) / scipy.stats.norm.ppf(0.975)
         shown = np.diag(self.covariance)
         return np.diag(np.minimum(sure**2 * shown, np.maximum(shown, self.declared)))
+
+
+def variances_between(told: Sequence[LogInformation], prior: Prior, start: np.ndarray) -> np.ndarray:
+    """Return the run-to-run variances (K,) under which the estimates of all logs together are most likely.
+
+    Parameters that one log only knows in combination (a torque constant and a resistance of which the ratio shows)
+    are estimated with correlated errors. Taken one by one, both seem to differ from run to run, and their ratio would
+    then seem to differ too. The joint likelihood explains such differences by the correlated errors.
+
+    With the information H_k of log k, W_k = (1 + H_k S)^-1 H_k is that of the mean, and the mean m is integrated out.
+    Each step multiplies a variance by the root of sum_k (W_k (x_k - m))^2 / sum_k (W_k - W_k L^-1 W_k), where L is the
+    information of all logs and of the prior.
+
+    Source: Zhou et al., MM algorithms for variance components models (2019), restricted likelihood.
+
+    Args:
+        told: Likelihoods of the logs.
+        prior: Prior of the mean, before any log.
+        start: (K,) variances to start from, above 0 where they may be above 0 in the end.
+    """
+    scale = np.sqrt(np.diag(prior.covariance))
+    one = np.eye(len(scale))
+    data = [o.information * np.outer(scale, scale) for o in told]
+    pulls = [scale * (o.times_mean - o.information @ prior.centre) for o in told]
+    before = prior.precision(prior.names) * np.outer(scale, scale)
+    variance = start / scale**2
+    for _ in range(STEPS):
+        through = [np.linalg.inv(one + own * variance) for own in data]
+        known = [t @ own for t, own in zip(through, data, strict=True)]
+        spread = _inverse(before + np.sum(known, axis=0))
+        mean = spread @ np.sum([t @ pull for t, pull in zip(through, pulls, strict=True)], axis=0)
+        shown = np.zeros_like(variance)
+        expected = np.zeros_like(variance)
+        for t, own, weight, pull in zip(through, data, known, pulls, strict=True):
+            shown += (t @ (pull - own @ mean)) ** 2
+            expected += np.diag(weight - weight @ spread @ weight)
+        found = variance * np.sqrt(shown / np.maximum(expected, 1e-300))
+        settled = np.abs(found - variance) <= SETTLED * np.maximum(found, NONE)
+        variance = found
+        if settled.all():
+            break
+    return np.where(variance > NONE, variance, 0.0) * scale**2
 
 
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:

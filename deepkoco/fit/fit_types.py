@@ -11,6 +11,8 @@ from torch import Tensor
 
 from deepkoco.fit.solve.prior import Prior
 
+STUCK = 6  # steps in a row that lower no cost, after which a fit is stuck
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -80,3 +82,12 @@ class Fit:
     def cost(self) -> float:
         """chi2 plus prior penalty: minus twice the log posterior up to a constant."""
         return self.chi2 + self.penalty
+
+    @property
+    def stuck(self) -> bool:
+        """Whether it ended without a minimum, after steps of any length along its slopes that raised the cost.
+
+        Stick and slip can make a motion so sensitive that slopes hold over a tiny step only.
+        """
+        last = self.history[-STUCK:]
+        return not self.converged and len(last) == STUCK and last[0] == last[-1]

@@ -23,6 +23,7 @@ from deepkoco.diagnose.run_to_run import (
     log_information,
     posterior,
     sampling_variance,
+    variances_between,
     within_bounds,
 )
 from deepkoco.fit.data.windows import cut_windows, window_length
@@ -99,6 +100,37 @@ def test_posterior_and_sampling_variance_agree_with_linear_least_squares(seed, d
     wide = posterior(fit, prior, deflation)
     np.testing.assert_allclose(wide, np.linalg.inv(data / deflation + precision), rtol=1e-5, atol=1e-9)
     assert np.linalg.eigvalsh(prior.covariance - wide).min() > -1e-6
+
+
+def told(information: np.ndarray, estimate: np.ndarray) -> LogInformation:
+    return LogInformation(information, information @ estimate)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(3, 8))
+def test_variances_between_of_separate_parameters_are_those_of_their_estimates(seed, count):
+    rng = np.random.default_rng(seed)
+    prior = Prior(("a", "b"), np.zeros(2), 400.0 * np.eye(2))
+    precision = np.diag([1e4, 25.0])
+    estimates = rng.normal(size=(count, 2)) * [0.5, 1.0]
+    found = variances_between([told(precision, e) for e in estimates], prior, np.array([9.0, 9.0]))
+    # Restricted likelihood with equal errors: the sample variance less that of the errors, or 0.
+    wanted = np.maximum(estimates.var(0, ddof=1) - 1.0 / np.diag(precision), 0.0)
+    np.testing.assert_allclose(found, wanted, atol=0.02, rtol=0.02)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_variances_between_are_zero_where_correlated_errors_explain_the_estimates(seed):
+    rng = np.random.default_rng(seed)
+    prior = Prior(("a", "b"), np.zeros(2), np.eye(2))
+    # A log shows a - b to 0.01 and their sum to 0.5 only.
+    ways = np.array([[1.0, -1.0], [1.0, 1.0]]) / np.sqrt(2.0)
+    precision = ways.T @ np.diag([1e4, 4.0]) @ ways
+    along = rng.normal(size=4) * 0.3
+    logs = [told(precision, x * ways[1]) for x in along]
+    start = np.full(2, np.var(along, ddof=1))
+    assert variances_between(logs, prior, start).max() < 0.02 * start[0]
 
 
 def claimed(start, effort: float):

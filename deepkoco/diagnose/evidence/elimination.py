@@ -94,28 +94,43 @@ def carried(
         The remaining causes and their fit.
     """
     kept = list(accepted)
-
-    def errors(found: Fit) -> np.ndarray:
-        unseen = FitProblem(start.system, problem.elsewhere(held, found))
-        replayed = unseen.evaluate({**found.values, "event.torque": 0.0}, "held back")
-        return (replayed.residual**2).sum((1, 2)).numpy()
-
     while len(kept) > least and (lasting := [c for c in kept if c.effect != "event"]):
         fits = _less(problem, start, kept, lasting, fit)
-        now = errors(fit)
+        now = held_out_chi2(problem, start, fit, held)
         # A cause can win by letting baseline parameters return to their prior instead of improving the simulation.
         # Held-out windows cannot test such a cause, so its harm is set to zero.
         harm = [
-            np.zeros(len(held)) if less.diverged or _mostly_prior_penalty(less, fit) else now - errors(less)
+            np.zeros(len(held))
+            if less.diverged or _mostly_prior_penalty(less, fit)
+            else now - held_out_chi2(problem, start, less, held)
             for less in fits
         ]
         worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
         # A cause that does not act in these windows changes their error only by chance.
-        if not harm[worst].sum() > np.sqrt(len(held)) * harm[worst].std():
+        if not beyond_chance(harm[worst]):
             break
         kept.remove(lasting[worst])
         fit = fits[worst]
     return kept, fit
+
+
+def held_out_chi2(problem: FitProblem, start: Baseline, fit: Fit, held: Windows) -> np.ndarray:
+    """Return chi2 (W,) of a fit in each held-out window, without its push; the initial states are fitted there.
+
+    Args:
+        problem: The windows of the fit.
+        start: The baseline.
+        fit: The fit.
+        held: Held-out windows.
+    """
+    unseen = FitProblem(start.system, problem.elsewhere(held, fit))
+    replayed = unseen.evaluate({**fit.values, "event.torque": 0.0}, "held back")
+    return (replayed.residual**2).sum((1, 2)).numpy()
+
+
+def beyond_chance(harm: np.ndarray) -> bool:
+    """Return whether held-out errors (W,) are larger in total than their differences between windows explain."""
+    return bool(harm.sum() > np.sqrt(len(harm)) * harm.std())
 
 
 def _less(

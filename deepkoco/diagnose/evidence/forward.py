@@ -144,7 +144,7 @@ class Selection:
                 continue
             self.progress(f"class of {ranking.best.cause.name}{in_company_of(names)}")
             ranking = self._refined(problem, ranking, accepted, hints)
-            ranking, members = classed(problem, start, ranking, accepted)
+            ranking, members = classed(problem, start, ranking, accepted, self.held)
             steps.append((ranking, members))
             accepted.append(ranking.best.cause)
             final, ranking = ranking.best.fit, None
@@ -201,10 +201,14 @@ class Selection:
 
     def _pruned(self, found: Selected) -> Selected:
         """Compare each cause again and eliminate causes, until nothing changes or the rounds are used up."""
+        first = found.steps[0][0] if found.steps and found.lost is None else None
         for _ in range(MAX_ROUNDS):
             kept = self._kept(self._reconsidered(found))
             if kept.accepted == found.accepted:
                 return kept
+            if len(kept.accepted) == 1:
+                # Its ranking and class were those beside causes that are removed now.
+                return self._reconsidered(kept, 1) if first is None else self._alone(kept, first)
             found = kept
         return self._reconsidered(found)
 
@@ -246,13 +250,17 @@ class Selection:
         gives_little = less.chi2 - fit.chi2 < most * (self.before - fit.chi2)
         return (rest, less) if gives_little else (kept, fit)
 
-    def _reconsidered(self, found: Selected) -> Selected:
+    def _reconsidered(self, found: Selected, least: int = 2) -> Selected:
         """Compare each of several causes with all lasting causes again, with the other accepted causes in the model.
 
         The best cause while the others were missing need not be the best together with them. The class of a cause
         also depends on the residuals that the others leave.
+
+        Args:
+            found: The selection.
+            least: Number of causes from which they are compared again.
         """
-        if len(found.accepted) < 2 or self.start.tempering > 1.0:
+        if len(found.accepted) < least or self.start.tempering > 1.0:
             return found
         start, problem = self.start, found.acting
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
@@ -271,12 +279,23 @@ class Selection:
             rivals = [cause] if cause.effect == "event" else lasting
             ranking = rank(problem, start, less, others, hints, rivals)
             ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
-            ranking, members = classed(problem, start, ranking, others)
+            ranking, members = classed(problem, start, ranking, others, self.held)
             steps[k] = (ranking, members)
             if ranking.best.cause.name != cause.name:
                 accepted[k] = ranking.best.cause
             final = ranking.best.fit
         return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
+
+    def _alone(self, kept: Selected, first: Ranking) -> Selected:
+        """Compare the only cause that is kept with all lasting causes in the ranking in which none was accepted."""
+        start, problem, (cause,) = self.start, kept.acting, kept.accepted
+        pushed = cause.effect == "event"
+        rivals = [c for c in first.candidates if not pushed and c.cause.effect != "event"]
+        ranking = with_fit(problem, replace(first, candidates=tuple(rivals)), cause, kept.final)
+        ranking = front_settled(problem, start, (), ranking)
+        ranking, members = classed(problem, start, ranking, (), self.held)
+        best = ranking.best
+        return replace(kept, final=best.fit, accepted=(best.cause,), steps=((ranking, members),))
 
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
         """Accept lost commands and further causes if they explain clearly more than causes alone; else return None.

@@ -43,6 +43,7 @@ HOPELESS = (
 )
 FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
+MOST_CHANGED = 6  # and changed parameters
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
@@ -124,7 +125,9 @@ def rank(
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
         also = {p.cause.name for p in promising}
-        far = [p for p in far if p.cause.name not in also][:MOST_AS_GIVEN]
+        fresh = [p for p in far if p.cause.name not in also]
+        far = [p for p in fresh if not is_changed(p.cause)][:MOST_AS_GIVEN]
+        far += [p for p in fresh if is_changed(p.cause)][:MOST_CHANGED]
         if many:
             far = best_of_each_place(far, charge)
         promises += far
@@ -198,14 +201,15 @@ def _screened_as_given(
     """Return the promising starts at the baseline's values before the refit.
 
     Where several parameters together imitate a cause, the refit has moved them there, and the score test at the refit
-    sees nothing of it: a payload within a link is another mass and another inertia of it.
+    sees nothing of it: a payload within a link is another mass and another inertia of it. One parameter that changed
+    much moves the others with it in the same way.
     """
     values = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
     state, costs = problem.fit_states(values, reference.state)
     if not bool(torch.isfinite(costs).all()):
         return []
     there = replace(reference, values=values, state=state)
-    pairs = [pair for pair in listed if pair[0].free and not is_changed(pair[0])]
+    pairs = [pair for pair in listed if pair[0].free]
     first: dict[str, StartPoint] = {}
     for point in promising_starts(screen(problem, there, prior, pairs)):
         first.setdefault(point.cause.name, point)

@@ -88,7 +88,10 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     """
     base, found = explanation.base, explanation.found
     reference, final, seed = base.reference, found.final, request.seed
-    scattered = tuple(scatter_findings(base.start.system, base.train, final, request.detection))
+    floor = base.learned.floor / base.start.floor
+    scattered = scatter_findings(
+        base.start.system, base.train, final, request.detection, base.learned.healthy, floor
+    )
     left = dispersion(final, base.train)
     without = with_parameters_kept(base, [n for c in found.accepted if is_changed(c) for n in c.free])
     missing = missing_torque(base.problem, without.reference, left.deflation)
@@ -98,7 +101,7 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     doubts = _doubts(explanation, request.system, missing, left)
     verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
     learned = None
-    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train)
+    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train, white)
     if base.start.tempering > 1.0 and verdict == "unknown":
         unfitted = (*unfitted, TOO_SLOW)
     elif verdict == "unknown" or rival:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from deepkoco.diagnose.baseline import Healthy as HealthyLogs
 from deepkoco.diagnose.causes import catalogue, kind_of
 from deepkoco.diagnose.causes.tolerance import Healthy
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
@@ -14,21 +15,31 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 from deepkoco.systems import ExtendedSystem
 
+RUN_TO_RUN = 1.1  # ratio to which noise of one machine differs from log to log
+
 
 def scatter_findings(
-    system: ExtendedSystem, windows: Windows, fit: Fit, detection: float
+    system: ExtendedSystem,
+    windows: Windows,
+    fit: Fit,
+    detection: float,
+    healthy: HealthyLogs | None = None,
+    floor: float = 1.0,
 ) -> tuple[Finding, ...]:
     """Return the noise causes whose fall of the BIC exceeds the threshold, strongest first.
 
-    Causes within their tolerance are left out.
+    Causes within their tolerance, and causes of which the healthy logs show as much, are left out.
 
     Args:
         system: The extended system.
         windows: Training windows.
         fit: The final model on them.
         detection: Fall of the BIC from which a cause is named.
+        healthy: The healthy logs and their fit; None without any.
+        floor: Variance that ``windows`` count as noise, over that of the sensors.
     """
-    view = Scatter(system.base, windows, fit)
+    view = Scatter(system.base, windows, fit, floor)
+    usual = None if healthy is None else Scatter(system.base, healthy.windows, healthy.fit)
     deflation = dispersion(fit, windows).correlation
     found = []
     for name, cause in catalogue(system.base).items():
@@ -42,9 +53,12 @@ def scatter_findings(
             continue
         placed = f"{name}.{verdict.parameter}"
         declared = system.parameter(placed)
-        healthy = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
+        machine = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
         away = max(abs(verdict.low - declared.value), abs(verdict.high - declared.value))
-        if away <= cause.tolerance(healthy):
+        if away <= cause.tolerance(machine):
+            continue
+        known = None if usual is None else cause.scatter(usual, cause.index)
+        if known is not None and verdict.low <= RUN_TO_RUN * known.high:
             continue
         text = f"With this cause, the likelihood ratio of the residuals is {verdict.likelihood_ratio:.0f}."
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)

@@ -110,7 +110,7 @@ def stamp_jitter(
         for w in range(len(value)):
             n = int(valid[w, c].sum())
             if n > STAMP_ORDER + 1:
-                weight, rows = _difference_weights(t[w, c, :n], STAMP_ORDER)
+                weight, rows = difference_weights(t[w, c, :n], STAMP_ORDER)
                 moved = (weight * residual[w, c, :n][rows]).sum(1)
                 parts.append((moved, ((weight * rate[w, c, :n][rows]) ** 2).sum(1)))
         if parts and sum(len(moved) for moved, _ in parts) >= 40:
@@ -198,11 +198,11 @@ def rates(t: np.ndarray, value: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def _normalised_difference(t: np.ndarray, value: np.ndarray, order: int) -> np.ndarray:
-    weight, rows = _difference_weights(t, order)
+    weight, rows = difference_weights(t, order)
     return (weight * value[rows]).sum(axis=1)
 
 
-def _difference_weights(t: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+def difference_weights(t: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     """Weights (n - order, order + 1) of normalised divided differences, and the samples that they belong to."""
     rows = np.arange(len(t) - order)[:, None] + np.arange(order + 1)
     stamps = t[rows]

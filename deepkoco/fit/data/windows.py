@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.fit.data.even_stamps import with_even_stamps
 from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.logs.recording import LogError, Recording
@@ -402,7 +403,8 @@ def _channels(
         wanted = ", ".join(c.name for c in system.measurements)
         raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
     names = [command.name for command in system.commands if command.name in recording.channels]
-    logged = [recording.channels[name] for name in names]
+    series, moved = with_even_stamps(series, [recording.channels[name].t for name in names])
+    logged = [replace(recording.channels[name], t=t) for name, t in zip(names, moved, strict=True)]
     if not logged:
         # A log of a free motion: every command is at its default.
         ends = [(t[0], t[-1]) for t, _ in series.values()]

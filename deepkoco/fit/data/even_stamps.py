@@ -1,0 +1,190 @@
+"""Time stamps of a loop that scatter: the even times behind them, where the motion shows these."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.linalg import solveh_banded
+from scipy.ndimage import median_filter
+
+from deepkoco.fit.data.noise import difference_weights
+
+FEWEST = 100  # samples from which the scatter of stamps is estimated
+MOST = (
+    0.12  # of the period: where stamps scatter by more, it is not sure to which turn of the loop each belongs
+)
+NEAR = 25  # samples, of which the typical delay tells the turn of the loop that each belongs to
+LAGS = (5, 25, 125)  # in samples, over which the period itself may wander
+ALIKE = 2.0  # ratio of the scatters of commands and samples up to which one clock stamped both
+FAR = 5.0  # standard deviations of a gap from which it is a pause of the loop
+EVIDENCE = 16.0  # fall of minus twice the log likelihood from which the even times are believed
+ORDERS = range(2, 7)  # of the differences of samples; the one with the least motion in it is used
+CLIP = 4.0  # standard deviations of a difference beyond which it does not count
+
+Series = tuple[np.ndarray, np.ndarray]
+
+
+def with_even_stamps(
+    series: Mapping[str, Series], commands: Sequence[np.ndarray]
+) -> tuple[dict[str, Series], list[np.ndarray]]:
+    """Return measurements and command stamps of one log, moved to the even times that the motion shows.
+
+    A computer that stamps a regular loop late or early stamps commands and samples alike. A sample is then only as
+    wrong as the motion is fast. A command acts at another time than the simulation takes it, and every jump of it is an
+    impulse that stays in the speed. Both errors vanish at the even times. A loop may also be irregular itself, and its
+    stamps right. The measured motion decides: it is smoother against the times at which it was measured.
+
+    Args:
+        series: Channel -> (n,) stamps [s], increasing, and (n,) values.
+        commands: Stamps of each command [s], increasing.
+
+    Returns:
+        The series and the commands with their stamps. Commands are moved with samples that have the same stamps, or
+        stamps that scatter as much: one clock took both. Stamps that do not scatter, or of which the motion does not
+        show it, are returned as they are.
+    """
+    result, moved = dict(series), list(commands)
+    for t in _clocks(series):
+        own = {name: value for name, (stamps, value) in series.items() if np.array_equal(stamps, t)}
+        even = even_times(t)
+        share = 0.0 if even is None else share_of_scatter(t, even, list(own.values()))
+        if even is None or share == 0.0:
+            continue
+        times = _towards(t, even, share)
+        result |= {name: (times, value) for name, value in own.items()}
+        moved = [_moved_alike(command, t, even, share) for command in moved]
+    return result, moved
+
+
+def _moved_alike(command: np.ndarray, t: np.ndarray, even: np.ndarray, share: float) -> np.ndarray:
+    """Return stamps of commands that were taken by the clock of samples with stamps ``t``; others as they are."""
+    at = np.searchsorted(t, command)
+    if (at < len(t)).all() and np.array_equal(t[at], command):
+        return _towards(t, even, share)[at]
+    own = even_times(command)
+    if own is None or not 1.0 / ALIKE <= np.std(own - command) / np.std(even - t) <= ALIKE:
+        return command
+    return _towards(command, own, share)
+
+
+def _towards(t: np.ndarray, even: np.ndarray, share: float) -> np.ndarray:
+    return np.maximum.accumulate(t + share * (even - t))
+
+
+def even_times(t: np.ndarray) -> np.ndarray | None:
+    """Return the times of a loop whose stamps scatter: its period may wander, and each stamp is late or early alone.
+
+    Of x_{k+1} = x_k + m_k T + w_k and t_k = x_k + e_k, the covariance of neighbouring gaps is minus the variance of
+    e, and the variance of long gaps grows with that of w. The most likely x solves a tridiagonal system.
+
+    Args:
+        t: (n,) stamps [s], increasing.
+
+    Returns:
+        (n,) times [s]; None where stamps are few or regular, or scatter too much to count periods.
+    """
+    if len(t) < FEWEST:
+        return None
+    gap = np.diff(t)
+    period = float(np.median(gap))
+    if not period > 0.0:
+        return None
+    turn = np.append(0.0, np.cumsum(np.round(gap / period)))
+    period = float(np.polyfit(turn, t - t[0], 1)[0])
+    # A late stamp may be nearer to the next turn of the loop than to its own; its neighbours show it.
+    phase = t - t[0] - period * turn
+    turn += np.round((phase - median_filter(phase, NEAR, mode="nearest")) / period)
+    count = np.diff(turn)
+    off = gap - count * period
+    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    if not 0.0 < spread <= MOST * np.sqrt(2.0) * period:
+        return None
+    usual = np.abs(off) <= FAR * spread
+    period += float(off[usual].sum() / count[usual].sum())
+    off = np.where(usual, gap - count * period, 0.0)
+    pairs = usual[1:] & usual[:-1]
+    scatter = -float((off[1:] * off[:-1])[pairs].mean())
+    if not scatter > 1e-4 * float(off[usual].var()):
+        return None
+    phase, n = np.append(0.0, np.cumsum(off)), len(off)
+    wander = 0.0
+    for lag in LAGS:
+        if 4 * lag <= n:
+            # n / lag differences are independent, so the estimate has this standard error.
+            apart = float(np.var(phase[lag:] - phase[:-lag]))
+            error = apart * np.sqrt(2.0 * lag / n)
+            wander = max(wander, (apart - 2.0 * scatter - error) / lag)
+    stiff = scatter / max(wander, 1e-6 * scatter)
+    link = np.where(usual, stiff, 0.0)  # a pause tells nothing of the time after it
+    diagonal = np.ones(n + 1)
+    diagonal[:-1] += link
+    diagonal[1:] += link
+    band = np.zeros((2, n + 1))
+    band[0, 1:], band[1] = -link, diagonal
+    # The times are linear in the period, which is fitted with them.
+    right = np.zeros((n + 1, 2))
+    right[:, 0] = t - t[0]
+    for k, pull in enumerate((link * count * period, link * count)):
+        right[:-1, k] -= pull
+        right[1:, k] += pull
+    even, longer = solveh_banded(band, right).T
+    left = [t - t[0] - even, np.sqrt(link) * (np.diff(even) - count * period)]
+    moved = [-longer, np.sqrt(link) * (np.diff(longer) - count)]
+    more = -sum(a @ b for a, b in zip(left, moved, strict=True)) / sum(b @ b for b in moved)
+    return t[0] + even + more * longer
+
+
+def share_of_scatter(t: np.ndarray, even: np.ndarray, values: list[np.ndarray]) -> float:
+    """Return the share of the distance from stamps to even times that measurements show, 0 to 1.
+
+    A sample that was taken at the even time differs from the smooth motion at its stamp by the rate times the
+    distance. Divided differences of the samples remove the motion and keep this. Their regression on the differences
+    of rate times distance gives the share.
+
+    Args:
+        t: (n,) stamps [s].
+        even: (n,) even times [s].
+        values: (n,) measurements at these stamps, one for each channel.
+
+    Returns:
+        The share; 0 without evidence, 1 where the measurements do not contradict the even times.
+    """
+    top, weight = 0.0, 0.0
+    for value in values:
+        rate = np.zeros(len(t))
+        rate[2:-2] = (value[4:] - value[:-4]) / np.maximum(t[4:] - t[:-4], 1e-12)
+        best = None
+        for order in ORDERS:
+            weights, rows = difference_weights(t, order)
+            shown = (weights * value[rows]).sum(1)
+            wanted = (weights * (rate * (even - t))[rows]).sum(1)
+            inside = np.ones(len(shown), dtype=bool)
+            share, sd = 0.0, np.inf
+            for _ in range(4):
+                power = float((wanted[inside] ** 2).sum())
+                share = float((wanted * shown)[inside].sum()) / power if power > 0.0 else 0.0
+                rest = shown - share * wanted
+                sd = float(np.sqrt(np.mean(rest[inside] ** 2)))
+                inside = np.abs(rest) <= CLIP * sd
+            # Neighbouring differences share samples: about one in order + 1 is independent.
+            told = power / max(sd**2, 1e-300) / (order + 1)
+            if best is None or told > best[1]:
+                best = share, told
+        if best is not None and best[1] > 0.0:
+            top, weight = top + best[0] * best[1], weight + best[1]
+    if weight == 0.0:
+        return 0.0
+    share, error = top / weight, 1.0 / np.sqrt(weight)
+    if share <= 0.0 or (share / error) ** 2 < EVIDENCE:
+        return 0.0
+    return 1.0 if share + 2.0 * error >= 1.0 else share
+
+
+def _clocks(series: Mapping[str, Series]) -> list[np.ndarray]:
+    """Return the different stamps of some channels."""
+    found: list[np.ndarray] = []
+    for t, _ in series.values():
+        if not any(np.array_equal(t, other) for other in found):
+            found.append(t)
+    return found
