@@ -109,9 +109,8 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     guess[torch.from_numpy(few)] = fit.state[::2]
     state, _ = problem.fit_states(fit.values, guess)
     fit = replace(fit, state=state)
-    for _ in range(2):
-        start = tempered_to(declared, names, fit, halves)
-        fit, halves = problem.fit_one(_from(start, fit), 2 * ITERATIONS), windows
+    start = tempered_to(declared, names, fit, halves)
+    fit = problem.fit_one(_from(start, fit), 2 * ITERATIONS)
     if fit.chi2 / windows.samples <= LARGE_MISFIT:
         # Little is left that the parameters could imitate; the usual refit frees all of them.
         return None

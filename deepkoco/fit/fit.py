@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -17,11 +17,10 @@ from deepkoco.fit.solve.lazy_batch import MANY, LazyBatch
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.tangent import Tangent, state_steps
+from deepkoco.fit.solve.state_search import StateSearch
+from deepkoco.fit.tangent import MANY_STATES, Tangent, state_steps
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
-
-MANY_STATES = 8  # in a window, from which a fit of states keeps slopes for a second iteration
 
 
 class FitProblem(ShootingProblem):
@@ -203,7 +202,7 @@ class FitProblem(ShootingProblem):
         sets, count, size = state.shape
         nuisance = self.nuisances.none().repeat(sets, 1) if nuisance is None else nuisance
         theta = np.array([[float(v[n]) for n in self.names] for v in values])
-        search = _StateSearch.at(state)
+        search = StateSearch.at(state)
         for iteration in range(iterations):
             moving = (~search.settled).nonzero()
             if len(moving) == 0:
@@ -232,83 +231,3 @@ class FitProblem(ShootingProblem):
             some.propose()
             search.put(rows, columns, some)
         return search.best, search.cost
-
-
-@dataclass
-class _StateSearch:
-    """Levenberg-Marquardt of the initial states of K sets and W windows, each with a step and a damping of its own.
-
-    Attributes:
-        best: (K, W, S) states of the lowest cost.
-        trial: (K, W, S) states that are simulated next.
-        cost: (K, W) lowest cost.
-        damping: (K, W).
-        settled: (K, W) whether the states are found.
-        hessian: (K, W, S, S) curvature of the cost at the best states.
-        gradient: (K, W, S) its descent direction.
-        slopes: (K, W, S, NM) whitened slopes of the measurements; (K, W, S, 0) before the first simulation.
-    """
-
-    best: Tensor
-    trial: Tensor
-    cost: Tensor
-    damping: Tensor
-    settled: Tensor
-    hessian: Tensor
-    gradient: Tensor
-    slopes: Tensor
-
-    @staticmethod
-    def at(state: Tensor) -> _StateSearch:
-        """Begin at states (K, W, S)."""
-        sets, count, size = state.shape
-        return _StateSearch(
-            state.clone(),
-            state.clone(),
-            torch.full((sets, count), torch.inf, dtype=torch.float64),
-            torch.full((sets, count), 1e-3, dtype=torch.float64),
-            torch.zeros(sets, count, dtype=torch.bool),
-            torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1),
-            torch.zeros(sets, count, size, dtype=torch.float64),
-            torch.zeros(sets, count, size, 0, dtype=torch.float64),
-        )
-
-    def of(self, rows: Tensor, columns: Tensor) -> _StateSearch:
-        """The search of some sets and windows."""
-        return _StateSearch(*(getattr(self, f.name)[rows][:, columns] for f in fields(self)))
-
-    def put(self, rows: Tensor, columns: Tensor, part: _StateSearch) -> None:
-        """Take over what has become of some sets and windows."""
-        if self.slopes.shape[-1] != part.slopes.shape[-1]:
-            self.slopes = torch.zeros(*self.gradient.shape, part.slopes.shape[-1], dtype=torch.float64)
-        for f in fields(self):
-            getattr(self, f.name)[rows[:, None], columns] = getattr(part, f.name)
-
-    def judge(self, residual: Tensor, tolerance: float) -> None:
-        """Take the simulated states where they lower the cost.
-
-        Args:
-            residual: (K, W, NM) whitened residuals at them.
-            tolerance: Fall of the cost of a window below which its states are found.
-        """
-        now = (residual**2).sum(-1)
-        curvature = self.slopes @ self.slopes.mT
-        downhill = (self.slopes @ residual[..., None])[..., 0]
-        # The cost can be finite although a lane of the finite differences diverged.
-        better = torch.isfinite(now) & torch.isfinite(curvature).flatten(2).all(-1)
-        better &= torch.isfinite(downhill).all(-1) & (now <= self.cost)
-        # At the minimum, rounding can make the cost of a step slightly larger than before.
-        close = (self.cost - now).abs() <= tolerance + 1e-4 * now
-        self.hessian = torch.where(better[..., None, None], curvature, self.hessian)
-        self.gradient = torch.where(better[..., None], downhill, self.gradient)
-        self.best = torch.where(better[..., None], self.trial, self.best)
-        self.cost = torch.where(better, now, self.cost)
-        self.damping = torch.where(better, self.damping * 0.1, self.damping * 20.0).clamp(1e-9, 1e9)
-        self.settled = close | (self.damping > 1e6)
-
-    def propose(self) -> None:
-        """Take a damped step from the best states."""
-        diagonal = torch.diagonal(self.hessian, dim1=-2, dim2=-1)
-        matrix = self.hessian + torch.diag_embed(self.damping[..., None] * diagonal + 1e-9)
-        step, singular = torch.linalg.solve_ex(matrix, self.gradient)
-        self.trial = self.best + torch.where((singular == 0)[..., None], step, 0.0)

@@ -12,11 +12,21 @@ from deepkoco.fit.shooting import ShootingProblem
 
 POSITION_STEP, SPEED_STEP = 1e-6, 1e-5  # finite differences of the initial state [rad or m, per s]
 PARAMETER_STEP = 1e-5  # finite difference of a parameter, relative to its scale
+# Where several joints stick and turn, a simulation has small jumps: another joint turns first, in another step. A jump
+# of a tenth of the noise across a small difference is a slope that outweighs all others; across a large one it is not.
+MANY_STATES = 8
+COARSER = 100.0  # larger differences with so many states
 
 
 def state_steps(states: int) -> tuple[float, ...]:
     """Finite differences of an initial state: positions first, then speeds."""
-    return (POSITION_STEP,) * (states // 2) + (SPEED_STEP,) * (states // 2)
+    size = COARSER if states >= MANY_STATES else 1.0
+    return (size * POSITION_STEP,) * (states // 2) + (size * SPEED_STEP,) * (states // 2)
+
+
+def parameter_step(states: int) -> float:
+    """Finite difference of a parameter, relative to its scale, of a system with so many states."""
+    return COARSER * PARAMETER_STEP if states >= MANY_STATES else PARAMETER_STEP
 
 
 @dataclass(frozen=True)
@@ -46,7 +56,7 @@ class Tangent:
             state: (W, S) initial states.
             states: Whether initial states are moved too.
         """
-        step = PARAMETER_STEP * problem.scale[columns]
+        step = parameter_step(state.shape[1]) * problem.scale[columns]
         step = np.where(theta[columns] + step > problem.high[columns], -step, step)
         nudge = state_steps(state.shape[1]) if states else ()
         count = 1 + len(columns) + len(nudge)

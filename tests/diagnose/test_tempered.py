@@ -8,9 +8,9 @@ import pytest
 from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.joint_by_joint import best_of_each_joint
+from deepkoco.diagnose.evidence.promising import PER_PLACE, best_of_each_place
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.screening import StartPoint
-from deepkoco.diagnose.evidence.selection import PER_PLACE, _best_of_each_place
 from deepkoco.diagnose.tempered import tempered_to, told
 from deepkoco.fit import cut_windows
 from deepkoco.fit.solve.dispersion import dispersion
@@ -86,5 +86,5 @@ def test_best_of_each_place_keeps_as_many_causes_of_every_joint(arm):
     points = [
         StartPoint(cause, {}, 100.0 * (2 - j) + k) for j, own in at.items() for k, cause in enumerate(own)
     ]
-    kept = _best_of_each_place(points, {p.cause.name: 0.0 for p in points})
+    kept = best_of_each_place(points, {p.cause.name: 0.0 for p in points})
     assert {p.cause.name for p in kept} == {c.name for own in at.values() for c in own[-PER_PLACE:]}

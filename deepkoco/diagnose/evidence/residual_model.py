@@ -22,8 +22,8 @@ import torch
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.promising import WORTH
 from deepkoco.diagnose.evidence.screening import screen
-from deepkoco.diagnose.evidence.selection import WORTH
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import STANDSTILL, Windows

@@ -25,7 +25,7 @@ from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
-from deepkoco.fit.tangent import PARAMETER_STEP, Tangent
+from deepkoco.fit.tangent import Tangent, parameter_step
 
 LANES = 160  # simulations in one batch
 RIDGE = 1e-8  # relative; two doses may move the measurements in the same direction
@@ -105,7 +105,7 @@ def _doses(
         j = problem.names.index(name)
         if silent and name in place:
             continue
-        step = PARAMETER_STEP * problem.scale[j]
+        step = parameter_step(reference.state.shape[1]) * problem.scale[j]
         if name.endswith(".frequency"):
             continue  # it changes nothing while the amplitude is zero
         if name.endswith(".centre"):

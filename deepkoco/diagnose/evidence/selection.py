@@ -13,6 +13,12 @@ from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.priors import prior_with, strained
+from deepkoco.diagnose.evidence.promising import (
+    WORTH,
+    best_of_each_place,
+    largest_promises,
+    promising_starts,
+)
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
 from deepkoco.diagnose.evidence.start_values import Hints
@@ -30,21 +36,14 @@ SCOUTING = 4  # iterations after which only the best start of each cause is cont
 PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
 ITERATIONS = 14
 PATIENCE = 40  # further iterations for a winner that has not converged
-WORTH = 8.0  # promised fall of the cost from which a cause is fitted
 SLIPS = 4  # unit conversion constants that are fitted in full
 SLIP_ITERATIONS = 6
-MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
-MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
-# With many parameters, causes of each joint (and as many without a joint) that are fitted: a cause at a joint shows
-# mostly in the motion of that joint, and the score test orders those of one joint well.
-PER_PLACE = 4
 HOPELESS = (
     10.0  # cost of a unit slip over that of the reference, from which it is not fitted with many parameters
 )
 FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 MOST_CHANGED = 6  # and changed parameters
-STARTS = 3  # largest number of starts of one cause
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
@@ -78,7 +77,7 @@ def rank(
     prior = prior_with(problem, start, accepted, reference.values)
     tangent = Linearised(problem, reference, prior)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
-    promising = _promising(promises)
+    promising = promising_starts(promises)
     many = len(reference.free) + problem.windows.state.shape[1] >= MANY
     if many:
         spread = dispersion(reference, problem.windows)
@@ -86,8 +85,10 @@ def rank(
         charge = {c.name: spread.deflation * penalty(c, samples, SLOTS * len(problem.windows)) for c in tried}
         if start.tempering > 1.0:
             # Each window shows much model error, which a push or a tone can take for its own.
-            promising = _promising([p for p in promises if kind_of(p.cause.name) not in FLEXIBLE_CAUSES])
-        promising = _best_of_each_place(promising, charge)
+            promising = promising_starts(
+                [p for p in promises if kind_of(p.cause.name) not in FLEXIBLE_CAUSES]
+            )
+        promising = best_of_each_place(promising, charge)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
     promising += [
@@ -128,7 +129,7 @@ def rank(
         far = [p for p in fresh if not is_changed(p.cause)][:MOST_AS_GIVEN]
         far += [p for p in fresh if is_changed(p.cause)][:MOST_CHANGED]
         if many:
-            far = _best_of_each_place(far, charge)
+            far = best_of_each_place(far, charge)
         promises += far
         from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
@@ -165,7 +166,7 @@ def rank(
         for name, fit in _fit_best(problem, footholds, reference, known).items():
             if name not in fits or fit.cost < fits[name].cost:
                 fits[name] = fit
-    promised = _best(promises)
+    promised = largest_promises(promises)
     unfitted = tuple(name for name, fit in fits.items() if fit.diverged)
     fits = {name: fit for name, fit in fits.items() if not fit.diverged}
     ranking = _ranked(problem, start, reference, tried, fits, promised)
@@ -210,7 +211,7 @@ def _screened_as_given(
     there = replace(reference, values=values, state=state)
     pairs = [pair for pair in listed if pair[0].free]
     first: dict[str, StartPoint] = {}
-    for point in _promising(screen(problem, there, prior, pairs)):
+    for point in promising_starts(screen(problem, there, prior, pairs)):
         first.setdefault(point.cause.name, point)
     return sorted(first.values(), key=lambda p: -p.promise)
 
@@ -256,45 +257,6 @@ def _fit_front(problem: FitProblem, trials: Sequence[Trial], known: FrozenSlopes
         if fit.cost <= fits[k].cost:
             fits[k] = fit
     return fits
-
-
-def _best(promises: Sequence[StartPoint]) -> dict[str, float]:
-    """Largest promise of each cause."""
-    result: dict[str, float] = {}
-    for p in promises:
-        result[p.cause.name] = max(result.get(p.cause.name, 0.0), p.promise)
-    return result
-
-
-def _promising(promises: Sequence[StartPoint]) -> list[StartPoint]:
-    """Return the starts that are fitted: the best starts of each cause whose promise is large enough."""
-    best = _best(promises)
-    bar = max(WORTH, MIN_OF_BEST_CAUSE * max(best.values(), default=0.0))
-    kept: dict[str, list[StartPoint]] = {}
-    for p in sorted(promises, key=lambda p: -p.promise):
-        own = kept.setdefault(p.cause.name, [])
-        enough = best[p.cause.name] >= bar and p.promise >= MIN_OF_BEST_START * best[p.cause.name]
-        if enough and len(own) < STARTS:
-            own.append(p)
-    return [p for own in kept.values() for p in own]
-
-
-def _best_of_each_place(points: Sequence[StartPoint], charge: Mapping[str, float]) -> list[StartPoint]:
-    """Return the starts of the causes that promise most at each joint, and of those that have none.
-
-    Args:
-        points: Starts.
-        charge: Cause -> fall of the cost that it needs for its parameters.
-    """
-    joints = {p.cause.name: p.cause.joint for p in points}
-    promised = {n: promise - charge[n] for n, promise in _best(points).items()}
-    kept: dict[int | None, set[str]] = {}
-    for name in sorted(promised, key=lambda n: -promised[n]):
-        own = kept.setdefault(joints[name], set())
-        if len(own) < PER_PLACE:
-            own.add(name)
-    names = set().union(*kept.values())
-    return [p for p in points if p.cause.name in names]
 
 
 def _slipped(

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from deepkoco.diagnose.baseline import Baseline, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.evidence.selection import WORTH, rank
+from deepkoco.diagnose.evidence.promising import WORTH
+from deepkoco.diagnose.evidence.selection import rank
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.experiment_design.doses import Dose
 from deepkoco.diagnose.experiment_design.experiment_setup import DesignError

@@ -1,0 +1,88 @@
+"""Initial states of windows at fixed parameters: each window of each set is a small problem of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+
+@dataclass
+class StateSearch:
+    """Levenberg-Marquardt of the initial states of K sets and W windows, each with a step and a damping of its own.
+
+    Attributes:
+        best: (K, W, S) states of the lowest cost.
+        trial: (K, W, S) states that are simulated next.
+        cost: (K, W) lowest cost.
+        damping: (K, W).
+        settled: (K, W) whether the states are found.
+        hessian: (K, W, S, S) curvature of the cost at the best states.
+        gradient: (K, W, S) its descent direction.
+        slopes: (K, W, S, NM) whitened slopes of the measurements; (K, W, S, 0) before the first simulation.
+    """
+
+    best: Tensor
+    trial: Tensor
+    cost: Tensor
+    damping: Tensor
+    settled: Tensor
+    hessian: Tensor
+    gradient: Tensor
+    slopes: Tensor
+
+    @staticmethod
+    def at(state: Tensor) -> StateSearch:
+        """Begin at states (K, W, S)."""
+        sets, count, size = state.shape
+        return StateSearch(
+            state.clone(),
+            state.clone(),
+            torch.full((sets, count), torch.inf, dtype=torch.float64),
+            torch.full((sets, count), 1e-3, dtype=torch.float64),
+            torch.zeros(sets, count, dtype=torch.bool),
+            torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1),
+            torch.zeros(sets, count, size, dtype=torch.float64),
+            torch.zeros(sets, count, size, 0, dtype=torch.float64),
+        )
+
+    def of(self, rows: Tensor, columns: Tensor) -> StateSearch:
+        """The search of some sets and windows."""
+        return StateSearch(*(getattr(self, f.name)[rows][:, columns] for f in fields(self)))
+
+    def put(self, rows: Tensor, columns: Tensor, part: StateSearch) -> None:
+        """Take over what has become of some sets and windows."""
+        if self.slopes.shape[-1] != part.slopes.shape[-1]:
+            self.slopes = torch.zeros(*self.gradient.shape, part.slopes.shape[-1], dtype=torch.float64)
+        for f in fields(self):
+            getattr(self, f.name)[rows[:, None], columns] = getattr(part, f.name)
+
+    def judge(self, residual: Tensor, tolerance: float) -> None:
+        """Take the simulated states where they lower the cost.
+
+        Args:
+            residual: (K, W, NM) whitened residuals at them.
+            tolerance: Fall of the cost of a window below which its states are found.
+        """
+        now = (residual**2).sum(-1)
+        curvature = self.slopes @ self.slopes.mT
+        downhill = (self.slopes @ residual[..., None])[..., 0]
+        # The cost can be finite although a lane of the finite differences diverged.
+        better = torch.isfinite(now) & torch.isfinite(curvature).flatten(2).all(-1)
+        better &= torch.isfinite(downhill).all(-1) & (now <= self.cost)
+        # At the minimum, rounding can make the cost of a step slightly larger than before.
+        close = (self.cost - now).abs() <= tolerance + 1e-4 * now
+        self.hessian = torch.where(better[..., None, None], curvature, self.hessian)
+        self.gradient = torch.where(better[..., None], downhill, self.gradient)
+        self.best = torch.where(better[..., None], self.trial, self.best)
+        self.cost = torch.where(better, now, self.cost)
+        self.damping = torch.where(better, self.damping * 0.1, self.damping * 20.0).clamp(1e-9, 1e9)
+        self.settled = close | (self.damping > 1e6)
+
+    def propose(self) -> None:
+        """Take a damped step from the best states."""
+        diagonal = torch.diagonal(self.hessian, dim1=-2, dim2=-1)
+        matrix = self.hessian + torch.diag_embed(self.damping[..., None] * diagonal + 1e-9)
+        step, singular = torch.linalg.solve_ex(matrix, self.gradient)
+        self.trial = self.best + torch.where((singular == 0)[..., None], step, 0.0)
