@@ -16,6 +16,7 @@ from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
+from deepkoco.fit.data.windows import halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.prior import Prior
@@ -117,25 +118,15 @@ def rank(
             known = problem.slopes_at(foot, reference.free, state, reference.nuisance)
         else:
             states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
-        free = {p.cause.name: p.cause.free for p in from_given}
-        footholds = [
-            _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
-            for k, p in enumerate(from_given)
-            if bool(torch.isfinite(costs[k]).all())
-        ]
-        # First fit each cause alone, so that the baseline's parameters cannot absorb it as they did in the refit.
-        alone = problem.fit(
-            [replace(t, free=tuple(free[t.name])) for t in footholds],
-            ITERATIONS,
-            CLOSE,
-            known,
-            exact=False,
-            renewals=0,
-        )
-        footholds = [
-            replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
-            for t, fit in zip(footholds, alone, strict=True)
-        ]
+        if known is None and not reference.converged:
+            footholds = _from_halves(problem, start, accepted, from_given, values, reference)
+        else:
+            footholds = [
+                _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
+                for k, p in enumerate(from_given)
+                if bool(torch.isfinite(costs[k]).all())
+            ]
+            footholds = _alone(problem, footholds, from_given, known)
         trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
         for name, fit in _fit_best(problem, footholds, reference, known).items():
@@ -163,6 +154,69 @@ def rank(
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     return replace(ranking, unfitted=unfitted)
+
+
+def _alone(
+    problem: FitProblem,
+    trials: Sequence[Trial],
+    points: Sequence[StartPoint],
+    known: FrozenSlopes | None = None,
+) -> list[Trial]:
+    """Return trials that start where the parameters of their causes alone fit best.
+
+    The baseline's parameters could otherwise absorb a cause as they did in the refit.
+    """
+    free = {p.cause.name: p.cause.free for p in points}
+    own = [replace(t, free=tuple(free[t.name])) for t in trials]
+    fits = problem.fit(own, ITERATIONS, CLOSE, known, exact=False, renewals=0)
+    return [
+        replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
+        for t, fit in zip(trials, fits, strict=True)
+    ]
+
+
+def _from_halves(
+    problem: FitProblem,
+    start: Baseline,
+    accepted: Sequence[Cause],
+    points: Sequence[StartPoint],
+    values: Sequence[Mapping[str, float]],
+    reference: Fit,
+) -> list[Trial]:
+    """Return trials that start from fits of windows of half the length, as the refit does.
+
+    Where the refit finds no minimum, neither do most causes: a joint that sticks and slips shows many minima in a long
+    window. Each cause is fitted alone first, then with the baseline's parameters.
+    """
+    halves = FitProblem(problem.system, halved(problem.windows))
+    states, costs = halves.fit_states_each(values, halves.windows.state.repeat(len(values), 1, 1))
+    sound = [k for k in range(len(values)) if bool(torch.isfinite(costs[k]).all())]
+    points = [points[k] for k in sound]
+    trials = [
+        _trial(halves, start, accepted, p.cause, values[k], states[k], reference)
+        for k, p in zip(sound, points, strict=True)
+    ]
+    trials = _alone(halves, trials, points)
+    trials = [
+        _trial(halves, start, accepted, p.cause, t.values, t.state, reference)
+        for p, t in zip(points, trials, strict=True)
+    ]
+    fits = halves.fit(trials, ITERATIONS, CLOSE)
+    kept = [k for k, fit in enumerate(fits) if not fit.diverged]
+    found = [fits[k].values for k in kept]
+    if not kept:
+        return []
+    guesses = torch.stack([fits[k].state[::2] for k in kept])
+    both = torch.stack([guesses, problem.windows.state.expand_as(guesses)])
+    states, costs = problem.fit_states_each(found * 2, both.flatten(0, 1))
+    states, costs = states.unflatten(0, (2, len(kept))), costs.unflatten(0, (2, len(kept)))
+    first = (costs[0] <= costs[1])[..., None]
+    states = torch.where(first, states[0], states[1])
+    return [
+        _trial(problem, start, accepted, points[k].cause, found[i], states[i], reference)
+        for i, k in enumerate(kept)
+        if bool(torch.isfinite(costs[:, i].min(0).values).all())
+    ]
 
 
 def _screened_as_given(
