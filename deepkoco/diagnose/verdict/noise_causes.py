@@ -53,9 +53,9 @@ def scatter_findings(
             continue
         placed = f"{name}.{verdict.parameter}"
         declared = system.parameter(placed)
-        healthy = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
+        machine = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
         away = max(abs(verdict.low - declared.value), abs(verdict.high - declared.value))
-        if away <= cause.tolerance(healthy):
+        if away <= cause.tolerance(machine):
             continue
         text = f"With this cause, the likelihood ratio of the residuals is {verdict.likelihood_ratio:.0f}."
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)
