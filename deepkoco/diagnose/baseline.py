@@ -65,6 +65,8 @@ class Baseline:
         gauges: Scale gauges that the logs leave open, each with a parameter that keeps its value as given.
         healthy: The healthy logs from which it was learned, if any.
         runs: Run-to-run variance of these logs; None for fewer than two.
+        tempering: Factor by which its prior is narrower, as a variance, than it was declared; see
+            :mod:`deepkoco.diagnose.tempered`.
     """
 
     system: ExtendedSystem
@@ -77,6 +79,7 @@ class Baseline:
     gauges: tuple[Gauge, ...] = ()
     healthy: Healthy | None = None
     runs: RunToRun | None = None
+    tempering: float = 1.0
 
     @property
     def least_deflation(self) -> float:
@@ -188,7 +191,7 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
         free: Parameters to free; None frees all that the prior covers.
     """
     names = start.prior.names if free is None else free
-    few = _few_windows(windows, len(names))
+    few = few_windows(windows, len(names))
     halves = halved(windows.take(few))
     short = FitProblem(start.system, halves)
     state, _ = short.fit_states(start.values, halves.state)
@@ -205,8 +208,8 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
     return again if not again.diverged and again.cost < found.cost else found
 
 
-def _few_windows(windows: Windows, parameters: int) -> np.ndarray:
-    """Return the windows that a first fit needs: all, or an even choice where there are many for few parameters."""
+def few_windows(windows: Windows, parameters: int) -> np.ndarray:
+    """Return the windows with which a fit of so many parameters can begin: an even choice of many, else all."""
     most = max(FEW_WINDOWS, parameters // 2)
     size = len(windows)
     if parameters + windows.state.shape[1] < MANY or size <= most:
@@ -269,18 +272,6 @@ def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows
         varies={n: sd / math.sqrt(correlation) for n, sd in windows.varies.items()},
         stamp_sd=tuple(math.sqrt(floor) * sd for sd in windows.stamp_sd),
     )
-
-
-def healthy_under_floor(learned: Baseline) -> tuple[Windows, Fit] | None:
-    """Return the windows of the healthy logs with their floor counted as noise, and their fit in this noise.
-
-    Args:
-        learned: A baseline; without healthy logs, the result is None.
-    """
-    if learned.healthy is None:
-        return None
-    windows, fit = learned.healthy.windows, learned.healthy.fit
-    return noisier(windows, learned.floor), replace(fit, residual=fit.residual / math.sqrt(learned.floor))
 
 
 def tempered(prior: Prior, correlation: float) -> Prior:

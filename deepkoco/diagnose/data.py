@@ -8,10 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepkoco.fit.data.windows import Windows, cut_windows, estimate_channels, moving
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
 MIN_TRAINING_WINDOWS = 4
+ENOUGH_WINDOWS = (
+    36  # for up to twice as many parameters; more parameters have half as many windows as their number
+)
 HELD_OUT = 4  # without hold-out logs, one window in four is held out
 # Mean squared difference of windows one stride apart over that of any two: a log below it repeats with the stride.
 REPEATED = 0.2
@@ -26,12 +30,14 @@ class Data:
         held: Held-out windows; None without any.
         resting: Number of windows that were left out because the joint rests.
         own: Whether the held-out windows are from the same logs as the training windows.
+        spare: Number of windows that were left out because fewer tell enough about many parameters.
     """
 
     train: Windows
     held: Windows | None
     resting: int
     own: bool
+    spare: int = 0
 
     def varying(self, varies: Mapping[str, float]) -> Data:
         """Return the data of a unit whose parameters vary from log to log by these standard deviations.
@@ -58,7 +64,24 @@ def cut_data(
         held = cut_windows(holdout, system, length, estimate_channels(holdout, system), cover=True)
     else:
         held = windows.take(moves & keep_back) if keep_back.any() else None
-    return Data(train, held, int((~moves).sum()), not holdout)
+    count = len(train) + (0 if held is None else len(held))
+    train = _enough(train, system)
+    held = None if held is None else _enough(held, system)
+    spare = count - len(train) - (0 if held is None else len(held))
+    return Data(train, held, int((~moves).sum()), not holdout, spare)
+
+
+def _enough(windows: Windows, system: System) -> Windows:
+    """Return an even choice of windows where there are more than a system of many parameters needs.
+
+    The time of a diagnosis grows with the number of windows times that of parameters and of causes to try. It must not
+    grow with the length of the logs too.
+    """
+    parameters = len([p for p in system.parameters if "." not in p.name])
+    most = max(ENOUGH_WINDOWS, parameters // 2)
+    if parameters + windows.state.shape[1] < MANY or len(windows) <= most:
+        return windows
+    return windows.take(np.unique(np.linspace(0, len(windows) - 1, most).astype(int)))
 
 
 def _held_out(windows: Windows, order: np.ndarray) -> np.ndarray:
@@ -109,5 +132,6 @@ def describe_data(recordings: Sequence[Recording], data: Data) -> dict:
         "logs": logs,
         "noise_sd": [n.sd for n in data.train.noise],
         "windows_resting": data.resting,
+        "windows_spare": data.spare,
         "windows_held_out": 0 if data.held is None else len(data.held),
     }

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline, prior_of_mean, refit_sharply, with_floor_as_noise
+from deepkoco.diagnose.baseline import Baseline, prior_of_mean, with_floor_as_noise
 from deepkoco.diagnose.data import Data
 from deepkoco.diagnose.evidence.event_windows import train_on_pushed
+from deepkoco.diagnose.tempered import refit_to_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
@@ -77,7 +78,7 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
         # With run-to-run variance, each log to explain has its own parameters, as each healthy log had.
         start, varies = prior_of_mean(start)
         data = data.varying(varies)
-    train, reference = refit_sharply(start, data.train)
+    start, train, reference = refit_to_windows(start, data.train)
     if start.least_deflation > 1.0:
         # The floor of the healthy unit counts as noise; otherwise the refit would leave its prior to fit it.
         start, train, reference = with_floor_as_noise(start, train)

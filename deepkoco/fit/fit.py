@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -201,47 +201,114 @@ class FitProblem(ShootingProblem):
             States (K, W, S), costs (K, W).
         """
         sets, count, size = state.shape
-        nudge = state_steps(size)
-        theta = np.array([[float(v[n]) for n in self.names] for v in values])
         nuisance = self.nuisances.none().repeat(sets, 1) if nuisance is None else nuisance
-        best, trial = state.clone(), state.clone()
-        cost = torch.full((sets, count), torch.inf, dtype=torch.float64)
-        damping = torch.full((sets, count), 1e-3, dtype=torch.float64)
-        hessian = torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1)
-        gradient = torch.zeros(sets, count, size, dtype=torch.float64)
-        differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
-        kept: Tensor | None = None
+        theta = np.array([[float(v[n]) for n in self.names] for v in values])
+        search = _StateSearch.at(state)
         for iteration in range(iterations):
+            moving = (~search.settled).nonzero()
+            if len(moving) == 0:
+                break
+            # Sets and windows in which all states are found are not simulated again.
+            rows, columns = moving[:, 0].unique(), moving[:, 1].unique()
+            part = self if len(columns) == count else self.of_windows(columns)
+            some = search.of(rows, columns)
             # With many states, every second iteration from the third on keeps the slopes of the one before.
             fresh = size < MANY_STATES or iteration < 2 or iteration % 2 == 0
-            count_lanes = 1 + size if fresh else 1
-            lanes = trial.repeat(count_lanes, 1, 1, 1)
-            for s in range(count_lanes - 1):
-                lanes[1 + s, :, :, s] += nudge[s]
-            predicted = self.predict(
-                np.tile(theta, (count_lanes, 1)), lanes.flatten(0, 1), nuisance.repeat(count_lanes, 1)
-            ).unflatten(0, (count_lanes, sets))
-            residual = ((self.windows.value - predicted[0]) * self.weight).flatten(2)
-            if fresh or kept is None:
-                kept = ((predicted[1:] - predicted[0]) / differences * self.weight).flatten(3)
-            slope = kept
-            now = (residual**2).sum(-1)
-            curvature = torch.einsum("skwm,tkwm->kwst", slope, slope)
-            downhill = torch.einsum("skwm,kwm->kws", slope, residual)
-            # The cost can be finite although a lane of the finite differences diverged.
-            better = torch.isfinite(now) & torch.isfinite(curvature).flatten(2).all(-1)
-            better &= torch.isfinite(downhill).all(-1) & (now <= cost)
-            # At the minimum, rounding can make the cost of a step slightly larger than before.
-            settled = (cost - now).abs() <= TOLERANCE / count + 1e-4 * now
-            hessian = torch.where(better[..., None, None], curvature, hessian)
-            gradient = torch.where(better[..., None], downhill, gradient)
-            best = torch.where(better[..., None], trial, best)
-            cost = torch.where(better, now, cost)
-            damping = torch.where(better, damping * 0.1, damping * 20.0).clamp(1e-9, 1e9)
-            if bool((settled | (damping > 1e6)).all()):
-                break
-            diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
-            matrix = hessian + torch.diag_embed(damping[..., None] * diagonal + 1e-9)
-            step, singular = torch.linalg.solve_ex(matrix, gradient)
-            trial = best + torch.where((singular == 0)[..., None], step, 0.0)
-        return best, cost
+            nudge = state_steps(size) if fresh else ()
+            lanes = some.trial.repeat(1 + len(nudge), 1, 1, 1)
+            for s, step in enumerate(nudge):
+                lanes[1 + s, :, :, s] += step
+            predicted = part.predict(
+                np.tile(theta[rows.numpy()], (len(lanes), 1)),
+                lanes.flatten(0, 1),
+                nuisance[rows].repeat(len(lanes), 1),
+            ).unflatten(0, (len(lanes), len(rows)))
+            residual = ((part.windows.value - predicted[0]) * part.weight).flatten(2)
+            if fresh:
+                differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
+                slopes = (predicted[1:] - predicted[0]) / differences * part.weight
+                some.slopes = slopes.flatten(3).permute(1, 2, 0, 3)
+            some.judge(residual, TOLERANCE / count)
+            some.propose()
+            search.put(rows, columns, some)
+        return search.best, search.cost
+
+
+@dataclass
+class _StateSearch:
+    """Levenberg-Marquardt of the initial states of K sets and W windows, each with a step and a damping of its own.
+
+    Attributes:
+        best: (K, W, S) states of the lowest cost.
+        trial: (K, W, S) states that are simulated next.
+        cost: (K, W) lowest cost.
+        damping: (K, W).
+        settled: (K, W) whether the states are found.
+        hessian: (K, W, S, S) curvature of the cost at the best states.
+        gradient: (K, W, S) its descent direction.
+        slopes: (K, W, S, NM) whitened slopes of the measurements; (K, W, S, 0) before the first simulation.
+    """
+
+    best: Tensor
+    trial: Tensor
+    cost: Tensor
+    damping: Tensor
+    settled: Tensor
+    hessian: Tensor
+    gradient: Tensor
+    slopes: Tensor
+
+    @staticmethod
+    def at(state: Tensor) -> _StateSearch:
+        """Begin at states (K, W, S)."""
+        sets, count, size = state.shape
+        return _StateSearch(
+            state.clone(),
+            state.clone(),
+            torch.full((sets, count), torch.inf, dtype=torch.float64),
+            torch.full((sets, count), 1e-3, dtype=torch.float64),
+            torch.zeros(sets, count, dtype=torch.bool),
+            torch.eye(size, dtype=torch.float64).repeat(sets, count, 1, 1),
+            torch.zeros(sets, count, size, dtype=torch.float64),
+            torch.zeros(sets, count, size, 0, dtype=torch.float64),
+        )
+
+    def of(self, rows: Tensor, columns: Tensor) -> _StateSearch:
+        """The search of some sets and windows."""
+        return _StateSearch(*(getattr(self, f.name)[rows][:, columns] for f in fields(self)))
+
+    def put(self, rows: Tensor, columns: Tensor, part: _StateSearch) -> None:
+        """Take over what has become of some sets and windows."""
+        if self.slopes.shape[-1] != part.slopes.shape[-1]:
+            self.slopes = torch.zeros(*self.gradient.shape, part.slopes.shape[-1], dtype=torch.float64)
+        for f in fields(self):
+            getattr(self, f.name)[rows[:, None], columns] = getattr(part, f.name)
+
+    def judge(self, residual: Tensor, tolerance: float) -> None:
+        """Take the simulated states where they lower the cost.
+
+        Args:
+            residual: (K, W, NM) whitened residuals at them.
+            tolerance: Fall of the cost of a window below which its states are found.
+        """
+        now = (residual**2).sum(-1)
+        curvature = self.slopes @ self.slopes.mT
+        downhill = (self.slopes @ residual[..., None])[..., 0]
+        # The cost can be finite although a lane of the finite differences diverged.
+        better = torch.isfinite(now) & torch.isfinite(curvature).flatten(2).all(-1)
+        better &= torch.isfinite(downhill).all(-1) & (now <= self.cost)
+        # At the minimum, rounding can make the cost of a step slightly larger than before.
+        close = (self.cost - now).abs() <= tolerance + 1e-4 * now
+        self.hessian = torch.where(better[..., None, None], curvature, self.hessian)
+        self.gradient = torch.where(better[..., None], downhill, self.gradient)
+        self.best = torch.where(better[..., None], self.trial, self.best)
+        self.cost = torch.where(better, now, self.cost)
+        self.damping = torch.where(better, self.damping * 0.1, self.damping * 20.0).clamp(1e-9, 1e9)
+        self.settled = close | (self.damping > 1e6)
+
+    def propose(self) -> None:
+        """Take a damped step from the best states."""
+        diagonal = torch.diagonal(self.hessian, dim1=-2, dim2=-1)
+        matrix = self.hessian + torch.diag_embed(self.damping[..., None] * diagonal + 1e-9)
+        step, singular = torch.linalg.solve_ex(matrix, self.gradient)
+        self.trial = self.best + torch.where((singular == 0)[..., None], step, 0.0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import torch
@@ -97,6 +99,12 @@ class ShootingProblem:
         result = predict(system, self.windows, named, initial, push, delays, some, differ)
         self.zeros.add(result, nuisance, self.windows.log)
         return result
+
+    def of_windows(self, index: Tensor) -> Self:
+        """The same problem with some of its windows only; systems that were made for simulations are shared."""
+        part = copy.copy(self)
+        part.windows, part.weight = self.windows.take(index.numpy()), self.weight[index]
+        return part
 
     def nuisance_slopes(self, parameters: Tensor) -> Tensor:
         """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""

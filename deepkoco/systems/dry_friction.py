@@ -192,6 +192,45 @@ def _rubbed_in_a_loop(
     return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
 
 
+def sliding_loads(levels: Levels, direction: Levels) -> Levels:
+    """Friction loads of joints at given shares of their levels.
+
+    A level below 0 drives the joint and is part of its free motion: it has no friction load.
+    """
+    return tuple(
+        None if level is None or share is None else -level.clamp_min(0.0) * share
+        for level, share in zip(levels, direction, strict=True)
+    )
+
+
+def as_shares(loads: Levels, levels: Levels, direction: Levels) -> tuple[Levels, Levels, Levels]:
+    """Write friction loads as shares of their levels, against them, and what is left of each load.
+
+    A level that changes over the step acts as it does at each moment, times the share. Where it is small next to the
+    load, the share would be without bound, and rounding would decide on the step: it is at most 1 here.
+
+    Args:
+        loads: J mean friction loads [N m or N].
+        levels: J mean levels.
+        direction: J shares for joints whose level is not above 0: it drives them.
+
+    Returns:
+        J shares from -1 to 1, J constant loads, and J sums of both: 0 for a joint whose level is not above 0.
+    """
+    shares, whole = list(direction), list(loads)
+    rest: list[Tensor | None] = [None] * len(loads)
+    for j, (load, level, given) in enumerate(zip(loads, levels, direction, strict=True)):
+        if load is None or level is None or given is None:
+            continue
+        acts = level > 0.0
+        share = -load / torch.where(acts, level, 1.0)
+        bounded = share.clamp(-1.0, 1.0)
+        shares[j] = torch.where(acts, bounded, given)
+        rest[j] = torch.where(acts & (share != bounded), load + level * bounded, 0.0)
+        whole[j] = torch.where(acts, load, 0.0)
+    return tuple(shares), tuple(rest), tuple(whole)
+
+
 def _given(value: Tensor | None) -> Tensor:
     assert value is not None
     return value

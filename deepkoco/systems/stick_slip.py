@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from deepkoco.systems.dry_friction import DryFriction, Levels, Values, rubbed
+from deepkoco.systems.dry_friction import DryFriction, Levels, Values, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import Acceleration, InverseInertia, Motion, Parameters, System
@@ -107,15 +107,19 @@ class StickSlip:
         return Motion(angles, speeds, efforts, None, None, self._smoothing)
 
     def _runge_kutta(
-        self, joints: Joints, efforts: Values, direction: Levels, h: float
+        self, joints: Joints, efforts: Values, direction: Levels, h: float, further: Levels | None = None
     ) -> tuple[Values, Values]:
-        """Angles and speeds after a step in which the direction of dry friction stays."""
+        """Angles and speeds after a step in which the direction of dry friction stays, under further loads."""
         q, v, _, before = joints
         half = 0.5 * h
 
         def under(angles: Values, speeds: Values) -> Values:
             motion = self._motion(angles, speeds, efforts)
             loads = _against(self._friction.levels(motion), direction)
+            if further is not None:
+                loads = tuple(
+                    a if b is None else b if a is None else a + b for a, b in zip(loads, further, strict=True)
+                )
             if before:
                 loads = self._memory.loads(self._memory.advanced(before, q, motion), motion, loads)
             return self._free(motion._replace(loads=loads))
@@ -152,11 +156,11 @@ class StickSlip:
         if self._friction.varying:
             slide = self._friction.levels(halfway._replace(speeds=tuple(0.5 * v for v in speeds)))
             stick = self._friction.levels(halfway._replace(speeds=tuple(torch.zeros_like(v) for v in speeds)))
-        found = rubbed(speeds, free[1], _loads(slide, direction), slide, stick, inverse, h)
-        direction = _shares(found.load, slide, direction)
-        again = self._runge_kutta(joints, efforts, direction, h)
-        found = rubbed(speeds, again[1], _loads(slide, direction), slide, stick, inverse, h)
-        hold, ways, rest = _shares(found.hold, stick, direction), [], []
+        found = rubbed(speeds, free[1], sliding_loads(slide, direction), slide, stick, inverse, h)
+        direction, left_over, applied = as_shares(found.load, slide, direction)
+        again = self._runge_kutta(joints, efforts, direction, h, left_over)
+        found = rubbed(speeds, again[1], applied, slide, stick, inverse, h)
+        hold, ways, rest = as_shares(found.hold, stick, direction)[0], [], []
         for j, own in enumerate(found.speed):
             # The part of the way that a constant acceleration does not explain stays, but not for a joint at rest.
             way = again[0][j] + (found.moved[j] - 0.5 * h * (speeds[j] + again[1][j]))
@@ -175,26 +179,6 @@ def _against(levels: Levels, direction: Levels) -> Levels:
         None if level is None or share is None else -level * share
         for level, share in zip(levels, direction, strict=True)
     )
-
-
-def _loads(levels: Levels, direction: Levels) -> Levels:
-    """As :func:`_against`; a level below 0 drives the joint and is part of its free motion."""
-    return tuple(
-        None if level is None or share is None else -level.clamp_min(0.0) * share
-        for level, share in zip(levels, direction, strict=True)
-    )
-
-
-def _shares(loads: Levels, levels: Levels, direction: Levels) -> Levels:
-    """Friction loads as shares of their levels, against them; ``direction`` where the level is not above 0."""
-    result: list[Tensor | None] = []
-    for load, level, share in zip(loads, levels, direction, strict=True):
-        if load is None or level is None or share is None:
-            result.append(share)
-        else:
-            safe = torch.where(level > 0.0, level, 1.0)
-            result.append(torch.where(level > 0.0, -load / safe, share))
-    return tuple(result)
 
 
 def _moved(x: Values, rate: Values, h: float) -> Values:

@@ -152,3 +152,19 @@ def test_reconsidered_replaces_a_cause_by_one_that_fits_better_with_the_others(
     assert better.final.values[f"{right}.torque"] == pytest.approx(torque, rel=0.1)
     if first == "event":
         assert better.final.values["event.start"] == pytest.approx(7.3, abs=0.02)
+
+
+def test_pruned_ranks_the_last_cause_again_without_those_that_are_removed():
+    log = hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 225, 8.0)
+    problem, start, causes, fit, reference = fitted(log, ["coulomb", "cogging"])
+    selection = Selection(start, problem.windows, None, causes, 24.0)
+    hints = selection._hints(problem, reference, missing_torque(problem, reference))
+    steps = [(rank(problem, start, reference, (), hints, causes), ("coulomb", "cogging")), (None, ())]
+    found = selection._pruned(Selected(fit, tuple(causes), tuple(steps), problem))
+    assert found.accepted == (causes[0],)
+    ((ranking, members),) = found.steps
+    # Beside a detent, the friction was compared with everything but the detent.
+    assert {c.cause.name for c in ranking.candidates} == {"coulomb", "cogging"}
+    assert members == ("coulomb",)
+    assert not any(n.startswith("cogging") for n in ranking.reference.free)
+    assert found.final is ranking.best.fit

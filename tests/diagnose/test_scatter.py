@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.diagnose.baseline import catalogue_system
+from deepkoco.diagnose.baseline import Healthy, baseline_from
+from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.residuals.scatter import Scatter, jitter, noise_level, quantisation
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.fit import Fit, Noise, cut_windows
-from deepkoco.systems import make_system
+from deepkoco.systems import ExtendedSystem, make_system
+from deepkoco.systems.effects import effects_of
 from tests.oracle.unit import hidden_log
 
 
@@ -53,15 +55,26 @@ def test_noise_level_compares_noise_with_the_data_sheet():
     assert loud.likelihood_ratio > 60.0
 
 
-def test_quantisation_is_found_from_twice_the_noise():
+def test_noise_level_leaves_out_what_counts_as_noise_for_its_model_error():
+    loud = view(noise=(0.008, 0.05))
+    assert noise_level(loud._replace(floor=4.0), 0).value == pytest.approx(2.0)
+    assert noise_level(loud._replace(floor=16.0), 0) is None
+
+
+def test_quantisation_is_found_where_rounding_errors_exceed_the_noise_of_the_data_sheet():
     assert quantisation(view(step=0.02), 0).value == pytest.approx(0.02)
+    # An encoder whose data sheet gives the standard deviation of its rounding errors.
+    assert quantisation(view(step=0.002 * 12.0**0.5), 0) is None
     assert quantisation(view(step=0.001), 0) is None
     assert quantisation(view(), 0) is None
 
 
-@pytest.mark.parametrize(("healthy", "named"), [(None, True), (0.02, False), (0.008, True)])
-def test_scatter_findings_leave_out_what_healthy_logs_show_as_much(healthy, named):
-    seen = view(step=0.02)
-    before = None if healthy is None else view(step=healthy)[1:]
-    found = scatter_findings(catalogue_system(seen.system), seen.windows, seen.fit, 24.0, before)
-    assert ("quantisation(theta)" in [f.name for f in found]) == named
+@pytest.mark.parametrize(("step", "named"), [(0.02, ()), (0.04, ("quantisation(theta)",))])
+def test_noise_causes_are_named_only_beyond_what_healthy_logs_show(step, named):
+    usual, shown = view(step=0.02), view(step=step)
+    system = ExtendedSystem(usual.system, tuple(effects_of(usual.system)), {})
+    healthy = Healthy((), usual.windows, baseline_from(usual.system, usual.windows), (), usual.fit)
+    alone = scatter_findings(system, shown.windows, shown.fit, DETECTION)
+    beside = scatter_findings(system, shown.windows, shown.fit, DETECTION, healthy)
+    assert "quantisation(theta)" in [found.name for found in alone]
+    assert tuple(found.name for found in beside) == named

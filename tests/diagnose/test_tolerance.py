@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.causes.tolerance import CLOCK_RATE, LOAD_SHARE, Healthy
+from deepkoco.diagnose.evidence import classes, refine_ranking
 from deepkoco.diagnose.evidence.classes import APART, width
 from deepkoco.diagnose.evidence.minor import sample_period, tolerated
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
@@ -125,6 +126,30 @@ def test_simpler_cause_leads_where_model_error_hides_what_the_other_adds(stage, 
     candidates = [replace(c, delta_bic=100.0 * c.delta_bic) for c in ranking.candidates]
     found, members = classed(problem, start, replace(ranking, candidates=tuple(candidates)), ())
     assert found.best.cause.name == members[0] == first
+
+
+@pytest.mark.parametrize(
+    ("harm", "chi2", "first"),
+    [(0.0, 5.0, "coulomb"), (5.0, 5.0, "stribeck"), (0.0, 1.0, "stribeck"), (None, 5.0, "stribeck")],
+)
+def test_simpler_form_of_a_friction_leads_its_class_unless_held_out_windows_show_harm(
+    stage, monkeypatch, harm, chi2, first
+):
+    problem, start, _ = stage
+    # Gain is simpler, too, but no friction.
+    ranking = ranking_of(stage, chi2, {"stribeck": 1000.0, "gain": 970.0, "coulomb": 965.0})
+    scores = {"stribeck": 200.0, "gain": 196.0, "coulomb": 195.0}
+    fits = {n: replace(ranking.best.fit, name=n) for n in scores}
+    candidates = [
+        replace(c, fit=fits[c.cause.name], delta_bic=scores[c.cause.name]) for c in ranking.candidates
+    ]
+    monkeypatch.setattr(classes, "expected_gaps", lambda *given: [0.0] * len(given[3]))
+    errors = {"stribeck": np.array([9.0, 11.0]), "coulomb": np.array([9.5, 10.5]) + (harm or 0.0)}
+    monkeypatch.setattr(refine_ranking, "held_out_chi2", lambda *given: errors[given[2].name])
+    held = None if harm is None else problem.windows
+    found, members = classed(problem, start, replace(ranking, candidates=tuple(candidates)), (), held)
+    assert found.best.cause.name == members[0] == first
+    assert set(members) == set(scores)
 
 
 def test_minor_causes_say_why_they_are_not_named(stage):

@@ -105,6 +105,20 @@ def test_goal_task_costs_nothing_at_the_goal_and_one_a_radian_from_it():
     assert float(task.cost(arm, states[0], full)) == pytest.approx(0.01)
 
 
+def test_the_name_of_a_joint_stands_for_its_position(tmp_path):
+    (tmp_path / "arm.xml").write_text(MJCF)
+    arm = load_system(tmp_path / "arm.xml")
+    joint, position = arm.joint_names[0], arm.state_names[0]
+    assert joint != position
+    ranges = {joint: (-0.5, 0.5)}
+    task = GoalTask({joint: 0.4}, starts=ranges, limits=ranges).on(arm)
+    assert (task.goal, task.starts, task.limits) == (
+        {position: 0.4},
+        {position: (-0.5, 0.5)},
+        {position: (-0.5, 0.5)},
+    )
+
+
 def test_make_env_needs_no_task(tmp_path):
     pytest.importorskip("mujoco")
     (tmp_path / "arm.xml").write_text(MJCF)

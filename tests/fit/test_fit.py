@@ -61,6 +61,38 @@ def test_evaluate_reproduces_a_closed_form_swing():
     assert fit.chi2 / problem.windows.samples < 1e-9
 
 
+def test_fit_states_of_all_windows_equal_those_of_single_windows():
+    problem, values = problem_of(
+        free_swing(amplitude=0.5, noise=0.002), noise=(Noise(0.002, 0.0), Noise(0.05, 0.0))
+    )
+    start = problem.windows.state.clone()
+    start[0] = problem.fit_states(values, start)[0][0]  # settled from the first step on
+    start[1] += 0.3
+    together, costs = problem.fit_states(values, start)
+    for w in range(3):
+        alone, cost = problem.of_windows(torch.tensor([w])).fit_states(values, start[w : w + 1])
+        torch.testing.assert_close(together[w], alone[0], rtol=0.0, atol=1e-6)
+        torch.testing.assert_close(costs[w : w + 1], cost, rtol=1e-6, atol=1e-6)
+
+
+def test_fit_states_simulates_settled_windows_no_more(monkeypatch):
+    problem, values = problem_of(free_swing(amplitude=0.5))
+    found, _ = problem.fit_states(values, problem.windows.state)
+    start, simulated = found.clone(), []
+    start[1] += 1.0
+    predict = FitProblem.predict
+
+    def counted(self, theta, initial, nuisance):
+        simulated.append(initial.shape[1])
+        return predict(self, theta, initial, nuisance)
+
+    monkeypatch.setattr(FitProblem, "predict", counted)
+    again, _ = problem.fit_states(values, start)
+    torch.testing.assert_close(again, found, rtol=0.0, atol=1e-4)
+    assert simulated[0] == len(problem.windows)
+    assert simulated[-1] == 1
+
+
 def test_fit_recovers_gravity_and_reports_mass_as_unidentified():
     # A gravity of 11 makes the swing faster by sqrt(1.1). The mass does not change a free swing.
     problem, values = problem_of(free_swing(omega=math.sqrt(16.5), amplitude=1e-2))

@@ -112,6 +112,43 @@ def test_step_is_continuous_in_the_level_of_friction(speed, force, friction):
     assert float(less.speed[0]) == pytest.approx(float(more.speed[0]), abs=1e-8)
 
 
+def grown(share, breakaway=0.0):
+    """A mass whose friction is a share of the force's size, and more near standstill."""
+
+    def varying(motion, _):
+        fast = (motion.speeds[0] / 1e-3) ** 2
+        return (share * motion.efforts[0].abs() + breakaway * torch.exp(-fast),)
+
+    law = block(0.0)
+    return law._replace(friction=DryFriction((torch.zeros((), dtype=torch.float64),), (0,), varying))
+
+
+@settings(deadline=None)
+@given(speed=st.floats(1e-4, 0.03), force=st.floats(3.0, 20.0), nudge=st.floats(-1e-15, 1e-15))
+def test_a_force_that_changes_its_sign_while_its_joint_turns_leaves_no_jump(speed, force, nudge):
+    """In the middle of the step the friction is 0 but for rounding, at its ends it is not."""
+    equations = grown(0.3)
+    drive = driven((-force, force - 0.5), 1)
+    (start,), _, (end,) = drive.efforts
+    steps = [
+        whole_step(equations, row(0.0), row(speed), drive._replace(efforts=((start,), (middle,), (end,))))
+        for middle in (torch.full((1, 1), x, dtype=torch.float64) for x in (0.0, nudge, 1e-14))
+    ]
+    ends = [float(step.speed[0]) for step in steps]
+    assert ends == pytest.approx([ends[0]] * 3, abs=1e-12)
+    # Never faster than without friction, nor beyond what the largest friction does.
+    free = (0.0 - 0.25 / 3.0) * H / MASS
+    assert abs(ends[0] - speed - free) < 0.3 * force * H / MASS + 1e-9
+
+
+@settings(deadline=None)
+@given(speed=st.floats(1e-3, 0.05), force=st.floats(-8.0, -4.0))
+def test_a_joint_that_turns_fast_hardly_feels_a_friction_that_acts_near_standstill_alone(speed, force):
+    step = whole_step(grown(0.0, 2.0), row(0.0), row(speed), driven((force, force), 1))
+    after = float(step.speed[0])
+    assert speed + (force - 2.0) / MASS * H <= after <= speed + (force + 2.0) / MASS * H
+
+
 def test_corrected_windows_leave_the_others_as_they_are():
     before, drive, equations = row(0.5, 0.01, -0.5), driven((-3.0, -3.0), 3), block()
     direction = directions(before, NONE, equations.friction)

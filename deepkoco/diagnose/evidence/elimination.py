@@ -9,6 +9,7 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, kind_of
+from deepkoco.diagnose.evidence.flexible import BENDING, FLEXIBLE_CAUSES, PUSHES
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.selection import CLOSE, ITERATIONS
@@ -16,9 +17,7 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
-BENDING = ("cogging", "periodic")  # lasting causes that can fit the residuals of other causes
-PUSHES = ("event",)
-FLEXIBLE_CAUSES = (*PUSHES, *BENDING)  # all causes that can fit the residuals of other causes
+__all__ = ["BENDING", "FLEXIBLE_CAUSES", "PUSHES", "carried", "eliminated", "without", "without_kinds"]
 
 
 def eliminated(
@@ -53,7 +52,7 @@ def eliminated(
     """
     kept = list(accepted)
     while len(kept) > least:
-        fits = problem.fit([without(problem, start, kept, cause, fit) for cause in kept], ITERATIONS, CLOSE)
+        fits = _less(problem, start, kept, kept, fit)
         spread = dispersion(fit, problem.windows)
         deflation = max(spread.deflation, start.least_deflation)
         samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
@@ -95,30 +94,55 @@ def carried(
         The remaining causes and their fit.
     """
     kept = list(accepted)
-
-    def errors(found: Fit) -> np.ndarray:
-        unseen = FitProblem(start.system, problem.elsewhere(held, found))
-        replayed = unseen.evaluate({**found.values, "event.torque": 0.0}, "held back")
-        return (replayed.residual**2).sum((1, 2)).numpy()
-
     while len(kept) > least and (lasting := [c for c in kept if c.effect != "event"]):
-        fits = problem.fit(
-            [without(problem, start, kept, cause, fit) for cause in lasting], ITERATIONS, CLOSE
-        )
-        now = errors(fit)
+        fits = _less(problem, start, kept, lasting, fit)
+        now = held_out_chi2(problem, start, fit, held)
         # A cause can win by letting baseline parameters return to their prior instead of improving the simulation.
         # Held-out windows cannot test such a cause, so its harm is set to zero.
         harm = [
-            np.zeros(len(held)) if less.diverged or _mostly_prior_penalty(less, fit) else now - errors(less)
+            np.zeros(len(held))
+            if less.diverged or _mostly_prior_penalty(less, fit)
+            else now - held_out_chi2(problem, start, less, held)
             for less in fits
         ]
         worst = max(range(len(fits)), key=lambda k: float(harm[k].sum()))
         # A cause that does not act in these windows changes their error only by chance.
-        if not harm[worst].sum() > np.sqrt(len(held)) * harm[worst].std():
+        if not beyond_chance(harm[worst]):
             break
         kept.remove(lasting[worst])
         fit = fits[worst]
     return kept, fit
+
+
+def held_out_chi2(problem: FitProblem, start: Baseline, fit: Fit, held: Windows) -> np.ndarray:
+    """Return chi2 (W,) of a fit in each held-out window, without its push; the initial states are fitted there.
+
+    Args:
+        problem: The windows of the fit.
+        start: The baseline.
+        fit: The fit.
+        held: Held-out windows.
+    """
+    unseen = FitProblem(start.system, problem.elsewhere(held, fit))
+    replayed = unseen.evaluate({**fit.values, "event.torque": 0.0}, "held back")
+    return (replayed.residual**2).sum((1, 2)).numpy()
+
+
+def beyond_chance(harm: np.ndarray) -> bool:
+    """Return whether held-out errors (W,) are larger in total than their differences between windows explain."""
+    return bool(harm.sum() > np.sqrt(len(harm)) * harm.std())
+
+
+def _less(
+    problem: FitProblem, start: Baseline, kept: Sequence[Cause], out: Sequence[Cause], fit: Fit
+) -> list[Fit]:
+    """Return a fit without each of some causes."""
+    trials = [without(problem, start, kept, cause, fit) for cause in out]
+    if start.tempering == 1.0:
+        return problem.fit(trials, ITERATIONS, CLOSE)
+    # What is compared is large, so slopes at the fit of all causes will do, with one renewal.
+    known = problem.slopes_at(fit.values, fit.free, fit.state, fit.nuisance)
+    return problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=1)
 
 
 def _mostly_prior_penalty(less: Fit, fit: Fit) -> bool:

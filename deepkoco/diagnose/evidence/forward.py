@@ -21,6 +21,7 @@ from deepkoco.diagnose.evidence.elimination import (
     without,
     without_kinds,
 )
+from deepkoco.diagnose.evidence.joint_by_joint import select_by_joint
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE, Minor, tolerated
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
@@ -112,6 +113,8 @@ class Selection:
     ) -> Selected:
         """Accept further causes as long as the BIC falls enough."""
         start, problem = self.start, so_far.acting
+        if start.tempering > 1.0:
+            return select_by_joint(problem, start, so_far, self._ranked, ranking, self.detection)
         final, accepted, steps, charge = so_far.final, [*so_far.accepted], [*so_far.steps], so_far.charge
         healthy: list[Cause] = []  # accepted causes of which there is no more than a healthy machine has
         minor = so_far.minor
@@ -141,11 +144,17 @@ class Selection:
                 continue
             self.progress(f"class of {ranking.best.cause.name}{in_company_of(names)}")
             ranking = self._refined(problem, ranking, accepted, hints)
-            ranking, members = classed(problem, start, ranking, accepted)
+            ranking, members = classed(problem, start, ranking, accepted, self.held)
             steps.append((ranking, members))
             accepted.append(ranking.best.cause)
             final, ranking = ranking.best.fit, None
         return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge, minor)
+
+    def _ranked(self, fit: Fit, accepted: Sequence[Cause]) -> Ranking:
+        """Return the ranking of the catalogue on top of a fit with these causes."""
+        self.progress(f"fitting every cause{in_company_of(c.name for c in accepted)}")
+        hints = self._hints(self.problem, fit, missing_torque(self.problem, fit))
+        return rank(self.problem, self.start, fit, accepted, hints, self.causes)
 
     def _minor(
         self,
@@ -192,10 +201,14 @@ class Selection:
 
     def _pruned(self, found: Selected) -> Selected:
         """Compare each cause again and eliminate causes, until nothing changes or the rounds are used up."""
+        first = found.steps[0][0] if found.steps and found.lost is None else None
         for _ in range(MAX_ROUNDS):
             kept = self._kept(self._reconsidered(found))
             if kept.accepted == found.accepted:
                 return kept
+            if len(kept.accepted) == 1:
+                # Its ranking and class were those beside causes that are removed now.
+                return self._reconsidered(kept, 1) if first is None else self._alone(kept, first)
             found = kept
         return self._reconsidered(found)
 
@@ -237,13 +250,17 @@ class Selection:
         gives_little = less.chi2 - fit.chi2 < most * (self.before - fit.chi2)
         return (rest, less) if gives_little else (kept, fit)
 
-    def _reconsidered(self, found: Selected) -> Selected:
+    def _reconsidered(self, found: Selected, least: int = 2) -> Selected:
         """Compare each of several causes with all lasting causes again, with the other accepted causes in the model.
 
         The best cause while the others were missing need not be the best together with them. The class of a cause
         also depends on the residuals that the others leave.
+
+        Args:
+            found: The selection.
+            least: Number of causes from which they are compared again.
         """
-        if len(found.accepted) < 2:
+        if len(found.accepted) < least or self.start.tempering > 1.0:
             return found
         start, problem = self.start, found.acting
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
@@ -262,12 +279,23 @@ class Selection:
             rivals = [cause] if cause.effect == "event" else lasting
             ranking = rank(problem, start, less, others, hints, rivals)
             ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
-            ranking, members = classed(problem, start, ranking, others)
+            ranking, members = classed(problem, start, ranking, others, self.held)
             steps[k] = (ranking, members)
             if ranking.best.cause.name != cause.name:
                 accepted[k] = ranking.best.cause
             final = ranking.best.fit
         return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
+
+    def _alone(self, kept: Selected, first: Ranking) -> Selected:
+        """Compare the only cause that is kept with all lasting causes in the ranking in which none was accepted."""
+        start, problem, (cause,) = self.start, kept.acting, kept.accepted
+        pushed = cause.effect == "event"
+        rivals = [c for c in first.candidates if not pushed and c.cause.effect != "event"]
+        ranking = with_fit(problem, replace(first, candidates=tuple(rivals)), cause, kept.final)
+        ranking = front_settled(problem, start, (), ranking)
+        ranking, members = classed(problem, start, ranking, (), self.held)
+        best = ranking.best
+        return replace(kept, final=best.fit, accepted=(best.cause,), steps=((ranking, members),))
 
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
         """Accept lost commands and further causes if they explain clearly more than causes alone; else return None.
@@ -280,7 +308,9 @@ class Selection:
             plain: The causes that remain after elimination.
         """
         causes = self._loss_causes()
-        if not causes:
+        # While structure remains, no lost commands are named (see `verdict_of`), so they are not searched for where
+        # a simulation of many parameters leaves much of it.
+        if not causes or (self.start.tempering > 1.0 and self._left(plain.final)):
             return None
         best = self._with_searched_losses(plain, causes)
         left = self._left(plain.final)

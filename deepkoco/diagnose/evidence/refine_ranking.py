@@ -7,14 +7,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.causes import CAUSES, Cause, is_changed
 from deepkoco.diagnose.evidence.classes import APART, NEAR, equivalent
+from deepkoco.diagnose.evidence.elimination import beyond_chance, held_out_chi2
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
 from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
+from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 
 HOPEFUL = 0.9  # share of what the winner explains, from which a simpler cause is fitted to convergence
 SURE = 2.0 * APART  # BIC difference from which a fit that kept the slopes of another point is not repeated
@@ -60,13 +63,26 @@ def _overpaid(ranking: Ranking, other: Candidate) -> float:
 
 
 def classed(
-    problem: FitProblem, start: Baseline, ranking: Ranking, accepted: Sequence[Cause]
+    problem: FitProblem,
+    start: Baseline,
+    ranking: Ranking,
+    accepted: Sequence[Cause],
+    held: Windows | None = None,
 ) -> tuple[Ranking, tuple[str, ...]]:
     """Return the ranking and the names of its winner's class, the simpler cause and the mechanism first.
 
     Where a model error is left, a cause with more parameters must explain clearly more than a simpler one: below
     ``LEAST_SHARE`` of the whole, it only describes the form of the simpler one. Dry friction is an example, of which a
-    log shows some excess near standstill.
+    log shows some excess near standstill. A simpler cause of its own family and class leads, too, unless the error in
+    held-out windows is larger with it: a model error can favour the one or the other form in the windows that are
+    fitted.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        ranking: The ranking, its winner and the candidates close to it fitted to convergence.
+        accepted: Causes that are part of every fit.
+        held: Held-out windows; None where there are none.
 
     Almost every mechanism can be written as another value of some parameter. Where the data cannot distinguish the
     two, the mechanism leads the class. The farther the parameter is from its given value, the more evidence it needs.
@@ -77,6 +93,11 @@ def classed(
         first = min(simple, key=lambda c: (c.cause.size, -c.delta_bic))
         ranking = replace(ranking, candidates=(first, *(c for c in ranking.candidates if c is not first)))
     members = equivalent(problem, start, ranking, tuple(accepted))
+    if left and held is not None and len(held):
+        form = _simpler_form(problem, start, ranking, members, held)
+        if form is not None:
+            ranking = replace(ranking, candidates=(form, *(c for c in ranking.candidates if c is not form)))
+            members = equivalent(problem, start, ranking, tuple(accepted))
     best = ranking.best
     if not is_changed(best.cause):
         return ranking, members
@@ -98,6 +119,37 @@ def _simpler(best: Candidate, other: Candidate, least: float) -> bool:
     if not other.cause.free or is_changed(other.cause) or other.cause.effect == "event":
         return False
     return other.cause.size < best.cause.size and other.likelihood_ratio >= least * best.likelihood_ratio
+
+
+def _simpler_form(
+    problem: FitProblem, start: Baseline, ranking: Ranking, members: Sequence[str], held: Windows
+) -> Candidate | None:
+    """Return the simplest member of the winner's class and family that held-out windows do not speak against."""
+    best = ranking.best
+    forms = [
+        c
+        for c in ranking.candidates[1:]
+        if c.cause.name in members
+        and c.fit is not ranking.reference
+        and _same_family(best.cause, c.cause)
+        and _simpler(best, c, 0.0)
+    ]
+    if not forms:
+        return None
+    try:
+        errors = held_out_chi2(problem, start, best.fit, held)
+        for form in sorted(forms, key=lambda c: (c.cause.size, -c.delta_bic)):
+            if not beyond_chance(held_out_chi2(problem, start, form.fit, held) - errors):
+                return form
+    except DivergedError:
+        pass  # then the held-out windows decide nothing
+    return None
+
+
+def _same_family(cause: Cause, other: Cause) -> bool:
+    """Return whether two causes are of one family and act at one place."""
+    place = (cause.joint, cause.index) == (other.joint, other.index)
+    return place and CAUSES[cause.kind].family == CAUSES[other.kind].family
 
 
 def _size_charge(problem: FitProblem, candidate: Candidate) -> float:

@@ -55,8 +55,9 @@ def screen(
     another cause adds to the same quantity.
     """
     tangent = Linearised(problem, reference, prior) if tangent is None else tangent
-    changed = [pair for pair in starts if is_changed(pair[0])]
-    starts = [pair for pair in starts if not is_changed(pair[0])]
+    free = set(reference.free)
+    changed = [pair for pair in starts if is_changed(pair[0]) and free.issuperset(pair[0].free)]
+    starts = [pair for pair in starts if not (is_changed(pair[0]) and free.issuperset(pair[0].free))]
     doses, owner, forward = [], [], []
     for k, (cause, place) in enumerate(starts):
         own = _doses(problem, reference, cause, place)

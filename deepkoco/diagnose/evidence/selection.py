@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause, catalogue, is_changed
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
+from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
@@ -19,6 +20,7 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 
 # Fall of the BIC that the first cause needs, and each further one. Both were calibrated on logs of units in
@@ -34,6 +36,12 @@ SLIPS = 4  # unit conversion constants that are fitted in full
 SLIP_ITERATIONS = 6
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
+# With many parameters, causes of each joint (and as many without a joint) that are fitted: a cause at a joint shows
+# mostly in the motion of that joint, and the score test orders those of one joint well.
+PER_PLACE = 4
+HOPELESS = (
+    10.0  # cost of a unit slip over that of the reference, from which it is not fitted with many parameters
+)
 FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 MOST_CHANGED = 6  # and changed parameters
@@ -62,12 +70,25 @@ def rank(
     everything = catalogue(problem.system.base).values() if causes is None else causes
     names = {c.name for c in accepted}
     tried = [c for c in everything if c.name not in names and c.scatter is None and not c.traced]
+    if start.tempering > 1.0:
+        # A hundred times slower than the others, and told from dry friction by micrometres that a large error hides.
+        slow = {e.name for e in problem.system.effects if not problem.system.base.rolls(e.effect)}
+        tried = [c for c in tried if c.effect not in slow]
     listed = [(cause, place) for cause in tried for place in cause.starts(hints.for_cause(cause))]
     slips = [(cause, place) for cause, place in listed if not cause.free]
     prior = prior_with(problem, start, accepted, reference.values)
     tangent = Linearised(problem, reference, prior)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
     promising = _promising(promises)
+    many = len(reference.free) + problem.windows.state.shape[1] >= MANY
+    if many:
+        spread = dispersion(reference, problem.windows)
+        samples = problem.windows.samples / spread.correlation
+        charge = {c.name: spread.deflation * penalty(c, samples, SLOTS * len(problem.windows)) for c in tried}
+        if start.tempering > 1.0:
+            # Each window shows much model error, which a push or a tone can take for its own.
+            promising = _promising([p for p in promises if kind_of(p.cause.name) not in FLEXIBLE_CAUSES])
+        promising = _best_of_each_place(promising, charge)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
     promising += [
@@ -89,7 +110,7 @@ def rank(
     ]
     # With many parameters, the candidates of a reference share its slopes.
     known = tangent.kept() if trials and problem.keeps_slopes(trials) else None
-    slipped = _slipped(problem, start, accepted, reference, slips)
+    slipped = _slipped(problem, start, accepted, reference, slips, HOPELESS if many else np.inf)
     if known is None:
         trials += slipped
         fits = _fit_best(problem, trials, reference)
@@ -97,7 +118,8 @@ def rank(
         fits = _fit_best(problem, trials, reference, known)
         fits |= _fit_best(problem, slipped, reference)
         trials += slipped
-    far_away = strained(problem, start, reference)
+    # With a tempered prior, the values as given are known to be no place from which anything can be told.
+    far_away = start.tempering == 1.0 and strained(problem, start, reference)
     far = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
     if far_away and (promising or far):
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
@@ -106,6 +128,8 @@ def rank(
         fresh = [p for p in far if p.cause.name not in also]
         far = [p for p in fresh if not is_changed(p.cause)][:MOST_AS_GIVEN]
         far += [p for p in fresh if is_changed(p.cause)][:MOST_CHANGED]
+        if many:
+            far = _best_of_each_place(far, charge)
         promises += far
         from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
@@ -143,7 +167,8 @@ def rank(
     unsettled = [
         n
         for n, f in fits.items()
-        if (not f.converged and (n == best or promised.get(n, 0.0) > won)) or (n == best and not f.exact)
+        if (not f.converged and (n == best or (not many and promised.get(n, 0.0) > won)))
+        or (n == best and not f.exact)
     ]
     if unsettled:
         first = {name: next(t for t in trials if t.name == name) for name in unsettled}
@@ -308,14 +333,39 @@ def _promising(promises: Sequence[StartPoint]) -> list[StartPoint]:
     return [p for own in kept.values() for p in own]
 
 
+def _best_of_each_place(points: Sequence[StartPoint], charge: Mapping[str, float]) -> list[StartPoint]:
+    """Return the starts of the causes that promise most at each joint, and of those that have none.
+
+    Args:
+        points: Starts.
+        charge: Cause -> fall of the cost that it needs for its parameters.
+    """
+    joints = {p.cause.name: p.cause.joint for p in points}
+    promised = {n: promise - charge[n] for n, promise in _best(points).items()}
+    kept: dict[int | None, set[str]] = {}
+    for name in sorted(promised, key=lambda n: -promised[n]):
+        own = kept.setdefault(joints[name], set())
+        if len(own) < PER_PLACE:
+            own.add(name)
+    names = set().union(*kept.values())
+    return [p for p in points if p.cause.name in names]
+
+
 def _slipped(
     problem: FitProblem,
     start: Baseline,
     accepted: Sequence[Cause],
     reference: Fit,
     slips: Sequence[tuple[Cause, Mapping[str, float]]],
+    most: float,
 ) -> list[Trial]:
-    """Return trials of unit conversion constants; they start from the baseline's values before the refit."""
+    """Return trials of unit conversion constants; they start from the baseline's values before the refit.
+
+    Args:
+        problem, start, accepted, reference: As for :func:`rank`.
+        slips: The constants.
+        most: Cost before a fit, over that of the reference, from which a constant is left out.
+    """
     if not slips:
         return []
     before = {n: start.values[n] for n in start.prior.names}
@@ -324,6 +374,17 @@ def _slipped(
     for k, (cause, place) in enumerate(slips):
         if cause.kind == "channel_slip":
             states[k, :, problem.windows.shows[cause.index]] /= next(iter(place.values()))
+    if np.isfinite(most):
+        theta = np.array([[float(v[n]) for n in problem.names] for v in values])
+        shown = problem.predict(theta, states, reference.nuisance[None].repeat(len(values), 1))
+        cost = (
+            ((problem.windows.value - shown) * problem.weight).square().sum((1, 2, 3)).nan_to_num(torch.inf)
+        )
+        # Initial states lower the cost of a simulation that is right a few times, and hardly that of others.
+        hopeful = [k for k in cost.argsort().tolist() if cost[k] <= most * reference.cost][: 2 * SLIPS]
+        slips, values, states = [slips[k] for k in hopeful], [values[k] for k in hopeful], states[hopeful]
+        if not slips:
+            return []
     fitted, costs = problem.fit_states_each(values, states, SLIP_ITERATIONS)
     total = costs.sum(-1).nan_to_num(torch.inf)
     # Only the few constants with the lowest cost are fitted in full.

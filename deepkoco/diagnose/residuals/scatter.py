@@ -19,16 +19,24 @@ from deepkoco.systems import System
 SPEC = 0.15  # relative uncertainty of the noise in a data sheet
 USUAL_JITTER = 1e-4  # of the stamps of a healthy log that a computer's clock stamps [s]
 FLOORS = np.geomspace(1e-3, 1.0, 60)  # share of a channel's variance that jitter does not explain
-COARSE = 2.0  # step of a grid, over the noise of the data sheet, from which rounding is named
+COARSE = 1.0 + 2.0 * SPEC  # error of rounding, over the noise of the data sheet, from which rounding is named
 GRID_CHANCE = 0.1  # chance that one sample of a continuous channel lies within 5 % of a grid line
 
 
 class Scatter(NamedTuple):
-    """System, windows and final fit that the tests use."""
+    """What the tests use.
+
+    Attributes:
+        system: The system.
+        windows: The windows.
+        fit: The final fit on them.
+        floor: Variance that the windows count as noise, over that of the sensors: model error of a healthy unit.
+    """
 
     system: System
     windows: Windows
     fit: Fit
+    floor: float = 1.0
 
 
 class Verdict(NamedTuple):
@@ -81,7 +89,7 @@ def noise_level(view: Scatter, channel: int) -> Verdict | None:
         return None
     # If the channel has a wrong unit, its noise has the same wrong unit.
     slip = view.fit.values.get(f"channel_slip({view.system.measurements[channel].name}).factor", 1.0)
-    factor = found.sd / (declared * abs(slip))
+    factor = found.sd / (declared * abs(slip) * math.sqrt(view.floor))
     if factor <= 1.0 or _grid(view, channel) > declared * abs(slip):
         return None
     spread = math.hypot(SPEC, found.relative_sd)
@@ -91,9 +99,13 @@ def noise_level(view: Scatter, channel: int) -> Verdict | None:
 
 
 def quantisation(view: Scatter, channel: int) -> Verdict | None:
-    """Test whether the values of a channel lie on a grid that is coarse against the noise of its data sheet."""
+    """Test whether the values of a channel lie on a grid whose error exceeds the noise of its data sheet.
+
+    Every encoder has a grid. Its rounding errors have the standard deviation step / sqrt(12), and the noise of a data
+    sheet contains them.
+    """
     declared, step = view.system.measurements[channel].noise_sd, _grid(view, channel)
-    if not step > COARSE * declared:
+    if not step / math.sqrt(12.0) > COARSE * declared:
         return None
     samples = int(view.windows.valid[:, channel].sum())
     return Verdict(-2.0 * samples * math.log(GRID_CHANCE), "step", step, step, step)

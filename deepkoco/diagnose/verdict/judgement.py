@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import healthy_under_floor
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
@@ -40,6 +39,7 @@ from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
 
+TOO_SLOW = "a learned load: it is too slow for so many parameters that are so far from their values as given"
 NO_GAIN = "the held-out windows, so there is no gain"
 
 
@@ -88,8 +88,9 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     """
     base, found = explanation.base, explanation.found
     reference, final, seed = base.reference, found.final, request.seed
+    floor = base.learned.floor / base.start.floor
     scattered = scatter_findings(
-        base.start.system, base.train, final, request.detection, healthy_under_floor(base.learned)
+        base.start.system, base.train, final, request.detection, base.learned.healthy, floor
     )
     left = dispersion(final, base.train)
     without = with_parameters_kept(base, [n for c in found.accepted if is_changed(c) for n in c.free])
@@ -100,8 +101,10 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     doubts = _doubts(explanation, request.system, missing, left)
     verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
     learned = None
-    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train)
-    if verdict == "unknown" or rival:
+    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train, white)
+    if base.start.tempering > 1.0 and verdict == "unknown":
+        unfitted = (*unfitted, TOO_SLOW)
+    elif verdict == "unknown" or rival:
         request.progress("a learned load")
         learned, failed = _learned_load(base, missing, seed)
         unfitted = (*unfitted, *failed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from deepkoco.diagnose.baseline import Healthy as HealthyLogs
 from deepkoco.diagnose.causes import catalogue, kind_of
 from deepkoco.diagnose.causes.tolerance import Healthy
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
@@ -22,21 +23,23 @@ def scatter_findings(
     windows: Windows,
     fit: Fit,
     detection: float,
-    healthy: tuple[Windows, Fit] | None = None,
+    healthy: HealthyLogs | None = None,
+    floor: float = 1.0,
 ) -> tuple[Finding, ...]:
     """Return the noise causes whose fall of the BIC exceeds the threshold, strongest first.
 
-    Causes within their tolerance are left out, and causes of which healthy logs show as much.
+    Causes within their tolerance, and causes of which the healthy logs show as much, are left out.
 
     Args:
         system: The extended system.
         windows: Training windows.
         fit: The final model on them.
         detection: Fall of the BIC from which a cause is named.
-        healthy: Windows of healthy logs with the same noise, and their fit; None without any.
+        healthy: The healthy logs and their fit; None without any.
+        floor: Variance that ``windows`` count as noise, over that of the sensors.
     """
-    view = Scatter(system.base, windows, fit)
-    before = None if healthy is None else Scatter(system.base, *healthy)
+    view = Scatter(system.base, windows, fit, floor)
+    usual = None if healthy is None else Scatter(system.base, healthy.windows, healthy.fit)
     deflation = dispersion(fit, windows).correlation
     found = []
     for name, cause in catalogue(system.base).items():
@@ -48,14 +51,14 @@ def scatter_findings(
         score = verdict.likelihood_ratio / deflation - cause.size * math.log(max(windows.samples, 2))
         if score <= detection:
             continue
-        usual = None if before is None else cause.scatter(before, cause.index)
-        if usual is not None and verdict.low <= RUN_TO_RUN * usual.high:
-            continue
         placed = f"{name}.{verdict.parameter}"
         declared = system.parameter(placed)
         machine = Healthy(declared, max(system.load_scales), sample_period(windows), dict(fit.values))
         away = max(abs(verdict.low - declared.value), abs(verdict.high - declared.value))
         if away <= cause.tolerance(machine):
+            continue
+        known = None if usual is None else cause.scatter(usual, cause.index)
+        if known is not None and verdict.low <= RUN_TO_RUN * known.high:
             continue
         text = f"With this cause, the likelihood ratio of the residuals is {verdict.likelihood_ratio:.0f}."
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)

@@ -8,8 +8,8 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, kind_of
 from deepkoco.diagnose.causes.parameter import FAMILY as PARAMETER
 from deepkoco.diagnose.diagnosis import Verdict
-from deepkoco.diagnose.evidence.elimination import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.event_windows import touched
+from deepkoco.diagnose.evidence.flexible import BENDING, FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.forward import MOST_CAUSES
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import FURTHER
@@ -98,15 +98,28 @@ def only_flexible(found: Selected) -> bool:
     return found.lost is None and _all_flexible(found)
 
 
-def rivalled(found: Selected, start: Baseline, train: Windows) -> bool:
+def rivalled(found: Selected, start: Baseline, train: Windows, white: bool) -> bool:
     """Return whether the selected causes must be compared with a learned load.
 
-    They are not compared where lasting causes leave structure, as in real logs: the learned load would always
-    explain more there.
+    Other causes are not compared where they leave structure, as in real logs: the learned load would always explain
+    more there. A tone or a detent is, also beside other causes. It is selected there only if it explains most, and then
+    it may stand for a missing cause: a tone at the frequency of the motion describes most of a dry friction.
+
+    Args:
+        found: The selection.
+        start: The baseline.
+        train: Training windows.
+        white: Whether the residuals of the selection are white.
     """
     chi2 = found.final.chi2
     more = chi2 - start.floor * train.samples > FURTHER
-    return only_flexible(found) or (more and chi2 <= white_limit(train) * start.floor * train.samples)
+    if only_flexible(found) or (more and not white and _bends(found)):
+        return True
+    return more and chi2 <= white_limit(train) * start.floor * train.samples
+
+
+def _bends(found: Selected) -> bool:
+    return found.lost is None and any(kind_of(c.name) in BENDING for c in found.accepted)
 
 
 def _all_flexible(found: Selected) -> bool:

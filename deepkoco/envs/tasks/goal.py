@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Self
 
 import torch
 from torch import Tensor
 
-from deepkoco.envs.tasks.task import Task, TaskDeclarationError
+from deepkoco.envs.tasks.task import Task, TaskDeclarationError, by_state
 from deepkoco.systems import Parameters, System
 
 UNITS = {"rad": 1.0, "m": 0.5}  # distance from the goal that costs 1
@@ -23,8 +24,8 @@ class GoalTask(Task):
     speed in these units per second. Commands that are goals of a position or a speed cost nothing.
 
     Args:
-        goal: Name of a position -> where it shall be [rad or m]; positions that are not named shall be 0. Only these
-            joints and those that are driven count, where a goal is given.
+        goal: Name of a joint or of its position -> where it shall be [rad or m]; joints that are not named shall be
+            at 0. Only these joints and those that are driven count, where a goal is given.
         control_rate: Rate of the agent [Hz].
         starts, limits, leaving_cost: As for :class:`Task`; by default positions start within 1 rad or 0.25 m of zero.
         speed_weight: w_v [s2].
@@ -78,10 +79,15 @@ class GoalTask(Task):
         named = {scene.state_names.index(name) for name in self.goal}
         return tuple(sorted({*named, *scene.command_joints}))
 
+    def on(self, scene: System) -> Self:
+        task = super().on(scene)
+        task.goal = by_state(scene, task.goal)
+        return task
+
     def _check(self, scene: System) -> None:
         super()._check(scene)
         positions = scene.state_names[: scene.joints]
-        for name in self.goal:
+        for name in by_state(scene, self.goal):
             if name not in positions:
                 raise TaskDeclarationError(
                     f'goal names "{name}"; the positions of {scene.name} are {", ".join(positions)}'

@@ -83,6 +83,8 @@ class Task(ABC):
         for name, value in defaults.items():
             if not hasattr(task, name):
                 object.__setattr__(task, name, value)  # also where the user's class is a frozen dataclass
+        for named in ("starts", "limits"):
+            object.__setattr__(task, named, by_state(scene, getattr(task, named)))
         object.__setattr__(task, "scene_of_task", scene)
         task._check(scene)
         return task
@@ -203,6 +205,12 @@ class Task(ABC):
             raise TaskDeclarationError(
                 f"{who}: control_rate = {self.control_rate}; give a positive number [Hz]"
             )
+
+
+def by_state(scene: System, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with names of states; the name of a joint stands for its position."""
+    positions = dict(zip(scene.joint_names, scene.state_names, strict=False))
+    return {name if name in scene.state_names else positions.get(name, name): v for name, v in given.items()}
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from deepkoco.systems.dry_friction import DryFriction, Levels, rubbed
+from deepkoco.systems.dry_friction import DryFriction, Levels, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.system import Acceleration, InverseInertia, Motion
 
@@ -20,14 +20,22 @@ class Drive(NamedTuple):
     Attributes:
         efforts: Effort of each command (W, L) at start, middle and end of the step.
         times: (W, 1) log time at start, middle and end [s].
-        load: Per joint (W, L), outside load over the step; None for none.
+        load: Per joint (W, L), outside load over the step, None for a joint without one; None for none.
         memory: What effects remember at the start of the step, one (W, L) for each.
     """
 
     efforts: tuple[Values, Values, Values]
     times: tuple[Tensor, Tensor, Tensor]
-    load: Values | None
+    load: Levels | None
     memory: Values = ()
+
+    def with_load(self, added: Levels) -> Drive:
+        """Drive with further loads; None for a joint without any."""
+        if all(own is None for own in added):
+            return self
+        before: Levels = (None,) * len(added) if self.load is None else self.load
+        total = (a if b is None else b if a is None else a + b for a, b in zip(before, added, strict=True))
+        return self._replace(load=tuple(total))
 
     def rows(self, rows: Tensor) -> Drive:
         """Drive of some windows."""
@@ -121,7 +129,7 @@ def step_of(
     return Step(_mean(angle, speed, v2, v3, v4, h), _mean(speed, a1, a2, a3, a4, h), a1, a4, none)
 
 
-def _with_friction(load: Values | None, levels: Levels, direction: Levels) -> Levels:
+def _with_friction(load: Levels | None, levels: Levels, direction: Levels) -> Levels:
     """Loads on the joints together with dry friction; None for a joint without any."""
     total: list[Tensor | None] = [None] * len(levels) if load is None else list(load)
     for j, (level, share) in enumerate(zip(levels, direction, strict=True)):
@@ -162,12 +170,13 @@ def corrected(
     inverse = equations.inverse(halfway)
     slide = stick = friction.steady
     if friction.varying:
-        slide = friction.levels(halfway._replace(speeds=tuple(0.5 * v for v in speed)))
-        stick = friction.levels(halfway._replace(speeds=tuple(torch.zeros_like(v) for v in speed)))
-    found = rubbed(speed, step.speed, _loads(slide, direction), slide, stick, inverse, h)
-    direction = _shares(found.load, slide, direction)
-    again = step_of(equations, angle, speed, drive, direction, h)
-    found = rubbed(speed, again.speed, _loads(slide, direction), slide, stick, inverse, h)
+        slide = _mean_levels(friction, halfway, drive, tuple(0.5 * v for v in speed))
+        stick = _mean_levels(friction, halfway, drive, tuple(torch.zeros_like(v) for v in speed))
+    found = rubbed(speed, step.speed, sliding_loads(slide, direction), slide, stick, inverse, h)
+    direction, left_over, applied = as_shares(found.load, slide, direction)
+    again = step_of(equations, angle, speed, drive.with_load(left_over), direction, h)
+    found = rubbed(speed, again.speed, applied, slide, stick, inverse, h)
+    hold, _, _ = as_shares(found.hold, stick, direction)
     angles, firsts, lasts, rest = list(again.angle), list(again.first), list(again.last), list(again.rest)
     for j, own in enumerate(found.speed):
         # The part of the way that a constant acceleration does not explain stays, but not for a joint at rest.
@@ -183,30 +192,22 @@ def corrected(
             torch.where(turns, mean, again.first[j]),
             torch.where(turns, mean, again.last[j]),
         )
-        share = _shares(found.hold, stick, direction)[j]
+        share = hold[j]
         assert share is not None
         rest[j] = torch.where(stays, share, torch.zeros((), dtype=share.dtype))
     return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), tuple(rest))
 
 
-def _loads(levels: Levels, direction: Levels) -> Levels:
-    """Friction loads; a level below 0 drives the joint and is part of its free motion."""
+def _mean_levels(friction: DryFriction, halfway: Motion, drive: Drive, speeds: Values) -> Levels:
+    """Mean levels over the step at given speeds, by Simpson's rule: an effort may pass through 0 in its middle."""
+    moments = [
+        friction.levels(halfway._replace(speeds=speeds, efforts=efforts, time=time))
+        for efforts, time in zip(drive.efforts, drive.times, strict=True)
+    ]
     return tuple(
-        None if level is None or share is None else -level.clamp_min(0.0) * share
-        for level, share in zip(levels, direction, strict=True)
+        None if a is None or b is None or c is None else (a + 4.0 * b + c) / 6.0
+        for a, b, c in zip(*moments, strict=True)
     )
-
-
-def _shares(loads: Levels, levels: Levels, direction: Levels) -> Levels:
-    """Friction loads as shares of their levels, against them; ``direction`` where the level is not above 0."""
-    result: list[Tensor | None] = []
-    for load, level, share in zip(loads, levels, direction, strict=True):
-        if load is None or level is None or share is None:
-            result.append(share)
-        else:
-            safe = torch.where(level > 0.0, level, torch.ones((), dtype=level.dtype))
-            result.append(torch.where(level > 0.0, -load / safe, share))
-    return tuple(result)
 
 
 def replaced(step: Step, rows: Tensor, part: Step) -> Step:

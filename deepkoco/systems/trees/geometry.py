@@ -95,7 +95,7 @@ def shaped(tree: Tree, parameters: Parameters) -> Shape | None:
         before = turns[joint.parent] if joint.parent >= 0 else None
         if before is not None:
             rows, offset = _times(before, rows), outward(before, offset)  # pyright: ignore[reportArgumentType]
-        turn = None if k not in bodies else _turn(bodies[k], joint, parameters)
+        turn = None if k not in bodies else axis_turn(bodies[k], joint, parameters)
         if turn is not None:
             rows = _times(rows, turn)
         turns.append(None if turn is None else _transposed(turn))
@@ -149,8 +149,11 @@ def _turned_about(body: Body) -> tuple[str, str]:
     return AXES[first], AXES[second]
 
 
-def _turn(body: Body, joint: Joint, parameters: Parameters) -> tuple[Triple, Triple, Triple] | None:
-    """The turn D of a joint's axis, in the joint's frame: about one axis of the body, then the turned other."""
+def axis_turn(body: Body, joint: Joint, parameters: Parameters) -> tuple[Triple, Triple, Triple] | None:
+    """The turn D of a joint's axis, in the joint's frame: about one axis of the body, then the turned other.
+
+    None where the parameters have no turn of this axis.
+    """
     result = None
     for axis in _turned_about(body):
         angle = parameters.get(f"axis_{axis}({joint.name})")

@@ -10,7 +10,8 @@ from deepkoco.output.whole_file import write_whole_text
 from deepkoco.systems.system import System
 from deepkoco.systems.trees.parameters import is_servo
 from deepkoco.systems.trees.tree_system import TreeSystem
-from deepkoco.systems.trees.write_back import WriteBack, extended_mjcf, tree_of
+from deepkoco.systems.trees.write_back import Change, WriteBack, extended_mjcf, tree_of
+from deepkoco.systems.trees.write_bodies import FITTED
 
 ROBOT_FILE, CHANGES_FILE = "robot_extended.xml", "changes.md"
 PHYSICS_STEP = 0.005  # [s], of usual training environments; lags are counted in it
@@ -49,14 +50,18 @@ def changes_text(system: System, written: WriteBack) -> str:
     lines = [f"# Changes of {system.name}", ""]
     if robot is not None:
         lines += [f"`{ROBOT_FILE}` is `{robot.origin}` with these changes.", ""]
-    if written.changes:
-        lines += ["| element | what | before | after | unit | why |", "|---|---|---|---|---|---|"]
-        lines += [
-            f"| {c.element} | {c.attribute} | {c.before:.6g} | {c.after:.6g} | {c.unit} | {c.reason} |"
-            for c in written.changes
-        ]
-    else:
+    found = [c for c in written.changes if c.reason != FITTED]
+    fitted = [c for c in written.changes if c.reason == FITTED]
+    if not written.changes:
         lines += ["No number changed."]
+    lines += _table(found)
+    if found and fitted:
+        lines += [
+            "",
+            "The model's own values, fitted together with these; the report has their intervals:",
+            "",
+        ]
+    lines += _table(fitted)
     if written.first_order:
         lines += [
             "",
@@ -68,6 +73,16 @@ def changes_text(system: System, written: WriteBack) -> str:
     if robot is not None:
         lines += ["", *_other_simulators(system, robot)]
     return "\n".join(lines) + "\n"
+
+
+def _table(changes: Sequence[Change]) -> list[str]:
+    if not changes:
+        return []
+    lines = ["| element | what | before | after | unit | why |", "|---|---|---|---|---|---|"]
+    return lines + [
+        f"| {c.element} | {c.attribute} | {c.before:.6g} | {c.after:.6g} | {c.unit} | {c.reason} |"
+        for c in changes
+    ]
 
 
 def _other_simulators(system: System, robot: TreeSystem) -> list[str]:

@@ -236,6 +236,22 @@ def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, 
         _add_levels(kinds, places, values, drives, forces, scratch, level)
 
 
+@njit(error_model="numpy", nogil=True)
+def _mean_levels(tree, own, effects, forces, steady, angle, speed, share, efforts, scratch, room, level):
+    """Levels as :func:`_levels_at`, over the step by Simpson's rule; ``room`` (J, LANES) is overwritten."""
+    _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[1], scratch, level)
+    if not effects[3]:
+        return
+    for when in (0, 2):
+        _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[when], scratch, room)
+        for k in range(len(angle)):
+            for i in range(LANES):
+                level[k, i] = (level[k, i] if when else 4.0 * level[k, i]) + room[k, i]
+    for k in range(len(angle)):
+        for i in range(LANES):
+            level[k, i] /= 6.0
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def tree_rollout(
     tree,  # parent, turns, rotation, offset, reference, limits, drives, gear, force_limits, as `tree_accelerations`
@@ -328,8 +344,8 @@ def tree_rollout(
                     efforts[0, a, i] = begin[a, n, e]
                     efforts[1, a, i] = begin[a, n, e] + 0.5 * step * slope[a, n, e]
                     efforts[2, a, i] = begin[a, n, e] + step * slope[a, n, e]
-                for k in range(len(loads)):
-                    push[k, i] = loads[k, n, e]
+                for k in range(joints):
+                    push[k, i] = loads[k, n, e] if len(loads) else 0.0
             for r in range(len(rubbing)):
                 j = rubbing[r]
                 for i in range(LANES):
@@ -360,11 +376,11 @@ def tree_rollout(
                     for k in range(joints):
                         for i in range(LANES):
                             inverse[k, j, i] = s[k, LOAD, i]
-                _levels_at(
-                    tree, own, effects, forces, own_steady, angle, speed, 0.5, efforts[1], scratch, slide
+                _mean_levels(
+                    tree, own, effects, forces, own_steady, angle, speed, 0.5, efforts, scratch, end, slide
                 )
-                _levels_at(
-                    tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts[1], scratch, stick
+                _mean_levels(
+                    tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts, scratch, end, stick
                 )
                 for r in range(len(rubbing)):
                     j = rubbing[r]
@@ -382,8 +398,12 @@ def tree_rollout(
                         for r in range(len(rubbing)):
                             j = rubbing[r]
                             if slide[j, i] > 0.0:
-                                direction[j, i] = -load[r, i] / slide[j, i]
-                            load[r, i] = -moving[r, i] * direction[j, i]
+                                share = -load[r, i] / slide[j, i]
+                                direction[j, i] = min(max(share, -1.0), 1.0)
+                                if direction[j, i] != share:
+                                    push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
+                            else:
+                                load[r, i] = 0.0
                 _runge_kutta(
                     tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                     own_steady, direction, step, q, v, first, last,

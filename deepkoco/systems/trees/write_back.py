@@ -16,16 +16,17 @@ from deepkoco.systems.effects.effect import ALL, parameter_kinds
 from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.extended import ExtendedSystem
 from deepkoco.systems.system import System
-from deepkoco.systems.trees.model_file import is_urdf, read_spec
-from deepkoco.systems.trees.parameters import AXES, actuator_law, physical_moments
-from deepkoco.systems.trees.tree import Body, TreeError
+from deepkoco.systems.trees.compile_tree import compile_tree
+from deepkoco.systems.trees.model_file import read_spec
+from deepkoco.systems.trees.mujoco_library import mujoco_library
+from deepkoco.systems.trees.names import Names
+from deepkoco.systems.trees.parameters import AXES, actuator_law
+from deepkoco.systems.trees.tree import Actuator, TreeError
 from deepkoco.systems.trees.tree_system import TreeSystem
+from deepkoco.systems.trees.write_bodies import FITTED, BodyWriter, same
 
-SAME = 1e-6  # relative difference below which a value of the file stays as it is: MJCF is written with six digits
 # Time constant with which dry friction stops a joint [s]; MuJoCo takes two of its steps where that is more.
 CREEP = 1e-4
-ROUNDING = 1e-5  # share by which numbers of the file differ from what was meant, with room to spare
-POINT = 1e-8  # inertia of a point mass in the file, per mass [m2]: a body needs one
 Values = Mapping[str, float]
 
 
@@ -98,9 +99,9 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
     model = spec.compile()
     result = WriteBack()
     writer = _Writer(robot, spec, model, result, _values(system))
-    if is_urdf(path):
+    if robot.tree.without_actuators:
         writer.add_motors()
-    writer.write_bodies()
+    writer.bodies.write()
     writer.write_joints()
     writer.write_actuators()
     writer.write_tilt()
@@ -119,7 +120,7 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
     _move_paths(spec, path, Path(folder))
     spec.compile()  # what cannot be compiled must not be written
     result.xml = spec.to_xml()
-    kinds = _mujoco().mjtIntegrator
+    kinds = mujoco_library().mjtIntegrator
     if spec.option.integrator != kinds.mjINT_RK4:
         result.first_order = kinds(spec.option.integrator).name.removeprefix("mjINT_").lower()
     return result
@@ -139,11 +140,14 @@ class _Writer:
     """Edits of one specification, each with the change that it makes."""
 
     def __init__(self, robot: TreeSystem, spec: Any, model: Any, result: WriteBack, values: Values) -> None:
-        self.robot, self.spec, self.model, self.result, self.values = robot, spec, model, result, values
-        self.bodies = {b.id: b for b in spec.bodies}
+        self.robot, self.spec, self.result, self.values = robot, spec, result, values
+        # Settings beside the file change values too: what counts as before is the file itself.
+        self.file = compile_tree(model, robot.name)
+        self.bodies = BodyWriter(robot, spec, model, values, self.note, self.leave_out)
         self.joints = sorted(spec.joints, key=lambda j: j.id)
-        self.actuators = sorted(spec.actuators, key=lambda a: a.id)
-        self.owner = list(dict.fromkeys(int(b) for b in model.jnt_bodyid))  # body id of each body of the tree
+        named = dict(zip(Names(model).actuators, sorted(spec.actuators, key=lambda a: a.id), strict=True))
+        # The tree has another order than the file where several actuators drive one joint.
+        self.actuators = [named[a.name] for a in robot.tree.actuators if a.name in named]
         count = len(robot.tree.actuators)
         # The command u becomes scale * u + offset, then is cut to +-limit, filtered, and delayed.
         self.scale, self.offset = [1.0] * count, [0.0] * count
@@ -156,51 +160,19 @@ class _Writer:
         self.result.left_out.append(f"{name}: {why}")
 
     def add_motors(self) -> None:
+        """Give each joint of a file without actuators the one that the robot has there."""
         for actuator in self.robot.tree.actuators:
             joint = self.joints[actuator.joint]
             own = self.spec.add_actuator(name=actuator.name, target=joint.name)
             own.set_to_motor()
-            own.trntype = _mujoco().mjtTrn.mjTRN_JOINT
+            own.trntype = mujoco_library().mjtTrn.mjTRN_JOINT
+            if any(actuator.bias):
+                own.biastype = mujoco_library().mjtBias.mjBIAS_AFFINE
             if math.isfinite(actuator.low) and math.isfinite(actuator.high):
                 own.ctrlrange, own.ctrllimited = [actuator.low, actuator.high], True
+            if math.isfinite(actuator.force_low) and math.isfinite(actuator.force_high):
+                own.forcerange, own.forcelimited = [actuator.force_low, actuator.force_high], True
             self.actuators.append(own)
-
-    def write_bodies(self) -> None:
-        for number, body in enumerate(self.robot.tree.bodies):
-            names = [
-                f"mass({body.name})",
-                *(f"{k}_{a}({body.name})" for k in ("com", "inertia") for a in AXES),
-            ]
-            nominal = [body.mass, *body.com, *body.moments]
-            now = [self.values.get(n, v) for n, v in zip(names, nominal, strict=True)]
-            if all(_same(a, b) for a, b in zip(now, nominal, strict=True)):
-                continue
-            units = ["kg", "m", "m", "m", "kg m2", "kg m2", "kg m2"]
-            labels = [
-                "mass",
-                *(f"centre of mass {a}" for a in AXES),
-                *(f"moment of inertia {a}" for a in AXES),
-            ]
-            for label, before, after, unit in zip(labels, nominal, now, units, strict=True):
-                if not _same(before, after):
-                    self.note(f'body "{body.name}"', label, before, after, unit, "fitted")
-            self._set_inertial(number, body, now)
-
-    def _set_inertial(self, number: int, body: Body, now: list[float]) -> None:
-        own = self.bodies[self.owner[number]]
-        own.explicitinertial = True
-        own.mass, own.ipos = now[0], now[1:4]
-        own.inertia = _written_moments([float(m) for m in physical_moments(now[4:])])
-        own.iquat, own.fullinertia = _quaternion(np.array(body.axes)), [math.nan] * 6
-        self.spec.compiler.inertiafromgeom = 2  # automatic: a given inertial counts
-        # Bodies that are welded to it are part of these numbers already.
-        for b in range(1, self.model.nbody):
-            welded = self.model.body_weldid[b] == self.model.body_weldid[self.owner[number]]
-            if welded and b != self.owner[number]:
-                part = self.bodies[b]
-                part.explicitinertial = False
-                for geom in part.geoms:
-                    geom.mass = 0.0
 
     def write_joints(self) -> None:
         for number, joint in enumerate(self.robot.tree.joints):
@@ -214,13 +186,12 @@ class _Writer:
                 "springref": turn,
             }
             for kind, unit in units.items():
-                before = float(getattr(joint, kind))
-                self._set_joint(
-                    number, kind, before, self.values.get(f"{kind}({joint.name})", before), unit, "fitted"
-                )
+                after = self.values.get(f"{kind}({joint.name})", float(getattr(joint, kind)))
+                before = float(getattr(self.file.joints[number], kind))
+                self._set_joint(number, kind, before, after, unit, FITTED)
 
     def _set_joint(self, number: int, kind: str, before: float, after: float, unit: str, reason: str) -> None:
-        if _same(before, after):
+        if same(before, after):
             return
         own = self.joints[number]
         if kind in ("damping", "stiffness"):
@@ -249,15 +220,19 @@ class _Writer:
         for number, actuator in enumerate(self.robot.tree.actuators):
             gain, bias = actuator_law(actuator, tensors)
             own, element = self.actuators[number], f'actuator "{actuator.name}"'
-            for label, given, now in (("gainprm", actuator.gain, gain), ("biasprm", actuator.bias, bias)):
+            file = self._in_file(actuator)
+            for label, given, now in (("gainprm", file.gain, gain), ("biasprm", file.bias, bias)):
                 values = np.array(getattr(own, label), dtype=float)
                 for i, (before, after) in enumerate(zip(given, now, strict=True)):
-                    if not _same(before, float(after)):
-                        self.note(element, f"{label} {i + 1}", before, float(after), "1", "fitted")
+                    if not same(before, float(after)):
+                        self.note(element, f"{label} {i + 1}", before, float(after), "1", FITTED)
                         values[i] = float(after)
                 setattr(own, label, values)
             self.lag[number] = self.values.get(f"time_constant({actuator.name})", actuator.time_constant)
             self.delay[number] = self.values.get(f"delay({actuator.name})", actuator.delay)
+
+    def _in_file(self, actuator: Actuator) -> Actuator:
+        return next(own for own in self.file.actuators if own.name == actuator.name)
 
     def write_tilt(self) -> None:
         tensors = {
@@ -268,10 +243,14 @@ class _Writer:
         now = [float(g) for g in self.robot.gravity(tensors)]
         for i, axis in enumerate(AXES):
             before = self.robot.tree.gravity[i]
-            if not _same(before, now[i]):
+            if not same(before, now[i]):
                 self.note("option", f"gravity {axis}", before, now[i], "m/s2", "the base is tilted")
         if tensors:
             self.spec.option.gravity = now
+            if self.robot.tree.supports:
+                self.leave_out(
+                    "gravity compensation", "MuJoCo's turns with gravity; ours stays as in the given file"
+                )
 
     def write_effect(self, kind: str, name: str, index: int, own: Values) -> None:
         """Write one effect; what no attribute can hold is left out by name."""
@@ -282,6 +261,7 @@ class _Writer:
             "quadratic": self._quadratic,
             "spring": self._spring,
             "payload": self._payload,
+            "force": self._force,
             "gain": self._affine,
             "unit_slip": self._affine,
             "torque_bias": self._affine,
@@ -331,15 +311,15 @@ class _Writer:
 
     def _payload(self, name: str, index: int, own: Values) -> None:
         site = self.robot.tree.sites[self.robot.payload_sites.index(self._payload_site(name))]
-        number = next(i for i, b in enumerate(self.robot.tree.bodies) if b.joint == site.joint)
-        body = self.robot.tree.bodies[number]
-        rotation = np.array(body.frame.rotation)
-        place = rotation.T @ (np.array(site.offset) - np.array(body.frame.offset))
-        parent = self.bodies[self.owner[number]]
-        added = parent.add_body(name=_free_name("payload", self.spec), pos=place)
-        added.explicitinertial, added.mass, added.inertia = True, own["mass"], [POINT * own["mass"]] * 3
-        added.ipos, added.iquat = [0.0] * 3, [1.0, 0.0, 0.0, 0.0]
-        self.note(f'body "{added.name}"', f'mass, welded to "{body.name}"', 0.0, own["mass"], "kg", name)
+        self.bodies.add_payload(site, own["mass"], own.get("along"), name)
+
+    def _force(self, name: str, index: int, own: Values) -> None:
+        body = self.robot.force_sites[index]
+        pull = ", ".join(f"{own.get(axis, 0.0):.6g}" for axis in AXES)
+        self.leave_out(
+            name,
+            f"MJCF has no force of the world; set data.body({body!r}).xfrc_applied[:3] = [{pull}] (N) before each step",
+        )
 
     def _payload_site(self, name: str) -> str:
         """Place that the name of a payload gives; the tip where it gives none."""
@@ -376,7 +356,7 @@ class _Writer:
 
         MuJoCo's own 0.02 s let a joint that friction holds creep on, by more than many an effect moves it.
         """
-        safe = not self.spec.option.disableflags & _mujoco().mjtDisableBit.mjDSBL_REFSAFE
+        safe = not self.spec.option.disableflags & mujoco_library().mjtDisableBit.mjDSBL_REFSAFE
         wanted = CREEP if safe else max(CREEP, 2.0 * float(self.spec.option.timestep))
         for number, own in enumerate(self.joints):
             if own.frictionloss <= 0.0 or not self.result.changes:
@@ -390,7 +370,7 @@ class _Writer:
 
     def finish_actuators(self) -> None:
         """Write what several effects of one command make together."""
-        m = _mujoco()
+        m = mujoco_library()
         for i, actuator in enumerate(self.robot.tree.actuators):
             own, element = self.actuators[i], f'actuator "{actuator.name}"'
             scale, offset, limit = self.scale[i], self.offset[i], self.limit[i]
@@ -411,13 +391,13 @@ class _Writer:
                 self.note(
                     element, "ctrlrange high", actuator.high, high, self.robot.commands[i].unit, "saturation"
                 )
-            if not _same(self.lag[i], actuator.time_constant):
+            if not same(self.lag[i], actuator.time_constant):
                 values = np.array(own.dynprm, dtype=float)
                 values[0] = self.lag[i]
                 own.dynprm = values
                 own.dyntype = m.mjtDyn.mjDYN_FILTEREXACT if self.lag[i] > 0.0 else m.mjtDyn.mjDYN_NONE
                 self.note(element, "dynprm 1", actuator.time_constant, self.lag[i], "s", "first-order lag")
-            if not _same(self.delay[i], actuator.delay):
+            if not same(self.delay[i], actuator.delay):
                 step = float(self.spec.option.timestep)
                 # Linear interpolation, as a delay need not be a multiple of the time step. It lets a jump of the
                 # command begin one step early, so its middle is half a step early.
@@ -449,34 +429,6 @@ LEFT_OUT = {
 """Effect -> what to do about it, where the file of a robot cannot hold it."""
 
 
-def _free_name(name: str, spec: Any) -> str:
-    taken, number, free = {b.name for b in spec.bodies}, 2, name
-    while free in taken:
-        free, number = f"{name}_{number}", number + 1
-    return free
-
-
-def _written_moments(moments: list[float]) -> list[float]:
-    """Moments of inertia that MuJoCo takes with six digits too: the largest is below the sum of the others."""
-    small, middle, largest = np.argsort(moments)
-    room = moments[small] + moments[middle] - (1.0 + ROUNDING) * moments[largest]
-    if room < 0.0:
-        for k in (small, middle):
-            moments[k] -= 0.5 * room
-    return moments
-
-
-def _same(a: float, b: float) -> bool:
-    return a == b or abs(a - b) <= SAME * max(abs(a), abs(b))
-
-
-def _quaternion(axes: np.ndarray) -> np.ndarray:
-    rotation = axes if np.linalg.det(axes) > 0.0 else axes * np.array([1.0, 1.0, -1.0])
-    result = np.empty(4)
-    _mujoco().mju_mat2Quat(result, rotation.ravel())
-    return result
-
-
 def _move_paths(spec: Any, path: Path, folder: Path) -> None:
     """Let the paths of meshes and textures start from the new folder."""
     for attribute in ("meshdir", "texturedir"):
@@ -485,9 +437,3 @@ def _move_paths(spec: Any, path: Path, folder: Path) -> None:
         if any(element.file for element in used):
             there = (path.parent / given).resolve()
             setattr(spec.compiler, attribute, os.path.relpath(there, folder.resolve()))
-
-
-def _mujoco() -> Any:
-    import mujoco
-
-    return mujoco

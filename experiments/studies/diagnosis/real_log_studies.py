@@ -177,7 +177,12 @@ QUBE_FURUTA = Study(
         "held-out episodes": FitRequest(
             train=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 10.0) for k in (0, 1, 2, 3)),
             test=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 16.0) for k in (4, 5)),
-        )
+        ),
+        "control": FitRequest(
+            train=(Piece("ep_04.csv", 4.0, 10.0),),
+            test=(Piece("ep_05.csv", 4.0, 10.0),),
+            healthy=tuple(Piece(f"ep_{k:02d}.csv", 4.0, 10.0) for k in (0, 1)),
+        ),
     },
 )
 

@@ -83,6 +83,7 @@ EXPRESSED = {
     "gain of all": (("gain(all)",), {"gain(all).factor": 0.8}),
     "delay of all": (("actuation_delay(all)",), {"actuation_delay(all).delay": 0.0345}),
     "payload at a place": (("payload(upper)",), {"payload(upper).mass": 0.4}),
+    "payload along a link": (("payload(upper)",), {"payload(upper).mass": 0.4, "payload(upper).along": 0.28}),
     "factor of all": (("scaled(damping)",), {"scaled(damping).factor": 2.0}),
 }
 
@@ -122,6 +123,7 @@ def rolled_out(xml: str, joints: int) -> np.ndarray:
         model.opt.timestep = 1e-3
         every = 5
     data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
     commands = held_commands()[:, : model.nu]
     result = [data.qpos[:joints].copy()]
     for k in range(round(SECONDS / STEP)):
@@ -153,6 +155,82 @@ def test_plain_mujoco_moves_as_the_extended_robot(arm, case):
     effect = np.sqrt(np.mean((ours - given) ** 2))
     assert np.sqrt(np.mean((ours - theirs) ** 2)) < 0.02 * effect
     assert effect > 1e-3
+
+
+SHAPED = {
+    "length(fore)": 0.36,
+    "axis_x(elbow)": 0.2,
+    "axis_z(elbow)": -0.2,
+    "axis_z(shoulder)": 0.15,
+    "zero(elbow)": 0.3,
+    "inertia_xy(fore)": 1e-3,
+}
+
+
+@pytest.mark.parametrize("name", SHAPED)
+def test_plain_mujoco_moves_as_the_robot_with_another_shape(tmp_path, name):
+    # A plate between the links, without a joint and with axes of its own, is no obstacle.
+    plate = '<body name="plate" pos="0.05 0 0.02" euler="0 30 20"><body name="fore" pos="0.25 0 0"'
+    text = ARM.replace('<body name="fore" pos="0.3 0 0"', plate).replace('size="0.02"', 'size="0.1"')
+    text = text.replace("</worldbody>", "</body></worldbody>")
+    (tmp_path / "arm.xml").write_text(text)
+    (tmp_path / "arm.parameters.yaml").write_text(f"parameters: {{{name}: {{prior_sd: 0.01}}}}")
+    given = load_system(tmp_path / "arm.xml")
+    system = ExtendedSystem(given, (), {name: SHAPED[name]})
+    written = extended_mjcf(system)
+    assert written.left_out == []
+    assert written.changes
+    # What the shape changes in each simulation: their own small errors cancel.
+    ours, theirs = simulated(system) - simulated(given), rolled_out(written.xml, 2) - rolled_out(text, 2)
+    effect = np.sqrt(np.mean(ours**2))
+    assert effect > 1e-3
+    assert np.sqrt(np.mean((ours - theirs) ** 2)) < 0.02 * effect
+
+
+def test_a_heavier_body_is_held_up_by_what_held_up_the_given_one(tmp_path):
+    text = ARM.replace('<body name="fore"', '<body name="fore" gravcomp="0.5"')
+    (tmp_path / "arm.xml").write_text(text)
+    given = load_system(tmp_path / "arm.xml")
+    system = ExtendedSystem(given, (), {"mass(upper)": 1.4, "mass(fore)": 0.9})
+    written = extended_mjcf(system)
+    ours, theirs, before = simulated(system), rolled_out(written.xml, 2), simulated(given)
+    effect = np.sqrt(np.mean((ours - before) ** 2))
+    assert [c.attribute for c in written.changes] == ["mass", "mass", "gravcomp"]
+    # The hand is part of the fore arm here, and only the fore arm was held up, at a centre of its own.
+    assert "gravity compensation of fore" in written.left_out[0]
+    assert np.sqrt(np.mean((ours - theirs) ** 2)) < 0.1 * effect
+
+
+def test_actuators_of_one_joint_are_written_each_to_its_own(tmp_path):
+    second = '<motor name="lift" joint="shoulder" ctrlrange="-10 10"/><motor name="help" joint="shoulder" gear="2"/>'
+    text = ARM.replace('<motor name="lift" joint="shoulder" ctrlrange="-10 10"/>', second)
+    (tmp_path / "arm.xml").write_text(text)
+    robot = load_system(tmp_path / "arm.xml")
+    system = ExtendedSystem(robot, (), {"kp(bend)": 17.0, "gain(help)": 0.5})
+    model = mujoco.MjModel.from_xml_string(extended_mjcf(system).xml)
+    assert model.actuator("bend").gainprm[0] == pytest.approx(17.0)
+    assert model.actuator("help").gainprm[0] == pytest.approx(0.5)
+    assert model.actuator("lift").gainprm[0] == 1.0
+
+
+def test_servos_and_values_from_the_settings_are_in_the_file(tmp_path):
+    text = ARM[: ARM.index("  <actuator>")] + "</mujoco>"
+    (tmp_path / "arm.xml").write_text(text)
+    (tmp_path / "arm.parameters.yaml").write_text(
+        'parameters: {"frictionloss(*)": 0.05}\nservos: {"*": {kp: 20, kv: 0.5, force: 9}}\n'
+    )
+    system = load_system(tmp_path / "arm.xml")
+    written = extended_mjcf(system)
+    model = mujoco.MjModel.from_xml_string(written.xml)
+    np.testing.assert_allclose(model.dof_frictionloss, 0.05)
+    np.testing.assert_allclose(model.actuator_forcerange, [[-9, 9]] * 2)
+    ours, theirs = simulated(system), rolled_out(written.xml, 2)
+    assert np.sqrt(np.mean((ours - theirs) ** 2)) < 0.01 * np.sqrt(np.mean(ours**2))
+
+
+def test_an_outside_force_is_named_with_the_numbers_to_set(arm):
+    system = ExtendedSystem(arm, ("force(fore)",), {"force(fore).z": 1.5})
+    assert "data.body('fore').xfrc_applied[:3] = [0, 0, 1.5]" in extended_mjcf(system).left_out[0]
 
 
 def test_a_robot_without_effects_is_written_as_it_was_given(arm):
@@ -211,9 +289,21 @@ def test_the_written_robot_loads_again_with_the_new_values(arm, tmp_path):
     assert again.parameter("time_constant(lift)").value == pytest.approx(0.03)
     assert again.parameter("delay(bend)").value == pytest.approx(0.0345)
     assert "coulomb(elbow)" in text.read_text()
+    assert "fitted together" not in text.read_text()
     assert 'MuJoCo\'s integrator "euler" is of first order' in text.read_text()
     with pytest.raises(FileExistsError):
         write_robot(system, tmp_path / "out")
+
+
+def test_what_was_found_stands_above_what_was_fitted_with_it(arm, tmp_path):
+    system = ExtendedSystem(arm, ("coulomb(elbow)",), {"coulomb(elbow).torque": 0.2, "damping(elbow)": 0.201})
+    _, text = write_robot(system, tmp_path)
+    lines = text.read_text().splitlines()
+    rows = [
+        next(k for k, line in enumerate(lines) if word in line)
+        for word in ("frictionloss", "fitted together", "damping")
+    ]
+    assert rows == sorted(rows)
 
 
 def test_a_system_that_came_from_no_file_is_refused():

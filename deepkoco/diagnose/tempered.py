@@ -1,0 +1,154 @@
+"""Refit where a simulation of many parameters is far from its log: sizes first, then priors that count as the data do.
+
+The likelihood takes residuals as independent noise. A model error of ten times the noise, which lasts for twenty
+samples, makes two thousand of one: each combination of parameters that imitates a little of this error then outweighs
+its prior, and a link of 0.1 kg becomes one of 1 kg. Scores are divided by this factor (the deflation of
+:func:`.dispersion`) after the fit. Here the prior is multiplied by it before, which is the same likelihood. A parameter
+that is far from its value as given even so has a prior as wide as its distance, like the parameter of a cause.
+
+What the log still tells less of than the prior needs no slopes: such parameters keep their values as given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, refit_sharply
+from deepkoco.diagnose.causes.units import LARGE_MISFIT
+from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.lazy_batch import MANY
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.residual_noise import with_sharp_noise
+from deepkoco.fit.solve.scale_search import search_scales
+
+FAR_OFF = (
+    0.5  # cost that other sizes leave, as a share, below which the values as given are no start of a fit
+)
+LOOSE = 0.2  # relative standard deviation of a prior from which another size of a parameter is tried
+STAGES = 4  # of fits, each with the model error that the one before left
+ITERATIONS = 8  # of each stage
+# Information of the log about one parameter alone, as a share of its prior's, below which it keeps its value as given:
+# if it is off by a standard deviation of its prior, the cost rises by this much, where a cause needs 24 to be named.
+TOLD = 0.1
+
+
+def refit_to_windows(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:
+    """Refit a baseline to windows.
+
+    Args:
+        start: The baseline, as given or as learned from healthy logs.
+        windows: The windows.
+
+    Returns:
+        The baseline with the prior that was used, the windows with the noise of the residuals, and the refit.
+    """
+    # Healthy logs of the unit show its sizes, and their model error is part of the prior.
+    if start.healthy is None and len(start.prior.names) + windows.state.shape[1] >= MANY:
+        found = _from_other_sizes(start, windows)
+        if found is not None:
+            return found
+    return start, *refit_sharply(start, windows)
+
+
+def tempered_to(declared: Baseline, names: tuple[str, ...], fit: Fit, windows: Windows) -> Baseline:
+    """Return a baseline whose prior counts as much as a fit's residuals let the data count.
+
+    Args:
+        declared: The baseline with its prior as declared.
+        names: Parameters that it frees.
+        fit: A fit of them.
+        windows: The windows of this fit.
+    """
+    factor = dispersion(fit, windows).deflation
+    index = [declared.prior.names.index(n) for n in names]
+    centre, variance = declared.prior.centre[index], declared.prior.covariance.diagonal()[index]
+    away = np.array([fit.values[n] for n in names]) - centre
+    prior = Prior(names, centre, np.diag(np.maximum(variance, away**2) / factor))
+    return replace(declared, prior=prior, tempering=factor)
+
+
+def told(start: Baseline, fit: Fit) -> tuple[str, ...]:
+    """Return the parameters of which a log tells more than a small share of what the prior does.
+
+    Args:
+        start: The baseline, with a tempered prior.
+        fit: A fit of its parameters.
+    """
+    variance = start.prior.covariance.diagonal()
+    share = np.array([fit.information[k, k] for k in map(fit.free.index, start.prior.names)]) * variance
+    return tuple(n for n, s in zip(start.prior.names, share, strict=True) if s > TOLD)
+
+
+def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit] | None:
+    """Refit from sizes that a coarse search finds; None where the values as given are as good a start."""
+    few = few_windows(windows, FEW_WINDOWS)
+    some = windows.take(few)
+    # With states that suit the values as given, these have the better chance.
+    problem = FitProblem(declared.system, some)
+    state, _ = problem.fit_states(declared.values, some.state)
+    values, left = search_scales(problem, sizes_of_joints(declared), declared.values, state)
+    if left > FAR_OFF:
+        return None
+    # A short window has fewer minima.
+    halves = halved(some)
+    short, names = FitProblem(declared.system, halves), declared.prior.names
+    state, _ = short.fit_states(values, halves.state)
+    fit = short.fit_one(Trial("sizes", (), Prior.empty(), values, state), 1)
+    for _ in range(STAGES):
+        start = tempered_to(declared, names, fit, halves)
+        fit = short.fit_one(_from(start, fit), ITERATIONS)
+        names = told(tempered_to(declared, names, fit, halves), fit)
+    problem = FitProblem(declared.system, windows)
+    guess = windows.state.clone()
+    guess[torch.from_numpy(few)] = fit.state[::2]
+    state, _ = problem.fit_states(fit.values, guess)
+    fit = replace(fit, state=state)
+    for _ in range(2):
+        start = tempered_to(declared, names, fit, halves)
+        fit, halves = problem.fit_one(_from(start, fit), 2 * ITERATIONS), windows
+    if fit.chi2 / windows.samples <= LARGE_MISFIT:
+        # Little is left that the parameters could imitate; the usual refit frees all of them.
+        return None
+    windows = with_sharp_noise(windows, fit)
+    problem = FitProblem(declared.system, windows)
+    start = tempered_to(declared, names, fit, windows)
+    return start, windows, problem.fit_one(_from(start, fit))
+
+
+def sizes_of_joints(start: Baseline, names: Sequence[str] | None = None) -> dict[int, dict[str, str]]:
+    """Return joint -> kind -> parameter of which another order of size is possible, by its place in brackets.
+
+    Masses and inertias are known from drawings.
+
+    Args:
+        start: The baseline.
+        names: Parameters to choose from; None takes those with a wide prior.
+    """
+    system, result = start.system, {}
+    spread = np.sqrt(start.prior.covariance.diagonal())
+    wide = [
+        n
+        for n, s in zip(start.prior.names, spread, strict=True)
+        if s >= (1.0 - 1e-9) * LOOSE * abs(start.values[n]) and "kg" not in system.parameter(n).unit
+    ]
+    joints = {name: j for j, name in enumerate(system.joint_names)}
+    if len(system.commands) == len(system.command_joints):
+        joints |= {c.name: j for c, j in zip(system.commands, system.command_joints, strict=True)}
+    for name in wide if names is None else names:
+        kind, _, place = name.partition("(")
+        if place[:-1] in joints:
+            result.setdefault(joints[place[:-1]], {})[kind] = name
+    return result
+
+
+def _from(start: Baseline, fit: Fit) -> Trial:
+    """Return a trial of a baseline's parameters that starts from a fit; what it does not free is as given."""
+    names = start.prior.names
+    values = {n: v if n in names or n not in start.values else start.values[n] for n, v in fit.values.items()}
+    return Trial("refit", names, start.prior, values, fit.state, fit.nuisance)
