@@ -6,9 +6,9 @@ import torch
 
 from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.footholds import from_halves
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.screening import StartPoint, screen
-from deepkoco.diagnose.evidence.selection import _from_halves
 from deepkoco.fit import Fit, FitProblem, Trial, cut_windows, moving
 from deepkoco.systems import make_system
 from tests.oracle.hysteresis import hysteresis_log
@@ -66,9 +66,10 @@ def test_starts_from_half_windows_are_near_the_true_size_although_the_refit_is_f
     problem = FitProblem(start.system, windows)
     given = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
     point = StartPoint(catalogue(base)["gain"], {}, 1.0)
-    (trial,) = _from_halves(problem, start, (), [point], [given], reference)
+    (trial,) = from_halves(problem, start, (), [point], [given], reference)
     assert trial.values["gain.factor"] == pytest.approx(0.5, abs=0.03)
     # Initial states of whole windows, at which the simulation follows the log.
+    assert trial.state is not None
     assert trial.state.shape == reference.state.shape
     fit = problem.fit([trial], 1)[0]
     assert fit.chi2 < 1.1 * windows.samples

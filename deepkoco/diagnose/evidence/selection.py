@@ -12,12 +12,12 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
+from deepkoco.diagnose.evidence.footholds import CLOSE, ITERATIONS, alone, from_halves, trial_of
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
-from deepkoco.fit.data.windows import halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.lazy_batch import MANY
@@ -29,7 +29,6 @@ DETECTION = 24.0
 FURTHER = 30.0
 SCOUTING = 4  # iterations after which only the best start of each cause is continued
 PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
-ITERATIONS = 14
 PATIENCE = 40  # further iterations for a winner that has not converged
 WORTH = 8.0  # promised fall of the cost from which a cause is fitted
 SLIPS = 4  # unit conversion constants that are fitted in full
@@ -46,7 +45,6 @@ FRONT = 6  # candidates that are fitted with slopes of their own, where candidat
 MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 MOST_CHANGED = 6  # and changed parameters
 STARTS = 3  # largest number of starts of one cause
-CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
 def rank(
@@ -97,7 +95,7 @@ def rank(
         if c.free and known.intersection(c.free) and c.name not in found and not is_changed(c)
     ]
     trials = [
-        _trial(
+        trial_of(
             problem,
             start,
             accepted,
@@ -143,14 +141,14 @@ def rank(
         else:
             states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
         if known is None and not reference.converged:
-            footholds = _from_halves(problem, start, accepted, from_given, values, reference)
+            footholds = from_halves(problem, start, accepted, from_given, values, reference)
         else:
             footholds = [
-                _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
+                trial_of(problem, start, accepted, p.cause, values[k], states[k], reference)
                 for k, p in enumerate(from_given)
                 if bool(torch.isfinite(costs[k]).all())
             ]
-            footholds = _alone(problem, footholds, from_given, known)
+            footholds = alone(problem, footholds, from_given, known)
         trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
         for name, fit in _fit_best(problem, footholds, reference, known).items():
@@ -179,69 +177,6 @@ def rank(
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     return replace(ranking, unfitted=unfitted)
-
-
-def _alone(
-    problem: FitProblem,
-    trials: Sequence[Trial],
-    points: Sequence[StartPoint],
-    known: FrozenSlopes | None = None,
-) -> list[Trial]:
-    """Return trials that start where the parameters of their causes alone fit best.
-
-    The baseline's parameters could otherwise absorb a cause as they did in the refit.
-    """
-    free = {p.cause.name: p.cause.free for p in points}
-    own = [replace(t, free=tuple(free[t.name])) for t in trials]
-    fits = problem.fit(own, ITERATIONS, CLOSE, known, exact=False, renewals=0)
-    return [
-        replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
-        for t, fit in zip(trials, fits, strict=True)
-    ]
-
-
-def _from_halves(
-    problem: FitProblem,
-    start: Baseline,
-    accepted: Sequence[Cause],
-    points: Sequence[StartPoint],
-    values: Sequence[Mapping[str, float]],
-    reference: Fit,
-) -> list[Trial]:
-    """Return trials that start from fits of windows of half the length, as the refit does.
-
-    Where the refit finds no minimum, neither do most causes: a joint that sticks and slips shows many minima in a long
-    window. Each cause is fitted alone first, then with the baseline's parameters.
-    """
-    halves = FitProblem(problem.system, halved(problem.windows))
-    states, costs = halves.fit_states_each(values, halves.windows.state.repeat(len(values), 1, 1))
-    sound = [k for k in range(len(values)) if bool(torch.isfinite(costs[k]).all())]
-    points = [points[k] for k in sound]
-    trials = [
-        _trial(halves, start, accepted, p.cause, values[k], states[k], reference)
-        for k, p in zip(sound, points, strict=True)
-    ]
-    trials = _alone(halves, trials, points)
-    trials = [
-        _trial(halves, start, accepted, p.cause, t.values, t.state, reference)
-        for p, t in zip(points, trials, strict=True)
-    ]
-    fits = halves.fit(trials, ITERATIONS, CLOSE)
-    kept = [k for k, fit in enumerate(fits) if not fit.diverged]
-    found = [fits[k].values for k in kept]
-    if not kept:
-        return []
-    guesses = torch.stack([fits[k].state[::2] for k in kept])
-    both = torch.stack([guesses, problem.windows.state.expand_as(guesses)])
-    states, costs = problem.fit_states_each(found * 2, both.flatten(0, 1))
-    states, costs = states.unflatten(0, (2, len(kept))), costs.unflatten(0, (2, len(kept)))
-    first = (costs[0] <= costs[1])[..., None]
-    states = torch.where(first, states[0], states[1])
-    return [
-        _trial(problem, start, accepted, points[k].cause, found[i], states[i], reference)
-        for i, k in enumerate(kept)
-        if bool(torch.isfinite(costs[:, i].min(0).values).all())
-    ]
 
 
 def _screened_as_given(
@@ -389,23 +324,10 @@ def _slipped(
     total = costs.sum(-1).nan_to_num(torch.inf)
     # Only the few constants with the lowest cost are fitted in full.
     return [
-        _trial(problem, start, accepted, slips[k][0], values[k], fitted[k], reference)
+        trial_of(problem, start, accepted, slips[k][0], values[k], fitted[k], reference)
         for k in total.argsort()[:SLIPS].tolist()
         if bool(torch.isfinite(total[k]))
     ]
-
-
-def _trial(
-    problem: FitProblem,
-    start: Baseline,
-    accepted: Sequence[Cause],
-    cause: Cause,
-    values: Mapping[str, float],
-    state: torch.Tensor,
-    reference: Fit,
-) -> Trial:
-    prior = prior_with(problem, start, [*accepted, cause], values)
-    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance, cause.free)
 
 
 def without_events_first(
