@@ -9,7 +9,7 @@ from deepkoco.diagnose.baseline import Healthy, baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.evidence.selected import Selected
-from deepkoco.diagnose.verdict.verdict import verdict_of
+from deepkoco.diagnose.verdict.verdict import rivalled, verdict_of
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
@@ -73,6 +73,24 @@ def test_verdict_names_causes_that_leave_noise_unless_there_are_doubts(stage):
 )
 def test_verdict_with_remaining_structure_needs_the_explained_share(stage, names, after, healthy, expected):
     assert verdict(stage, names, after, healthy=healthy, white=after < 2.0) == expected
+
+
+@pytest.mark.parametrize(
+    ("names", "after", "white", "compared"),
+    [
+        (["coulomb"], 3.0, False, False),  # every simulation of a real log leaves something
+        (["coulomb", "periodic"], 3.0, False, True),  # the tone may stand for what is missing
+        (["coulomb", "cogging"], 3.0, True, False),
+        (["coulomb", "periodic"], 1.0, True, False),
+        (["periodic"], 1.0, True, True),
+    ],
+)
+def test_tones_and_detents_that_leave_structure_are_compared_with_a_learned_load(
+    stage, names, after, white, compared
+):
+    windows, start, leaving = stage
+    found = Selected(leaving(after), tuple(KNOWN[n] for n in names), (), None, None)
+    assert rivalled(found, start, windows, white) is compared
 
 
 def test_verdict_needs_the_carry_over_to_held_out_windows(stage):
