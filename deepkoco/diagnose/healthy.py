@@ -43,7 +43,11 @@ LARGEST_EXTENSION = 6
 
 
 def learn_baseline(
-    recordings: Sequence[Recording], system: System, length: float, progress: Progress = silent
+    recordings: Sequence[Recording],
+    system: System,
+    length: float,
+    progress: Progress = silent,
+    extension: int = LARGEST_EXTENSION,
 ) -> Baseline:
     """Refit, and where needed extend, the baseline on logs in which nothing is wrong.
 
@@ -59,6 +63,7 @@ def learn_baseline(
         system: The system.
         length: Length of the windows [s].
         progress: Called with the name of each step.
+        extension: Largest number of small effects that are added.
     """
     progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
@@ -71,7 +76,7 @@ def learn_baseline(
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
-    for _ in range(LARGEST_EXTENSION):
+    for _ in range(extension):
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         ranking = rank(problem, start, fit, accepted, hints, causes)

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 
 from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.footholds import from_halves
 from deepkoco.diagnose.evidence.priors import prior_with
-from deepkoco.diagnose.evidence.screening import screen
-from deepkoco.fit import FitProblem, Trial, cut_windows, moving
+from deepkoco.diagnose.evidence.screening import StartPoint, screen
+from deepkoco.fit import Fit, FitProblem, Trial, cut_windows, moving
 from deepkoco.systems import make_system
 from tests.oracle.hysteresis import hysteresis_log
 from tests.oracle.unit import hidden_log
@@ -51,3 +53,39 @@ def test_screen_promises_a_spring_whatever_its_centre():
     near = {**reference.values, "spring.stiffness": 0.6, "spring.centre": 0.5}
     fit = problem.fit([Trial("spring", prior.names, prior, near, reference.state, reference.nuisance)])[0]
     assert promised.promise == pytest.approx(reference.cost - fit.cost, rel=0.2)
+
+
+def test_starts_from_half_windows_are_near_the_true_size_although_the_refit_is_far_away():
+    base = make_system("rod_pendulum")
+    windows = cut_windows(
+        [hidden_log("rod_pendulum", {"gain": {"factor": 0.5}}, "steps", 20004, 10.0)], base, 1.6
+    )
+    windows = windows.take(moving(windows))
+    start = baseline_from(base, windows)
+    reference = refit(start, windows)
+    problem = FitProblem(start.system, windows)
+    given = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
+    point = StartPoint(catalogue(base)["gain"], {}, 1.0)
+    (trial,) = from_halves(problem, start, (), [point], [given], reference)
+    assert trial.values["gain.factor"] == pytest.approx(0.5, abs=0.03)
+    # Initial states of whole windows, at which the simulation follows the log.
+    assert trial.state is not None
+    assert trial.state.shape == reference.state.shape
+    fit = problem.fit([trial], 1)[0]
+    assert fit.chi2 < 1.1 * windows.samples
+    assert reference.cost > 3.0 * fit.cost
+
+
+@pytest.mark.parametrize(
+    ("history", "converged", "stuck"),
+    [
+        ([9.0, 5.0] + [4.0] * 6, False, True),
+        ([9.0, 5.0] + [4.0] * 6, True, False),
+        ([9.0, 5.0, 4.0], False, False),
+    ],
+)
+def test_a_fit_is_stuck_after_steps_that_lower_no_cost(history, converged, stuck):
+    none = np.zeros((0, 0))
+    empty = torch.zeros(0)
+    fit = Fit("", (), {}, none, none, empty, empty, 4.0, 0.0, empty, history=history, converged=converged)
+    assert fit.stuck == stuck

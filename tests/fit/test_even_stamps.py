@@ -74,7 +74,9 @@ def test_share_of_scatter_is_that_of_the_clock_where_loop_and_clock_scatter():
     true = scattered(at, 3e-4, 20_003)
     t = scattered(true, 3e-4, 20_004)
     # Of independent errors of one size, half of the distance to the even time is the clock's.
-    assert share_of_scatter(t, even_times(t), [motion(true, 20_003)]) == pytest.approx(0.5, abs=0.1)
+    even = even_times(t)
+    assert even is not None
+    assert share_of_scatter(t, even, [motion(true, 20_003)]) == pytest.approx(0.5, abs=0.1)
 
 
 @pytest.mark.parametrize("case", ["few", "regular", "reordered"])

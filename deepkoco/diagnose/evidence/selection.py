@@ -12,6 +12,7 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
+from deepkoco.diagnose.evidence.footholds import CLOSE, ITERATIONS, alone, from_halves, trial_of
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.promising import (
     WORTH,
@@ -34,7 +35,6 @@ DETECTION = 24.0
 FURTHER = 30.0
 SCOUTING = 4  # iterations after which only the best start of each cause is continued
 PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
-ITERATIONS = 14
 PATIENCE = 40  # further iterations for a winner that has not converged
 SLIPS = 4  # unit conversion constants that are fitted in full
 SLIP_ITERATIONS = 6
@@ -44,7 +44,6 @@ HOPELESS = (
 FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 MOST_CHANGED = 6  # and changed parameters
-CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
 def rank(
@@ -97,7 +96,7 @@ def rank(
         if c.free and known.intersection(c.free) and c.name not in found and not is_changed(c)
     ]
     trials = [
-        _trial(
+        trial_of(
             problem,
             start,
             accepted,
@@ -142,25 +141,15 @@ def rank(
             known = problem.slopes_at(foot, reference.free, state, reference.nuisance)
         else:
             states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
-        free = {p.cause.name: p.cause.free for p in from_given}
-        footholds = [
-            _trial(problem, start, accepted, p.cause, values[k], states[k], reference)
-            for k, p in enumerate(from_given)
-            if bool(torch.isfinite(costs[k]).all())
-        ]
-        # First fit each cause alone, so that the baseline's parameters cannot absorb it as they did in the refit.
-        alone = problem.fit(
-            [replace(t, free=tuple(free[t.name])) for t in footholds],
-            ITERATIONS,
-            CLOSE,
-            known,
-            exact=False,
-            renewals=0,
-        )
-        footholds = [
-            replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
-            for t, fit in zip(footholds, alone, strict=True)
-        ]
+        if known is None and not reference.converged:
+            footholds = from_halves(problem, start, accepted, from_given, values, reference)
+        else:
+            footholds = [
+                trial_of(problem, start, accepted, p.cause, values[k], states[k], reference)
+                for k, p in enumerate(from_given)
+                if bool(torch.isfinite(costs[k]).all())
+            ]
+            footholds = alone(problem, footholds, from_given, known)
         trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
         for name, fit in _fit_best(problem, footholds, reference, known).items():
@@ -297,23 +286,10 @@ def _slipped(
     total = costs.sum(-1).nan_to_num(torch.inf)
     # Only the few constants with the lowest cost are fitted in full.
     return [
-        _trial(problem, start, accepted, slips[k][0], values[k], fitted[k], reference)
+        trial_of(problem, start, accepted, slips[k][0], values[k], fitted[k], reference)
         for k in total.argsort()[:SLIPS].tolist()
         if bool(torch.isfinite(total[k]))
     ]
-
-
-def _trial(
-    problem: FitProblem,
-    start: Baseline,
-    accepted: Sequence[Cause],
-    cause: Cause,
-    values: Mapping[str, float],
-    state: torch.Tensor,
-    reference: Fit,
-) -> Trial:
-    prior = prior_with(problem, start, [*accepted, cause], values)
-    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance, cause.free)
 
 
 def without_events_first(

@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", nargs="+", choices=list(HIDDEN), default=list(HIDDEN))
     parser.add_argument("--scatter", type=float, nargs="+", default=SCATTER, help="[s]")
     args = parser.parse_args(arguments)
-    rows = [list(COLUMNS)]
+    rows: list[list[str]] = [list(COLUMNS)]
     for robot in args.robots:
         for seed in args.seeds:
             for scatter in args.scatter:

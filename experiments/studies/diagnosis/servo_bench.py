@@ -1,6 +1,6 @@
 """Study: a real Dynamixel XL330 on a pendulum of known mass; its servo gain is found in a log against healthy logs.
 
-python -m experiments.studies.diagnosis.servo_bench --data FOLDER [--held sin_sin]
+python -m experiments.studies.diagnosis.servo_bench --data FOLDER [--held sin_sin] [--effects 0]
 
 Healthy are the logs at gain 100; diagnosed are a log at gain 200 and, as a control, a log at gain 100 that the healthy
 ones leave out. FOLDER holds kp100_*.csv and kp200_*.csv with t, position, goal_position, torque_enable. The supply
@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.diagnose import Diagnosis, diagnose
-from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.healthy import LARGEST_EXTENSION, learn_baseline
 from deepkoco.diagnose.report.text import headline
 from deepkoco.logs.recording import Recording, read_log
 from deepkoco.systems import drawing
@@ -194,11 +194,12 @@ def main() -> None:
     parser.add_argument("--held", choices=MOTIONS, default="sin_sin", help="motion of the diagnosed logs")
     parser.add_argument("--gains", type=int, nargs="+", default=[200, 100])
     parser.add_argument("--window", type=float, default=1.0, help="length of a window [s]")
+    parser.add_argument("--effects", type=int, default=LARGEST_EXTENSION, help="most effects of healthy logs")
     args = parser.parse_args()
     healthy = [read(args.data, 100, motion) for motion in MOTIONS if motion != args.held]
     system = Xl330Bench()
     began = time.process_time()
-    baseline = learn_baseline(healthy, system, args.window)
+    baseline = learn_baseline(healthy, system, args.window, extension=args.effects)
     for gain in args.gains:
         log = read(args.data, gain, args.held)
         result = diagnose([log], system, baseline=baseline, window=args.window)

@@ -1,0 +1,97 @@
+"""Starts of causes from the values before a refit, where a strong cause drove that refit far away."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.screening import StartPoint
+from deepkoco.fit.data.windows import halved
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
+
+ITERATIONS = 14
+CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
+
+
+def trial_of(
+    problem: FitProblem,
+    start: Baseline,
+    accepted: Sequence[Cause],
+    cause: Cause,
+    values: Mapping[str, float],
+    state: Tensor | None,
+    reference: Fit,
+) -> Trial:
+    """Return the fit of one cause together with the baseline and the accepted causes, from these values."""
+    prior = prior_with(problem, start, [*accepted, cause], values)
+    return Trial(cause.name, prior.names, prior, values, state, reference.nuisance, cause.free)
+
+
+def alone(
+    problem: FitProblem,
+    trials: Sequence[Trial],
+    points: Sequence[StartPoint],
+    known: FrozenSlopes | None = None,
+) -> list[Trial]:
+    """Return trials that start where the parameters of their causes alone fit best.
+
+    The baseline's parameters could otherwise absorb a cause as they did in the refit.
+    """
+    free = {p.cause.name: p.cause.free for p in points}
+    own = [replace(t, free=tuple(free[t.name])) for t in trials]
+    fits = problem.fit(own, ITERATIONS, CLOSE, known, exact=False, renewals=0)
+    return [
+        replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
+        for t, fit in zip(trials, fits, strict=True)
+    ]
+
+
+def from_halves(
+    problem: FitProblem,
+    start: Baseline,
+    accepted: Sequence[Cause],
+    points: Sequence[StartPoint],
+    values: Sequence[Mapping[str, float]],
+    reference: Fit,
+) -> list[Trial]:
+    """Return trials that start from fits of windows of half the length, as the refit does.
+
+    Where the refit finds no minimum, neither do most causes: a joint that sticks and slips shows many minima in a long
+    window. Each cause is fitted alone first, then with the baseline's parameters.
+    """
+    halves = FitProblem(problem.system, halved(problem.windows))
+    states, costs = halves.fit_states_each(values, halves.windows.state.repeat(len(values), 1, 1))
+    sound = [k for k in range(len(values)) if bool(torch.isfinite(costs[k]).all())]
+    points = [points[k] for k in sound]
+    trials = [
+        trial_of(halves, start, accepted, p.cause, values[k], states[k], reference)
+        for k, p in zip(sound, points, strict=True)
+    ]
+    trials = alone(halves, trials, points)
+    trials = [
+        trial_of(halves, start, accepted, p.cause, t.values, t.state, reference)
+        for p, t in zip(points, trials, strict=True)
+    ]
+    fits = halves.fit(trials, ITERATIONS, CLOSE)
+    kept = [k for k, fit in enumerate(fits) if not fit.diverged]
+    found = [fits[k].values for k in kept]
+    if not kept:
+        return []
+    guesses = torch.stack([fits[k].state[::2] for k in kept])
+    both = torch.stack([guesses, problem.windows.state.expand_as(guesses)])
+    states, costs = problem.fit_states_each(found * 2, both.flatten(0, 1))
+    states, costs = states.unflatten(0, (2, len(kept))), costs.unflatten(0, (2, len(kept)))
+    first = (costs[0] <= costs[1])[..., None]
+    states = torch.where(first, states[0], states[1])
+    return [
+        trial_of(problem, start, accepted, points[k].cause, found[i], states[i], reference)
+        for i, k in enumerate(kept)
+        if bool(torch.isfinite(costs[:, i].min(0).values).all())
+    ]
