@@ -15,22 +15,54 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.trees.dynamics import bias_forces, inverse_mass
+from deepkoco.systems.trees.dynamics import bias_forces, inverse_mass, mass_matrix
 from deepkoco.systems.trees.loads import Law
 from deepkoco.systems.trees.parameters import link_inertias
 from deepkoco.systems.trees.scalars import Scalar, add, mul
 from deepkoco.systems.trees.scales import random_poses
-from deepkoco.systems.trees.tree import Actuator, Tree
+from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 
 SWING = 0.5  # turn of the fastest swinging motion in one integration step [rad]: 5e-4 rad of phase error
 # Decay of the fastest motion, and turn of a swing that no log shows, in one step. The Runge-Kutta method is stable to
 # 2.78. A log shows no error of a decay within a few milliseconds: commands that jump inside a step leave larger ones.
 STABLE = 1.9
 LARGEST = 2.5  # the same where a fit changes the parameters
+REDUNDANT = (
+    1e-10  # smallest eigenvalue of an inertia matrix with a diagonal of ones, below which it is singular
+)
 FASTEST, FASTEST_SWING = 1000.0, 500.0  # [1/s, rad/s]
 # Smallest swing in which a servo is followed [rad, m]. What a drive of limited force exerts there bounds
 # the stiffness that a step must follow: a drive that is cut off before pulls with its limit, not with its stiffness.
 SEEN_TURN, SEEN_WAY = 0.05, 0.005
+
+
+def refuse_redundant(tree: Tree, where: str) -> None:
+    """Refuse joints that move the same bodies in the same way in every pose: nothing tells their motions apart.
+
+    Args:
+        tree: The tree.
+        where: Named in the message.
+
+    Raises:
+        TreeError: There are such joints; the message names them.
+    """
+    poses, count = random_poses(tree), len(tree.joints)
+    armatures = [joint.armature for joint in tree.joints]
+    mass = np.zeros((len(poses[0]), count, count))
+    for j, row in enumerate(mass_matrix(tree.joints, link_inertias(tree, {}), armatures, poses)):
+        for k, entry in enumerate(row):
+            mass[:, j, k] = mass[:, k, j] = torch.as_tensor(entry).numpy()
+    size = np.sqrt(np.maximum(np.einsum("njj->nj", mass), 1e-300))
+    values, vectors = np.linalg.eigh(mass / (size[:, :, None] * size[:, None, :]))
+    best = int(values[:, 0].argmax())
+    if values[best, 0] > REDUNDANT:
+        return
+    share = np.abs(vectors[best, :, 0])
+    names = [joint.name for joint, own in zip(tree.joints, share, strict=True) if own > 0.1 * share.max()]
+    raise TreeError(
+        f"{where}: the joints {', '.join(names)} move the same bodies in the same way, so nothing tells their motions apart; "
+        "leave one out, or give it an armature"
+    )
 
 
 def least_inertias(tree: Tree) -> tuple[float, ...]:

@@ -57,7 +57,7 @@ from deepkoco.systems.trees.rollout import KINDS, TreeRollout
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
-from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step
+from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step, refuse_redundant
 from deepkoco.systems.trees.tree import Actuator, Joint, OutsideForce, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -131,6 +131,7 @@ class TreeSystem(System):
         )
         self.payload_sites = tuple(site.name for site in tree.sites)
         self.force_sites = tuple(body.name for body in tree.bodies)
+        refuse_redundant(tree, self.origin or self.name)
         self._least_inertias = least_inertias(tree)
         self._longest_step = 0.0  # of the nominal values, which follow
         nominal = _Numbers.of(self, {}, steady=True)

@@ -31,13 +31,17 @@ def random_mjcf(rng: np.random.Generator, most: int = 7) -> str:
     def vector(size: float, n: int = 3) -> str:
         return " ".join(f"{x:.17g}" for x in rng.normal(size=n) * size)
 
-    def joint(k: int) -> str:
+    def joint(k: int, taken: set[str]) -> str:
         kind = "slide" if rng.random() < 0.25 else "hinge"
         reference = f'ref="{rng.normal() * 0.3:.6g}"' if rng.random() < 0.3 else ""
         spring = f'stiffness="{rng.uniform(0, 5):.6g}" springref="{rng.normal() * 0.5:.6g}"' * (
             rng.random() < 0.5
         )
-        axis = rng.choice(["1 0 0", "0 -1 0", "0 0 1"]) if rng.random() < 0.4 else vector(1.0)
+        usual = ["1 0 0", "0 -1 0", "0 0 1"]
+        axis = str(rng.choice(usual)) if rng.random() < 0.4 else vector(1.0)
+        if kind == "slide" and axis in taken:
+            axis = next(other for other in usual if other not in taken)  # two slides along one axis are one
+        taken.add(axis)
         return (
             f'<joint name="j{k}" type="{kind}" axis="{axis}" pos="{vector(0.1)}" damping="{rng.uniform(0, 0.5):.6g}" '
             f'armature="{rng.uniform(0, 0.05) * (rng.random() < 0.7):.6g}" {reference} {spring}/>'
@@ -48,7 +52,8 @@ def random_mjcf(rng: np.random.Generator, most: int = 7) -> str:
         moments = np.sort(rng.uniform(0.2, 1.0, 3)) ** 2 * 10.0 ** rng.uniform(-4, -1)
         moments[2] = min(moments[2], 0.99 * (moments[0] + moments[1]))
         moment = " ".join(f"{x:.17g}" for x in rng.permutation(moments))
-        inside = "".join(joint(k) for k in own["joints"])
+        taken: set[str] = set()
+        inside = "".join(joint(k, taken) for k in own["joints"])
         inside += (
             f'<inertial pos="{vector(0.1)}" quat="{vector(1.0, 4)}" mass="{10.0 ** rng.uniform(-1, 1):.17g}" '
             f'diaginertia="{moment}"/>'

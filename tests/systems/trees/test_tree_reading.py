@@ -106,6 +106,13 @@ REFUSED = {
         mjcf(link(), '<actuator><motor name="m" joint="hinge" gear="0"/></actuator>'),
         "the gear 0",
     ),
+    "two slides along one axis": (
+        mjcf(
+            '<body><joint name="x1" type="slide" axis="1 0 0"/><joint name="x2" type="slide" axis="1 0 0"/>'
+            '<geom size=".1"/></body>'
+        ),
+        "the joints x1, x2 move the same bodies",
+    ),
 }
 
 
