@@ -60,8 +60,8 @@ def refuse_redundant(tree: Tree, where: str) -> None:
     share = np.abs(vectors[best, :, 0])
     names = [joint.name for joint, own in zip(tree.joints, share, strict=True) if own > 0.1 * share.max()]
     raise TreeError(
-        f"{where}: the joints {', '.join(names)} move the same bodies in the same way, so nothing tells their motions apart; "
-        "leave one out, or give it an armature"
+        f"{where}: the joints {', '.join(names)} move the same bodies in the same way, so nothing tells their "
+        "motions apart; leave one out, or give it an armature"
     )
 
 
