@@ -20,6 +20,8 @@ from deepkoco.systems import System
 
 STEPS = 200  # of the search for the most likely run-to-run variances
 SETTLED = 1e-4  # relative change of every variance from which that search ends
+# Share of the prior's information that counts: logs that agree far from it would else seem to differ from run to run.
+VAGUE = 0.01
 NONE = 1e-6  # variance over the declared one, below which there is none
 
 
@@ -117,7 +119,7 @@ def variances_between(told: Sequence[LogInformation], prior: Prior, start: np.nd
     one = np.eye(len(scale))
     data = [o.information * np.outer(scale, scale) for o in told]
     pulls = [scale * (o.times_mean - o.information @ prior.centre) for o in told]
-    before = prior.precision(prior.names) * np.outer(scale, scale)
+    before = VAGUE * prior.precision(prior.names) * np.outer(scale, scale)
     variance = start / scale**2
     for _ in range(STEPS):
         through = [np.linalg.inv(one + own * variance) for own in data]
