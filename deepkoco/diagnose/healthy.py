@@ -35,6 +35,7 @@ from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
@@ -42,6 +43,7 @@ from deepkoco.systems import System
 LARGEST_EXTENSION = 6
 
 
+@one_thread()
 def learn_baseline(
     recordings: Sequence[Recording],
     system: System,
