@@ -41,7 +41,9 @@ class Drive(NamedTuple):
         """Drive of some windows."""
         begin, middle, end = (rows_of(e, rows) for e in self.efforts)
         t1, t2, t4 = (t[rows] for t in self.times)
-        load = None if self.load is None else rows_of(self.load, rows)
+        load = self.load
+        if load is not None:
+            load = tuple(None if own is None else rows_of((own,), rows)[0] for own in load)
         return Drive((begin, middle, end), (t1, t2, t4), load, rows_of(self.memory, rows))
 
 
