@@ -30,6 +30,7 @@ Levels = tuple[Tensor | None, ...]
 
 SWEEPS = 60  # at most; two joints need about five
 UNREAD_SWEEPS = 12  # always, where the values cannot be read: in a trace, and on a device
+HUGE = 1e100  # share of a level; its square is finite
 CLOSE = 1e-7  # change of an acceleration in a sweep, as a share of it, at which the sweeps end
 
 
@@ -207,7 +208,7 @@ def as_shares(loads: Levels, levels: Levels, direction: Levels) -> tuple[Levels,
     """Write friction loads as shares of their levels, against them, and what is left of each load.
 
     A level that changes over the step acts as it does at each moment, times the share. Where it is small next to the
-    load, the share would be without bound, and rounding would decide on the step: it is at most 1 here.
+    load, the share s would be without bound, and rounding would decide on the step: beyond 1 it is 1 / s here.
 
     Args:
         loads: J mean friction loads [N m or N].
@@ -223,8 +224,8 @@ def as_shares(loads: Levels, levels: Levels, direction: Levels) -> tuple[Levels,
         if load is None or level is None or given is None:
             continue
         acts = level > 0.0
-        share = -load / torch.where(acts, level, 1.0)
-        bounded = share.clamp(-1.0, 1.0)
+        share = (-load / torch.where(acts, level, 1.0)).clamp(-HUGE, HUGE)
+        bounded = share / share.square().clamp_min(1.0)
         shares[j] = torch.where(acts, bounded, given)
         rest[j] = torch.where(acts & (share != bounded), load + level * bounded, 0.0)
         whole[j] = torch.where(acts, load, 0.0)

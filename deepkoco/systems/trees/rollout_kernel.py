@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
+from deepkoco.systems.dry_friction import HUGE
 from deepkoco.systems.dry_friction_loop import rub_element
 from deepkoco.systems.trees.force_kernel import add_joint_loads
 from deepkoco.systems.trees.kernel import (
@@ -35,7 +36,7 @@ from deepkoco.systems.trees.kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "2efbbaf0fe48f61d"
+COMPILED_WITH = "fdf5568081ed390a"
 
 # Loads of effects that the loop knows; from STRIBECK on they are levels of dry friction.
 VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION = range(8)
@@ -398,8 +399,8 @@ def tree_rollout(
                         for r in range(len(rubbing)):
                             j = rubbing[r]
                             if slide[j, i] > 0.0:
-                                share = -load[r, i] / slide[j, i]
-                                direction[j, i] = min(max(share, -1.0), 1.0)
+                                share = min(max(-load[r, i] / slide[j, i], -HUGE), HUGE)
+                                direction[j, i] = share / max(share * share, 1.0)
                                 if direction[j, i] != share:
                                     push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
                             else:
