@@ -106,14 +106,14 @@ def variances_between(told: Sequence[LogInformation], prior: Prior, start: np.nd
 
     With the information H_k of log k, W_k = (1 + H_k S)^-1 H_k is that of the mean, and the mean m is integrated out.
     Each step multiplies a variance by the root of sum_k (W_k (x_k - m))^2 / sum_k (W_k - W_k L^-1 W_k), where L is the
-    information of all logs and of the prior.
+    information of all logs and ``VAGUE`` of the prior's: the logs alone tell where the mean is, if they can.
 
     Source: Zhou et al., MM algorithms for variance components models (2019), restricted likelihood.
 
     Args:
         told: Likelihoods of the logs.
-        prior: Prior of the mean, before any log.
-        start: (K,) variances to start from, above 0 where they may be above 0 in the end.
+        prior: Prior of the mean of K parameters, before any log.
+        start: (K,) variances to start from, in the squared units of the parameters; one of 0 stays 0.
     """
     scale = np.sqrt(np.diag(prior.covariance))
     one = np.eye(len(scale))

@@ -197,6 +197,10 @@ def sliding_loads(levels: Levels, direction: Levels) -> Levels:
     """Friction loads of joints at given shares of their levels.
 
     A level below 0 drives the joint and is part of its free motion: it has no friction load.
+
+    Args:
+        levels: J levels [N m or N]; None for a joint without dry friction.
+        direction: J shares [1], as the signs of the speeds.
     """
     return tuple(
         None if level is None or share is None else -level.clamp_min(0.0) * share
@@ -212,8 +216,8 @@ def as_shares(loads: Levels, levels: Levels, direction: Levels) -> tuple[Levels,
 
     Args:
         loads: J mean friction loads [N m or N].
-        levels: J mean levels.
-        direction: J shares for joints whose level is not above 0: it drives them.
+        levels: J mean levels [N m or N].
+        direction: J shares [1] for joints whose level is not above 0: it drives them.
 
     Returns:
         J shares from -1 to 1, J constant loads, and J sums of both: 0 for a joint whose level is not above 0.
