@@ -9,6 +9,7 @@ The pendulum is the package's oracle, the motor and the arm of two joints (MuJoC
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -85,13 +86,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", nargs="+", choices=list(HIDDEN), default=list(HIDDEN))
     parser.add_argument("--scatter", type=float, nargs="+", default=SCATTER, help="[s]")
     args = parser.parse_args(arguments)
+    if args.out.exists():
+        parser.error(f"{args.out} exists; choose another file")
     rows: list[list[str]] = [list(COLUMNS)]
     for robot in args.robots:
         for seed in args.seeds:
             for scatter in args.scatter:
                 for hidden in (False, True):
                     rows.append(row(robot, seed, scatter, hidden))
-                    print(",".join(rows[-1]), flush=True)
+                    sys.stdout.write(",".join(rows[-1]) + "\n")
+                    sys.stdout.flush()
                     write_whole_text(args.out, "".join(",".join(r) + "\n" for r in rows))
 
 
