@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.fft import dst
 from scipy.linalg import solveh_banded
 from scipy.ndimage import median_filter
+from scipy.optimize import minimize_scalar
 
 from deepkoco.fit.data.noise import difference_weights
 
@@ -15,7 +17,7 @@ MOST = (
     0.12  # of the period: where stamps scatter by more, it is not sure to which turn of the loop each belongs
 )
 NEAR = 25  # samples, of which the typical delay tells the turn of the loop that each belongs to
-LAGS = (5, 25, 125)  # in samples, over which the period itself may wander
+WANDER = np.geomspace(1e-6, 1e6, 61)  # variance of the loop's own steps over that of the stamps, as searched
 ALIKE = 2.0  # ratio of the scatters of commands and samples up to which one clock stamped both
 FAR = 5.0  # standard deviations of a gap from which it is a pause of the loop
 EVIDENCE = 16.0  # fall of minus twice the log likelihood from which the even times are believed
@@ -75,8 +77,8 @@ def _towards(t: np.ndarray, even: np.ndarray, share: float) -> np.ndarray:
 def even_times(t: np.ndarray) -> np.ndarray | None:
     """Return the times of a loop whose stamps scatter: its period may wander, and each stamp is late or early alone.
 
-    Of x_{k+1} = x_k + m_k T + w_k and t_k = x_k + e_k, the covariance of neighbouring gaps is minus the variance of
-    e, and the variance of long gaps grows with that of w. The most likely x solves a tridiagonal system.
+    The model is x_{k+1} = x_k + m_k T + w_k and t_k = x_k + e_k, with w and e independent and normal. The gaps tell
+    the most likely variances of w and e. The most likely x then solves a tridiagonal system.
 
     Args:
         t: (n,) stamps [s], increasing.
@@ -103,19 +105,10 @@ def even_times(t: np.ndarray) -> np.ndarray | None:
     usual = np.abs(off) <= FAR * spread
     period += float(off[usual].sum() / count[usual].sum())
     off = np.where(usual, gap - count * period, 0.0)
-    pairs = usual[1:] & usual[:-1]
-    scatter = -float((off[1:] * off[:-1])[pairs].mean())
+    n = len(off)
+    scatter, stiff = _scatter_and_stiffness(off, count, usual)
     if not scatter > 1e-4 * float(off[usual].var()):
         return None
-    phase, n = np.append(0.0, np.cumsum(off)), len(off)
-    wander = 0.0
-    for lag in LAGS:
-        if 4 * lag <= n:
-            # n / lag differences are independent, so the estimate has this standard error.
-            apart = float(np.var(phase[lag:] - phase[:-lag]))
-            error = apart * np.sqrt(2.0 * lag / n)
-            wander = max(wander, (apart - 2.0 * scatter - error) / lag)
-    stiff = scatter / max(wander, 1e-6 * scatter)
     link = np.where(usual, stiff, 0.0)  # a pause tells nothing of the time after it
     diagonal = np.ones(n + 1)
     diagonal[:-1] += link
@@ -133,6 +126,42 @@ def even_times(t: np.ndarray) -> np.ndarray | None:
     moved = [-longer, np.sqrt(link) * (np.diff(longer) - count)]
     more = -sum(a @ b for a, b in zip(left, moved, strict=True)) / sum(b @ b for b in moved)
     return t[0] + even + more * longer
+
+
+def _scatter_and_stiffness(off: np.ndarray, count: np.ndarray, usual: np.ndarray) -> tuple[float, float]:
+    """Return the most likely variance r of stamps [s^2], and r over the variance q of the loop's own steps.
+
+    The gaps have the tridiagonal covariance q I + r L, L with 2 beside -1. The sine transform diagonalises it, with
+    eigenvalues q + r (2 - 2 cos(pi k / (m + 1))) for m gaps in one run (harmonics of a fixed string). The
+    error of the period is fitted with the variances.
+
+    Args:
+        off: (n,) gaps less their whole turns [s].
+        count: (n,) turns of each gap.
+        usual: (n,) true where a gap is no pause; pauses part the runs.
+    """
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], usual, [False]])))
+    runs = [slice(*run) for run in ends.reshape(-1, 2)]
+    late, turns = (
+        np.concatenate([dst(signal[run], type=1, norm="ortho") for run in runs]) for signal in (off, count)
+    )
+    bare = np.concatenate(
+        [2.0 - 2.0 * np.cos(np.pi * np.arange(1, m + 1) / (m + 1)) for m in np.ptp(ends.reshape(-1, 2), 1)]
+    )
+
+    def variance(size: np.ndarray) -> float:
+        longer = (late * turns / size).sum() / (turns**2 / size).sum()
+        return float(np.mean((late - longer * turns) ** 2 / size))
+
+    def misfit(log_ratio: float) -> float:
+        size = np.exp(log_ratio) + bare
+        return len(bare) * float(np.log(variance(size))) + float(np.log(size).sum())
+
+    grid = np.log(WANDER)
+    best = int(np.argmin([misfit(at) for at in grid]))
+    bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    ratio = float(np.exp(minimize_scalar(misfit, bounds=bounds, method="bounded").x))
+    return variance(ratio + bare), 1.0 / ratio
 
 
 def share_of_scatter(t: np.ndarray, even: np.ndarray, values: list[np.ndarray]) -> float:
