@@ -16,8 +16,8 @@ from tests.oracle.mujoco_unit import KINDS, Hidden, joint_names, record
 WEAKEST, STRONGEST = 2.0, 6.0  # doses
 LEAST_STRENGTH = 3.0  # ES below which an effect is drawn again
 TRIES = 20
-# Cost up to which the uncertainties that the file states allow an effect: a cause is named from a fall of the BIC of 24,
-# and its parameter is charged about 8. No method that takes these uncertainties at their word can name it.
+# Cost up to which the uncertainties that the file states allow an effect: a cause is named from a fall of the BIC of
+# 24, and its parameter is charged about 8. No method that takes these uncertainties at their word can name it.
 ALLOWED = 32.0
 
 
