@@ -66,6 +66,19 @@ def test_a_heavier_cart_is_a_healthy_cart_and_a_spring_at_it_is_not():
     assert cost_within_priors(robot, Hidden("spring", "slider", 2.0), 5, SECONDS) > 1000.0
 
 
+def test_a_payload_hangs_where_it_is_said_to_hang():
+    robot = arm(seed=20)
+    plain, loaded = (unit_model(robot, h, 5) for h in (None, Hidden("payload", "j2", 0.3)))
+    place = 1.7 * plain.body("link2").ipos
+    moments = []
+    for model in (plain, loaded):
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        moments.append(data.subtree_com[0] * model.body_subtreemass[0])
+        frame = data.body("link2").xmat.reshape(3, 3), data.body("link2").xpos
+    assert moments[1] - moments[0] == pytest.approx(0.3 * (frame[0] @ place + frame[1]), abs=1e-9)
+
+
 @pytest.mark.study
 def test_scaled_effect_has_about_the_wanted_strength():
     robot = arm()
