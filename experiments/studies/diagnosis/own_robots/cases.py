@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from tests.oracle.mujoco_allowed import cost_within_priors
 from tests.oracle.mujoco_doses import COARSE, dosed, strength
-from tests.oracle.mujoco_robots import Robot, compiled, draw_robot
+from tests.oracle.mujoco_robots import Robot, compiled, draw_robot, slides, turned_before
 from tests.oracle.mujoco_unit import KINDS, Hidden, joint_names, record
 
 WEAKEST, STRONGEST = 2.0, 6.0  # doses
@@ -125,23 +124,22 @@ def right_names(case: Case) -> frozenset[str]:
         # Without a place it is at the tip.
         names |= {"payload"} if joint == joint_names(model)[-1] else {f"payload({body})"}
     if kind in ("armature", "payload"):
-        names |= same_inertia(model, joint, kind)
+        names |= same_inertia(case.robot, joint, kind)
     return frozenset(names)
 
 
-def same_inertia(model: mujoco.MjModel, joint: str, kind: str) -> set[str]:
+def same_inertia(robot: Robot, joint: str, kind: str) -> set[str]:
     """Names of what does exactly the same as an armature of a joint, or as a load on the body of a slide.
 
     Where no hinge turns a body before its own, only its moment about this axis matters, or on a slide its mass.
     """
-    j = model.joint(joint)
-    body, above = model.body(j.bodyid[0]), j.bodyid[0]
-    while above:
-        above = model.body_parentid[above]
-        if model.jnt_type[model.jnt_bodyid == above].tolist().count(mujoco.mjtJoint.mjJNT_HINGE):
-            return set()
-    if j.type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
-        return {f"changed(mass({body.name}))", f"payload({body.name})", f"armature({joint})"}
+    model = compiled(robot)
+    if turned_before(model, joint):
+        return set()
+    body = model.body(model.joint(joint).bodyid[0]).name
+    if slides(model, joint):
+        return {f"changed(mass({body}))", f"payload({body})", f"armature({joint})"}
     if kind == "payload":
         return set()
-    return {f"changed(inertia_{axis}({body.name}))" for axis, way in zip("xyz", j.axis, strict=True) if way}
+    axis = model.joint(joint).axis
+    return {f"changed(inertia_{name}({body}))" for name, way in zip("xyz", axis, strict=True) if way}
