@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.studies.diagnosis.own_robots.__main__ import counts, judge, order
-from experiments.studies.diagnosis.own_robots.cases import Case, draw_case, right_names
+from experiments.studies.diagnosis.own_robots.cases import Case, draw_case, joints_of, right_names
 from tests.oracle.mujoco_robots import cart_pole, random_arm
 from tests.oracle.mujoco_unit import Hidden
 
@@ -33,6 +33,7 @@ def test_a_case_is_the_same_whatever_was_drawn_before():
     first, again = draw_case(7, 0, 4.0, healthy=False), draw_case(7, 0, 4.0, healthy=False)
     assert first == again
     assert draw_case(8, 0, 4.0, healthy=True).hidden is None
+    assert joints_of(7, 0) == first.joints
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from typing import Any
 
 from deepkoco.output.versions import versions
 from deepkoco.output.whole_file import write_whole_text
-from experiments.studies.diagnosis.own_robots.cases import ALLOWED, Case, draw_case, right_names
+from experiments.studies.diagnosis.own_robots.cases import ALLOWED, Case, draw_case, joints_of, right_names
 
 COLUMNS = (
     "case",
@@ -69,9 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for index, healthy in enumerate(order(args.hidden, args.healthy)):
         if index in done or time.monotonic() - began > 60.0 * args.most:
             continue
-        case = draw_case(index, args.seed, args.seconds, healthy)
-        if args.joints and case.joints not in args.joints:
+        if args.joints and joints_of(index, args.seed) not in args.joints:
             continue
+        case = draw_case(index, args.seed, args.seconds, healthy)
         rows.append(run_case(case, args.out, args.seconds, args.limit))
         rows.sort(key=lambda row: row["case"])
         _write(table, rows)

@@ -62,6 +62,12 @@ class Case:
         return record(self.robot, self.hidden, self.seed, seconds).write(folder, self.name)
 
 
+def joints_of(index: int, seed: int) -> int:
+    """Number of joints of the robot of a case."""
+    robot = draw_robot(np.random.default_rng([1000 * seed + index, 21]))
+    return len(joint_names(compiled(robot)))
+
+
 def draw_case(index: int, seed: int, seconds: float, healthy: bool) -> Case:
     """Draw a case; the same numbers give the same case, whatever was drawn before.
 
