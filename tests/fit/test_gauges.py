@@ -8,7 +8,8 @@ from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.fit import fit
 from deepkoco.fit.data.windows import cut_windows
-from deepkoco.fit.solve.gauges import Gauge, text_of_gauges
+from deepkoco.fit.fit_types import Fit
+from deepkoco.fit.solve.gauges import Gauge, scale_gauges, text_of_gauges
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems.joint import angle_channel
 from deepkoco.systems.system import Channel, Parameter, System
@@ -145,3 +146,17 @@ def test_diagnosis_says_which_measurement_settles_the_scale(log):
     assert "2 measurements settle them" in advice
     assert "ohmmeter" in advice
     assert torch.isfinite(torch.tensor(result.chi2_before))
+
+
+def test_of_a_sum_the_small_part_is_kept_and_the_large_one_stays_free():
+    # Only kv + damping shows: kv 1.1 (30 %), damping 0.07 (50 %). Kept as given, kv could not fall by a third.
+    declared = (
+        Parameter("kv", 1.1, "N m s/rad", 0.0, 10.0, 0.33, ""),
+        Parameter("damping", 0.07, "N m s/rad", 0.0014, 10.0, 0.035, ""),
+    )
+    values = {p.name: p.value for p in declared}
+    shown = np.full((2, 2), 1e8)
+    none = torch.zeros(0)
+    found = Fit("sum", ("kv", "damping"), values, shown, shown, none, none, 0.0, 0.0, none, shown)
+    (gauge,) = scale_gauges(found, declared)
+    assert gauge.fixed == "damping"

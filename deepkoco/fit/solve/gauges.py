@@ -119,13 +119,7 @@ def scale_gauges(fit: Fit, declared: Sequence[Parameter]) -> tuple[Gauge, ...]:
     null /= np.abs(null).max(0)
     # The change of a parameter that the data determine by itself is rounding.
     null[np.abs(null) < 1e-4] = 0.0
-    reliable = sorted(range(len(names)), key=lambda i: known[names[i]].prior_sd / fit.values[names[i]])
-    fixed: list[int] = []
-    for i in reliable:
-        if np.linalg.matrix_rank(null[[*fixed, i]], tol=1e-3) > len(fixed):
-            fixed.append(i)
-        if len(fixed) == null.shape[1]:
-            break
+    fixed = _reliable(null, np.array([known[n].prior_sd / fit.values[n] for n in names]))
     if len(fixed) < null.shape[1]:
         return ()
     ways = null @ np.linalg.inv(null[fixed])
@@ -138,6 +132,30 @@ def scale_gauges(fit: Fit, declared: Sequence[Parameter]) -> tuple[Gauge, ...]:
             how = MEASURED.get(easiest.unit, "measure it by itself")
             result.append(Gauge(names[i], exponents, easiest.name, how))
     return tuple(result)
+
+
+def _reliable(null: np.ndarray, sd: np.ndarray) -> list[int]:
+    """Index of the parameter to keep for each gauge: the one whose prior says most about the way along the gauges.
+
+    That is not the one with the smallest prior. Where only the sum of a servo's rate gain and of a small damping shows,
+    the damping would need fifteen times its value for what is a change of the gain by its standard deviation.
+
+    Args:
+        null: (n, K) relative changes that cancel.
+        sd: (n,) relative standard deviations.
+    """
+    rows = np.linalg.qr(null / sd[:, None])[0]
+    chosen: list[int] = []
+    for _ in range(null.shape[1]):
+        # Rounded: parameters that say equally much are taken in their order.
+        says = np.round((rows**2).sum(1), 6)
+        best = int(says.argmax())
+        if not says[best] > 0.0:
+            break
+        chosen.append(best)
+        way = rows[best] / np.linalg.norm(rows[best])
+        rows = rows - np.outer(rows @ way, way)
+    return chosen
 
 
 def _measured(ways: np.ndarray, parameters: Sequence[Parameter]) -> list[int]:
