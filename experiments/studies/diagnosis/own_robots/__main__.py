@@ -72,11 +72,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if args.joints and joints_of(index, args.seed) not in args.joints:
             continue
         case = draw_case(index, args.seed, args.seconds, healthy)
-        rows.append(run_case(case, args.out, args.seconds, args.limit))
+        row = run_case(case, args.out, args.seconds, args.limit)
+        rows.append(row)
         rows.sort(key=lambda row: row["case"])
         _write(table, rows)
         write_whole_text(args.out / "summary.json", json.dumps(summary(rows, args), indent=1) + "\n")
-        sys.stdout.write(" ".join(str(rows[-1][c]) for c in COLUMNS[:14]) + "\n")
+        sys.stdout.write(" ".join(str(row[c]) for c in COLUMNS[:14]) + "\n")
         sys.stdout.flush()
     sys.stdout.write(json.dumps(counts(rows)) + "\n")
     return 0
