@@ -34,10 +34,10 @@ class ResidualNetwork:
             seen = missing_torque(system, handed.log)
             model = _Torque(seen, handed.seed)
             at = [torch.from_numpy(np.ascontiguousarray(x)) for x in (seen.q, seen.v, seen.u)]
-            with torch.no_grad():
-                shown = model(*at)
-                if handed.healthy:
-                    shown = shown - _Torque(missing_torque(system, handed.healthy), handed.seed)(*at)
+            shown = model(*at).detach()
+            if handed.healthy:
+                usual = _Torque(missing_torque(system, handed.healthy), handed.seed)
+                shown = shown - usual(*at).detach()
         finally:
             torch.random.set_rng_state(before)
         sizes = [float(shown[:, j].square().mean().sqrt()) / load_of(system, j) for j in range(system.joints)]

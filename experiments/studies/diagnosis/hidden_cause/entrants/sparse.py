@@ -26,9 +26,9 @@ Term = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 class SparseRegression:
-    """STLSQ of `pysindy` for each joint; names the term with the largest root mean square (`naming`'s 4 % of the load).
+    """STLSQ of `pysindy` for each joint; names the term that alone explains most of the missing torque.
 
-    With healthy logs, what a regression of these explains is taken off first. "unknown" where no term is large, but
+    It is a cause from the usual 4 % of the load on (`naming`), as a root mean square. With healthy logs, what a regression of these explains is taken off first. "unknown" where no term is large, but
     twice as much is left, averaged over 0.1 s.
     """
 
@@ -47,8 +47,10 @@ class SparseRegression:
         sizes, left = {}, 0.0
         for j in range(system.joints):
             columns, load = _columns(seen, terms[j]), load_of(system, j)
-            changed = columns * (found[j] - usual[j])
-            for name, size in zip(terms[j], np.sqrt((changed**2).mean(0)) / load, strict=True):
+            # Terms that are nearly alike cancel each other, so each is asked alone what it explains.
+            changed = seen.torque[:, j] - columns @ usual[j]
+            alone = np.abs(columns.T @ changed) / np.sqrt((columns**2).sum(0).clip(1e-300) * len(columns))
+            for name, size in zip(terms[j], alone / load, strict=True):
                 sizes[name] = max(float(size), sizes.get(name, 0.0))
             rest = np.convolve(seen.torque[:, j] - columns @ found[j], np.ones(10) / 10.0, "valid")
             left = max(left, float(np.sqrt((rest**2).mean())) / load)
