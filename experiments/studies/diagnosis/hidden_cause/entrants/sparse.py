@@ -28,8 +28,9 @@ Term = Callable[[Tensor, Tensor, Tensor], Tensor]
 class SparseRegression:
     """STLSQ of `pysindy` for each joint; names the term that alone explains most of the missing torque.
 
-    It is a cause from the usual 4 % of the load on (`naming`), as a root mean square. With healthy logs, what a regression of these explains is taken off first. "unknown" where no term is large, but
-    twice as much is left, averaged over 0.1 s.
+    It is a cause from the usual 4 % of the load on (`naming`), as a root mean square. With healthy logs, what a
+    regression of these explains is taken off first. "unknown" where no term is large, but twice as much is left,
+    averaged over ten samples.
     """
 
     name = "sparse"
