@@ -11,7 +11,7 @@ import contextlib
 import io
 import logging
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -23,32 +23,68 @@ from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, Parameter, System
 from experiments.studies.diagnosis.hidden_cause.entrants.as_given import simulation_of
-from experiments.studies.diagnosis.hidden_cause.entrants.naming import first_name
+from experiments.studies.diagnosis.hidden_cause.entrants.naming import first_name, usual_scale
 from experiments.studies.diagnosis.hidden_cause.questions import Answer, Handed
 
 MOST_WINDOWS = 16
 ITERATIONS = 30
 NORMAL = 1.96
-Fitted = tuple[dict[str, float], dict[str, float]]  # values, halves of their 95 % intervals
+NULL = 1e-8  # curvature in usual scales, relative to the largest, below which the log shows nothing
+
+
+class Fitted(NamedTuple):
+    """Values of the listed parameters, and the curvature (P, P) of the cost at them in residual variances."""
+
+    values: dict[str, float]
+    curvature: np.ndarray
 
 
 class MujocoSysid:
-    """`mujoco.sysid.optimize`; names the largest change in its usual scale that is beyond its interval (`naming`)."""
+    """`mujoco.sysid.optimize`; names the largest change in its usual scale that is beyond its interval (`naming`).
+
+    Where the log shows only a ratio of parameters, the fit may slide along it. Such a part of the change is taken off
+    first, and intervals leave it out: else each of them would be infinite, and nothing could be named.
+    """
 
     name = "mujoco_sysid"
 
     def answer(self, handed: Handed) -> Answer:
         """Fit all listed parameters to the log, and to the healthy logs to compare with."""
         system = handed.system
-        found, interval = _fit(system, handed.xml, handed.log, handed.window)
-        before = {n: system.parameter(n).value for n in found}
+        found = _fit(system, handed.xml, handed.log, handed.window)
+        before = {n: system.parameter(n).value for n in found.values}
+        other = None
         if handed.healthy:
-            before, other = _fit(system, handed.xml, handed.healthy, handed.window)
-            interval = {n: interval[n] + other[n] for n in interval}
-        prior_sd = {n: system.parameter(n).prior_sd for n in found}
-        name = first_name(system, before, found, prior_sd, interval)
+            other = _fit(system, handed.xml, handed.healthy, handed.window)
+            before = other.values
+        name = named(system, before, found, other)
         how = "mujoco.sysid" if handed.xml else "scipy"
-        return Answer(name, (name,), simulation_of(ExtendedSystem(system, ()), found), how)
+        return Answer(name, (name,), simulation_of(ExtendedSystem(system, ()), found.values), how)
+
+
+def named(system: System, before: dict[str, float], found: Fitted, healthy: Fitted | None) -> str:
+    """Return the cause that the largest change stands for, see `MujocoSysid`.
+
+    Args:
+        system: The model as given.
+        before: Values to compare with.
+        found: The fit to the log.
+        healthy: The fit to the healthy logs; None where there are none.
+    """
+    names = list(found.values)
+    listed = {n: system.parameter(n) for n in names}
+    scale = np.array([usual_scale(system, n, before[n], listed[n].prior_sd) for n in names])
+    change = np.array([found.values[n] - before[n] for n in names]) / scale
+    half = np.zeros(len(names))
+    for fitted in (found, healthy):
+        if fitted is not None:
+            size, along = np.linalg.eigh(fitted.curvature * scale[:, None] * scale[None])
+            seen = size > NULL * size.max()
+            change = along[:, seen] @ (along[:, seen].T @ change)
+            half += NORMAL * np.sqrt(((along[:, seen] ** 2) / size[seen]).sum(1))
+    after = {n: before[n] + d * s for n, d, s in zip(names, change, scale, strict=True)}
+    interval = dict(zip(names, half * scale, strict=True))
+    return first_name(system, before, after, {n: listed[n].prior_sd for n in names}, interval)
 
 
 def _fit(system: System, xml: str | None, logs: Sequence[Recording], window: float) -> Fitted:
@@ -118,14 +154,11 @@ def with_sysid(system: System, xml: str, windows: Windows) -> Fitted:
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # it prints every iteration
             fitted, result = sysid.optimize(parameters, residual, verbose=False, max_iters=ITERATIONS)
-        left = residual(fitted.as_vector(), fitted)[0]
-        half = sysid.calculate_intervals([np.ravel(x) for x in left], result.jac)[1]
+        left = np.concatenate([np.ravel(x) for x in residual(fitted.as_vector(), fitted)[0]])
     finally:
         logging.getLogger("absl").setLevel(level)
     found = dict(zip([p.name for p in system.parameters], fitted.as_vector().tolist(), strict=True))
-    # Where only the ratio of parameters shows, intervals are infinite. The toolbox's own step is short in such a
-    # direction, so the change still counts.
-    return found, dict(zip(found, np.where(np.isfinite(half), half, 0.0).tolist(), strict=True))
+    return Fitted(found, _curvature(result.jac, left))
 
 
 def with_scipy(system: System, windows: Windows) -> Fitted:
@@ -147,10 +180,14 @@ def with_scipy(system: System, windows: Windows) -> Fitted:
 
     bounds = (low / scale - 1e-9, high / scale + 1e-9)
     result = least_squares(residual, start / scale, bounds=bounds, max_nfev=ITERATIONS)
-    noise = 2.0 * result.cost / max(int(windows.valid.sum()) - len(listed), 1)
-    spread = np.sqrt(np.abs(np.diag(np.linalg.pinv(result.jac.T @ result.jac))) * noise) * scale
     found = dict(zip([p.name for p in listed], np.clip(result.x * scale, low, high).tolist(), strict=True))
-    return found, dict(zip(found, (NORMAL * spread).tolist(), strict=True))
+    return Fitted(found, _curvature(result.jac / scale, result.fun))
+
+
+def _curvature(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Curvature in variances of the residuals that are left."""
+    noise = float(residual @ residual) / max(len(residual) - jacobian.shape[1], 1)
+    return jacobian.T @ jacobian / max(noise, 1e-300)
 
 
 def _low(p: Parameter) -> float:
