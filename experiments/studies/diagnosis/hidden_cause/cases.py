@@ -74,7 +74,8 @@ class Case:
         count = {"no healthy log": 0, "three": 3}.get(self.condition, 1)
         healthy = [well.recording(Taken(days[2 + k], float(lengths[k]), spread)) for k in range(count)]
         held_out = unit.recording(Taken(days[1], HELD_OUT, spread, held_out=True))
-        path = folder / f"{self.index:04d}" / "robot.xml"
+        drawn = int(np.random.SeedSequence([self.seed, self.index, 54]).generate_state(1)[0])
+        path = folder / f"{drawn:08x}" / "robot.xml"  # entrants see the path; it says nothing of the case
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(self.robot.xml)
         system = any_system(str(path))
@@ -82,7 +83,6 @@ class Case:
         held = cut_windows([held_out], system, window, estimate_channels([held_out], system))
         moves = moving(held)
         held = held.take(moves) if moves.any() else held
-        drawn = int(np.random.SeedSequence([self.seed, self.index, 54]).generate_state(1)[0])
         kind = NOTHING if self.hidden is None else self.hidden.kind
         truth = Truth(
             case=self.name,

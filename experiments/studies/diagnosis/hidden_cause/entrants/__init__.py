@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from deepkoco.extras import install_command
 from experiments.studies.diagnosis.hidden_cause.questions import Entrant
 
 HERE = "experiments.studies.diagnosis.hidden_cause.entrants"
@@ -33,7 +34,8 @@ def make_entrant(text: str) -> Entrant:
     try:
         made = getattr(import_module(module), name)()
     except (ImportError, AttributeError) as error:
-        raise EntrantError(f"{text}: {error}") from None
+        hint = f"; {install_command('rivals')}" if text in ENTRANTS else ""
+        raise EntrantError(f"{text}: {error}{hint}") from None
     if not isinstance(getattr(made, "name", None), str) or not callable(getattr(made, "answer", None)):
         raise EntrantError(f"{text}: has no name or no answer(handed)")
     return made

@@ -48,6 +48,10 @@ class MujocoSysid:
 
     name = "mujoco_sysid"
 
+    def __init__(self) -> None:
+        if not hasattr(sysid, "optimize"):
+            raise ImportError("mujoco.sysid lacks the packages that it needs")
+
     def answer(self, handed: Handed) -> Answer:
         """Fit all listed parameters to the log, and to the healthy logs to compare with."""
         system = handed.system

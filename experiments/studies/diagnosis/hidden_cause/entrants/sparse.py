@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
 import numpy as np
 import torch
-from pysindy import STLSQ
 from torch import Tensor
 
 from deepkoco.systems import System
@@ -19,6 +19,7 @@ from experiments.studies.diagnosis.hidden_cause.entrants.naming import USUAL, lo
 from experiments.studies.diagnosis.hidden_cause.kinds import NOTHING, UNKNOWN
 from experiments.studies.diagnosis.hidden_cause.questions import Answer, Handed
 
+STLSQ = import_module("pysindy").STLSQ  # of the extra `rivals`
 SHARP = {"rad": 0.05, "m": 0.01}  # speed over which a sign changes [rad/s, m/s]
 LEAST = 0.5  # of the usual share: a smaller term is left out
 MUCH = 2.0  # times the usual share is left over from which something unknown is there
