@@ -6,14 +6,15 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from deepkoco.systems import System
+from deepkoco.systems.trees.mujoco_library import mujoco_library
 from tests.oracle.mujoco_doses import joint_scales
 from tests.oracle.mujoco_robots import Robot, compiled
 from tests.oracle.mujoco_unit import joint_names
 
+mujoco = mujoco_library()
 NOTHING, UNKNOWN = "nothing", "unknown"
 HEALTHY_SHARE = 5  # healthy units in one round of all kinds
 DRIVEN, MOTORS = "driven", "motors"

@@ -36,7 +36,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write all rows, all or nothing, in the order of the cases."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, list[str](COLUMNS), lineterminator="\n")
     writer.writeheader()
     writer.writerows(sorted(rows, key=_order))
     write_whole_text(path, text.getvalue())

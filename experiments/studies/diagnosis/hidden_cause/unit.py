@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems.trees.mujoco_library import mujoco_library
 from experiments.studies.diagnosis.hidden_cause.kinds import Hidden, place_of
 from tests.oracle.mujoco_drives import make_drive
 from tests.oracle.mujoco_robots import Robot, compiled
 from tests.oracle.mujoco_unit import BLUR, Sensors, draw_sensors, joint_names, unit_model
 from tests.oracle.mujoco_unit import Hidden as OfModel
 
+mujoco = mujoco_library()
 STEP = 2.5e-4  # of MuJoCo [s]
 HOOK = 5e-4  # after which actuators and frictions are computed again [s]
 PER_HOOK = round(HOOK / STEP)
@@ -162,7 +163,7 @@ class Unit:
             kind, size = NATIVE[hidden.kind]
             native = OfModel(kind, hidden.joint, hidden.sizes[size])
 
-        def model_of(what: OfModel | None) -> mujoco.MjModel:
+        def model_of(what: OfModel | None) -> Any:
             model = unit_model(robot, what, self.seed, STEP, _off)
             day = np.random.default_rng([taken.seed, 44])
             for values in (model.body_mass, model.dof_damping, model.dof_frictionloss):
@@ -179,9 +180,7 @@ class Unit:
 class Motion:
     """A unit that moves: bodies, actuators, frictions with a memory, pushes."""
 
-    def __init__(
-        self, unit: Unit, model: mujoco.MjModel, hidden: Hidden | None, later: mujoco.MjModel | None
-    ) -> None:
+    def __init__(self, unit: Unit, model: Any, hidden: Hidden | None, later: Any | None) -> None:
         self.unit, self.model, self.later, self.hidden = unit, model, later, hidden
         self.data, self.time = mujoco.MjData(model), 0.0
         self.at = [int(model.joint(n).qposadr[0]) for n in unit.names]

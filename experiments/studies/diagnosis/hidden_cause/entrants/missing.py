@@ -44,11 +44,11 @@ def _of_log(system: System, log: Recording) -> Missing:
     t = np.arange(first.t[0], first.t[-1], gap)
     length = max(2 * round(0.5 * SMOOTH / gap) + 1, 7)
     even = np.column_stack([np.interp(t, log.channels[n].t, log.channels[n].value) for n in places])
-    q, v, a = (savgol_filter(even, length, 3, deriv=d, delta=gap, axis=0) for d in (0, 1, 2))
+    q, v, a = (np.asarray(savgol_filter(even, length, 3, deriv=d, delta=gap, axis=0)) for d in (0, 1, 2))
     u = np.column_stack([log.channels[c.name].hold(t) for c in system.commands])
     parameters = system.default_parameters()
-    split = [tuple(torch.from_numpy(np.ascontiguousarray(x)).unbind(-1)) for x in (q, v, u)]
-    motion = Motion(*split)
+    angles, speeds, efforts = (torch.from_numpy(np.ascontiguousarray(x)).unbind(-1) for x in (q, v, u))
+    motion = Motion(tuple(angles), tuple(speeds), tuple(efforts))
     modelled = torch.stack(torch.broadcast_tensors(*system.accelerations(parameters)(motion)), -1).numpy()
     rows = system.inverse_inertia(parameters)(motion)
     inverse = np.stack(

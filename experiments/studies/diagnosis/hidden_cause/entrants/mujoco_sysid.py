@@ -11,21 +11,23 @@ import contextlib
 import io
 import logging
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
-from mujoco import sysid
 from scipy.optimize import least_squares
 
 from deepkoco.fit.data.windows import Windows, cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, Parameter, System
+from deepkoco.systems.trees.mujoco_library import mujoco_library
 from experiments.studies.diagnosis.hidden_cause.entrants.as_given import simulation_of
 from experiments.studies.diagnosis.hidden_cause.entrants.naming import first_name, usual_scale
 from experiments.studies.diagnosis.hidden_cause.questions import Answer, Handed
 
+mujoco = mujoco_library()
+sysid = import_module("mujoco.sysid")  # works with the extra `rivals`
 MOST_WINDOWS = 16
 ITERATIONS = 30
 NORMAL = 1.96
