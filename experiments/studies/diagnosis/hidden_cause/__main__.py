@@ -23,7 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from deepkoco.output.whole_file import write_whole_text
 from experiments.plumbing.provenance import provenance
-from experiments.studies.diagnosis.hidden_cause.cases import LOG, draw_case
+from experiments.studies.diagnosis.hidden_cause.cases import CONDITIONS, LOG, draw_case
 from experiments.studies.diagnosis.hidden_cause.columns import columns, table_of
 from experiments.studies.diagnosis.hidden_cause.entrants import ENTRANTS, EntrantError, make_entrant
 from experiments.studies.diagnosis.hidden_cause.judge import run
@@ -61,7 +61,9 @@ def main(arguments: Sequence[str] | None = None, write: Callable[[str], object] 
                     write_rows(args.out / "rows.csv", rows)
             bar.advance(task)
     found = columns(rows)
-    settings = {n: getattr(args, n) for n in ("cases", "seed", "only", "joints", "longest", "limit")}
+    settings = {
+        n: getattr(args, n) for n in ("cases", "seed", "only", "conditions", "joints", "longest", "limit")
+    }
     write_whole_text(
         args.out / "columns.json",
         json.dumps({"columns": found, "settings": settings, "provenance": origin}, indent=1) + "\n",
@@ -86,6 +88,13 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--only", nargs="+", choices=[*KINDS, NOTHING], metavar="KIND", help="these kinds only"
     )
     parser.add_argument("--joints", type=int, metavar="N", help="robots of at most so many joints only")
+    parser.add_argument(
+        "--conditions",
+        nargs="+",
+        choices=list(CONDITIONS),
+        metavar="TEXT",
+        help="with these healthy logs only",
+    )
     parser.add_argument("--longest", type=float, default=LOG[1], help="longest log to explain [s]")
     parser.add_argument(
         "--limit", type=float, default=600.0, help="processor seconds of an entrant for a case"
@@ -107,7 +116,11 @@ def _listed(args: argparse.Namespace) -> Iterator[Listed]:
         case = draw_case(args.seed, index, args.longest)
         kind = NOTHING if case.hidden is None else case.hidden.kind
         joints = case.robot.xml.count("<joint ")
-        if (not args.only or kind in args.only) and (args.joints is None or joints <= args.joints):
+        if args.only and kind not in args.only:
+            continue
+        if args.conditions and case.condition not in args.conditions:
+            continue
+        if args.joints is None or joints <= args.joints:
             yield case.name, case.question
 
 
