@@ -99,10 +99,12 @@ def even_times(t: np.ndarray) -> np.ndarray | None:
     turn += np.round((phase - median_filter(phase, NEAR, mode="nearest")) / period)
     count = np.diff(turn)
     off = gap - count * period
-    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    # A few late turns shift the period of the whole log from the typical gap, by more than the gaps scatter.
+    middle = float(np.median(off))
+    spread = 1.4826 * float(np.median(np.abs(off - middle)))
     if not 0.0 < spread <= MOST * np.sqrt(2.0) * period:
         return None
-    usual = np.abs(off) <= FAR * spread
+    usual = np.abs(off - middle) <= FAR * spread
     period += float(off[usual].sum() / count[usual].sum())
     off = np.where(usual, gap - count * period, 0.0)
     n = len(off)

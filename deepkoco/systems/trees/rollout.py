@@ -74,7 +74,9 @@ class TreeRollout:
         begin, slope = (_stacked(x, (steps, *shape)) for x in (given.begin, given.slope))
         loads = np.empty((0, steps, count))
         if given.loads is not None:
-            loads = np.ascontiguousarray(given.loads.numpy()).reshape(joints, steps, count)
+            # A push that is the same in all lanes comes once.
+            each = np.broadcast_to(given.loads.numpy(), (joints, steps, *shape))
+            loads = np.ascontiguousarray(each).reshape(joints, steps, count)
         value = np.empty((2 * joints, steps + 1, count))
         left, right = np.empty((joints, steps, count)), np.empty((joints, steps, count))
         a = law.arrays

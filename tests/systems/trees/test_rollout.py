@@ -92,6 +92,18 @@ def test_compiled_rollout_takes_the_steps_of_the_simulator(arm, kind, monkeypatc
     assert 0.0 < sticks < 1.0
 
 
+def test_one_push_acts_in_all_lanes(arm):
+    rng = np.random.default_rng(5)
+    windows = three_windows(arm, rng)
+    start = torch.from_numpy(rng.normal(size=(LANES, 3, 6)) * 0.2)
+    push = torch.zeros(3, 1, 3, windows.steps, dtype=torch.float64)
+    push[1, 0, :, 20:40] = 2.0
+    shared = integrate(arm, windows, arm.default_parameters(), start, push)
+    own = integrate(arm, windows, arm.default_parameters(), start, push.expand(-1, LANES, -1, -1))
+    for part, wanted in zip(shared.value, own.value, strict=True):
+        torch.testing.assert_close(part, wanted, rtol=0.0, atol=0.0)
+
+
 def test_effects_that_remember_the_way_of_a_joint_have_no_compiled_rollout(arm):
     system = ExtendedSystem(arm, ("bristle(shoulder)",))
     assert system.rollout(system.default_parameters()) is None
