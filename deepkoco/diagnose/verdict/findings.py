@@ -157,19 +157,19 @@ def over_classes(
     steps: Sequence[tuple[Ranking, tuple[str, ...]]],
     but: int | None = None,
 ) -> dict[str, Estimate]:
-    """Return estimates whose intervals cover those beside every member of the classes of the named causes.
+    """Return estimates whose intervals are as wide about those beside every member of the classes of the named causes.
 
     Which member of a class is named is a choice that these data do not make. A mass that is another one beside an
     offset than beside a gain that differs between directions is as uncertain as the two together.
 
     Args:
         own: Estimates beside the members that lead.
-        problem: The windows.
+        problem: The windows; its system declares the bounds.
         accepted: The named causes.
         steps: Ranking and class of each of them.
         but: Number of the cause whose own parameters these are: its class is of other parameters.
     """
-    result = dict(own)
+    result, bounds = dict(own), {p.name: p for p in declared(problem, tuple(own))}
     for k, (ranking, members) in enumerate(steps):
         beside = {n for i, cause in enumerate(accepted) for n in cause.free if i != k}
         for candidate in ranking.candidates if k != but else ():
@@ -177,8 +177,10 @@ def over_classes(
             # A fit without the other named causes is no estimate beside them.
             if candidate.cause.name not in members or not beside.issubset(fit.free):
                 continue
-            shared = [n for n in result if n in fit.free]
-            for name, other in estimates(problem, fit, shared, ranking.deflation).items():
-                had = result[name]
-                result[name] = replace(had, low=min(had.low, other.low), high=max(had.high, other.high))
+            for name in set(own).intersection(fit.free):
+                # A member with more parameters may know less; what counts is how far its estimate is.
+                first, had, other, bound = own[name], result[name], fit.values[name], bounds[name]
+                low = max(other - (first.value - first.low), bound.low)
+                high = min(other + (first.high - first.value), bound.high)
+                result[name] = replace(had, low=min(had.low, low), high=max(had.high, high))
     return result
