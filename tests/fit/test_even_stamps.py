@@ -92,3 +92,27 @@ def test_samples_at_rest_do_not_move_their_stamps():
     series, (command,) = with_even_stamps(still, [t])
     assert series["q"][0] is t
     assert command is t
+
+
+@pytest.mark.parametrize("rounding", [1e-15, 1e-9])
+def test_a_loop_that_is_late_a_few_times_keeps_its_times(rounding):
+    rng = np.random.default_rng(3)
+    # Real logs of a 500 Hz loop: gaps are exact to their rounding, but a few turns are half a period late and stay so.
+    late = np.isin(np.arange(4999), [700, 1500, 1501, 3200, 4100])
+    gap = np.where(late, 0.003, 0.002) + rounding * rng.standard_normal(4999)
+    t = np.append(0.0, np.cumsum(gap))
+    even = even_times(t)
+    assert even is None or np.abs(even - t).max() < 10.0 * rounding
+
+
+@pytest.mark.parametrize("seed", range(20_000, 20_004))
+def test_even_times_are_none_where_stamps_are_regular_but_for_a_few_rounded_ones(seed):
+    t = 0.001 * np.arange(5000)
+    rng = np.random.default_rng(seed)
+    # A drifting sum of steps: most gaps differ by the rounding of a float, a few by 20 ns.
+    t[rng.integers(1, 5000, 25)] += 2e-8
+    t += np.linspace(0.0, 3e-10, 5000)
+    series, (moved,) = with_even_stamps({"q": (t, motion(t, seed))}, [t])
+    assert np.array_equal(series["q"][0], t)
+    assert np.array_equal(moved, t)
+    assert even_times(t) is None

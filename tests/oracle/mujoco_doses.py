@@ -110,7 +110,7 @@ def dosed(robot: Robot, kind: str, joint: str, dose: float) -> Hidden:
     """
     model = mujoco.MjModel.from_xml_string(robot.xml)
     j = joint_names(model).index(joint)
-    load, inertia, carried = _scales(model, j)
+    load, inertia, carried = joint_scales(model, j)
     size = {
         "frictionloss": 0.05 * load * dose,
         "damping": 0.03 * load * dose,
@@ -126,7 +126,7 @@ def dosed(robot: Robot, kind: str, joint: str, dose: float) -> Hidden:
     return Hidden(kind, joint, size)
 
 
-def _scales(model: mujoco.MjModel, j: int) -> tuple[float, float, float]:
+def joint_scales(model: mujoco.MjModel, j: int) -> tuple[float, float, float]:
     """Torque or force that moves a joint at 1 g, its inertia, and the mass that it carries."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

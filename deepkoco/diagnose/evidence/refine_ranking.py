@@ -9,6 +9,7 @@ from dataclasses import replace
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, Cause, is_changed
 from deepkoco.diagnose.evidence.classes import APART, NEAR, equivalent
+from deepkoco.diagnose.evidence.coloured import leader_under_colour
 from deepkoco.diagnose.evidence.elimination import beyond_chance, held_out_chi2
 from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
@@ -122,6 +123,12 @@ def classed(
         form = _simpler_form(problem, start, ranking, members, held)
         if form is not None:
             ranking = replace(ranking, candidates=(form, *(c for c in ranking.candidates if c is not form)))
+            members = equivalent(problem, start, ranking, tuple(accepted))
+    if left and start.tempering == 1.0 and len(members) > 1:
+        clear = leader_under_colour(problem, start, ranking, members, accepted)
+        if clear is not None:
+            others = (c for c in ranking.candidates if c.cause is not clear.cause)
+            ranking = replace(ranking, candidates=(clear, *others))
             members = equivalent(problem, start, ranking, tuple(accepted))
     best = ranking.best
     if not is_changed(best.cause):
