@@ -20,7 +20,7 @@ from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, mis
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
-from deepkoco.diagnose.verdict.findings import estimates, finding, localise
+from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
 from deepkoco.diagnose.verdict.judgement import Judgement
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
@@ -68,7 +68,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         unexplained=_unexplained(request, explanation, judgement),
         detection=request.detection,
         details=_details(request, base, judgement),
-        final=_written(base, judgement),
+        final=_written(explanation, judgement),
         moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),
     )
 
@@ -218,11 +218,13 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
     return ExtendedSystem(given.base if isinstance(given, ExtendedSystem) else given, effects, kept)
 
 
-def _written(base: Refitted, judgement: Judgement) -> dict[str, Estimate]:
+def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estimate]:
     """Return the system's own parameters as `_model` writes them; parameters kept as given have no interval."""
-    load = judgement.load
+    base, found, load = explanation.base, explanation.found, judgement.load
     fit = judgement.final if load is None else base.problem.recentred(load.fit)
     own = estimates(base.problem, fit, base.reference.free, judgement.left.deflation)
+    if judgement.final is found.final:
+        own = over_classes(own, found.acting, found.accepted, found.steps)
     if not _kept_as_given(judgement):
         return own
     given = {name: base.start.values[name] for name in own}

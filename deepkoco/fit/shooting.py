@@ -75,7 +75,7 @@ class ShootingProblem:
             result = torch.empty(len(theta), *self.windows.value.shape, dtype=torch.float64)
             for part in (slow, ~slow):
                 pick = torch.from_numpy(part)
-                result[pick] = self.predict(theta[part], initial[pick], nuisance[pick])
+                result[pick] = ShootingProblem.predict(self, theta[part], initial[pick], nuisance[pick])
             return result
         for effect, columns in self._columns.items():
             acting = np.flatnonzero(given[columns].any(0))

@@ -9,12 +9,13 @@ import yaml
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit
-from deepkoco.diagnose.evidence import residual_model
+from deepkoco.diagnose.evidence import residual_model, term_choice
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, window_length
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import ExtendedSystem, load_model, make_system, rk4_step, save_model
 from deepkoco.systems.effects.learned import SCALES, terms_at
+from tests.oracle.slide import Car, Unit, log_of
 from tests.oracle.unit import hidden_log
 
 HIDDEN = {"position_friction": {"size": 0.1}}  # no cause of the catalogue
@@ -65,7 +66,7 @@ def test_diagnose_from_a_learned_model_finds_nothing_on_another_excitation(diagn
 
 @pytest.mark.study
 def test_learned_weights_of_a_model_file_keep_scales_and_prior(monkeypatch):
-    monkeypatch.setattr(residual_model, "MOST_TERMS", 2)
+    monkeypatch.setattr(term_choice, "MOST_TERMS", 2)
     had = {"learned.v_cubed": 0.4, "learned.speed_scale": 5.0, "learned.effort_scale": 3.0}
     system = ExtendedSystem(make_system("rod_pendulum"), ("learned",), had)
     log = hidden_log("rod_pendulum", HIDDEN, "steps", 5, 10.0)
@@ -165,3 +166,16 @@ def test_learned_springs_begin_at_the_angles_of_their_names():
     torch.testing.assert_close(load("above_p15") * 0.75, torch.tensor([0.0, 0.0, 0.15, 0.75]).double())
     torch.testing.assert_close(load("below_m40") * 0.4, torch.tensor([-0.4, 0.0, 0.0, 0.0]).double())
     torch.testing.assert_close(load("beyond_70") * 0.2, torch.tensor([-0.1, 0.0, 0.0, 0.2]).double())
+
+
+@pytest.mark.study
+def test_learned_load_finds_two_forces_of_which_the_larger_alone_looks_like_another():
+    # Alone, a friction that grows with the effort or the speed explains more than dry friction does.
+    log = log_of(Unit(110.0, 180.0, 18.0, offset=3.0), 20_300)
+    found = diagnose([log], Car(), only=["periodic", "asymmetry"], window=1.5)
+    assert found.verdict == "unknown"
+    terms = {term["name"]: term["weight"] for term in found.unexplained["residual_model"]["terms"]}
+    assert terms["learned.sign_v"] == pytest.approx(-18.0, rel=0.05)
+    assert found.gain is not None
+    held = found.gain.channels[0]
+    assert held.extended < 0.05 * held.refit

@@ -103,3 +103,16 @@ def test_a_loop_that_is_late_a_few_times_keeps_its_times(rounding):
     t = np.append(0.0, np.cumsum(gap))
     even = even_times(t)
     assert even is None or np.abs(even - t).max() < 10.0 * rounding
+
+
+@pytest.mark.parametrize("seed", range(20_000, 20_004))
+def test_even_times_are_none_where_stamps_are_regular_but_for_a_few_rounded_ones(seed):
+    t = 0.001 * np.arange(5000)
+    rng = np.random.default_rng(seed)
+    # A drifting sum of steps: most gaps differ by the rounding of a float, a few by 20 ns.
+    t[rng.integers(1, 5000, 25)] += 2e-8
+    t += np.linspace(0.0, 3e-10, 5000)
+    series, (moved,) = with_even_stamps({"q": (t, motion(t, seed))}, [t])
+    assert np.array_equal(series["q"][0], t)
+    assert np.array_equal(moved, t)
+    assert even_times(t) is None

@@ -142,6 +142,21 @@ def compiled(robot: Robot) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(robot.xml)
 
 
+def slides(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a joint is a slide."""
+    return model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+
+
+def turned_before(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a hinge between the base and a joint turns the body of this joint."""
+    above = model.body_parentid[model.joint(joint).bodyid[0]]
+    while above:
+        if (model.jnt_type[model.jnt_bodyid == above] == mujoco.mjtJoint.mjJNT_HINGE).any():
+            return True
+        above = model.body_parentid[above]
+    return False
+
+
 def _weights(mass: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Static moment [kg m] about each joint with the arm stretched out."""
     start = np.concatenate([[0.0], np.cumsum(length)[:-1]])

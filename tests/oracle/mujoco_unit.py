@@ -160,6 +160,7 @@ def unit_model(
         # Beyond the centre of mass, on the far side from the joint.
         load = carrier.add_body(name="hidden_payload", pos=[1.7 * x for x in carrier.ipos])
         load.mass, load.inertia, load.explicitinertial = hidden.size, [1e-8] * 3, True
+        load.ipos = [0.0] * 3  # if it is not given, the compiler takes `pos` once more
     model = spec.compile()
     rng = np.random.default_rng([seed, 11])
     own = [b for b in range(1, model.nbody) if model.body(b).name != "hidden_payload"]

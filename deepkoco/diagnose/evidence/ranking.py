@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,19 @@ class Ranking:
         score = np.array([0.0] + [c.delta_bic for c in self.candidates])
         weight = np.exp(0.5 * (score - score.max()))
         return dict(zip([c.cause.name for c in self.candidates], weight[1:] / weight.sum(), strict=True))
+
+
+def with_better_fit(candidate: Candidate, fit: Fit, deflation: float) -> Candidate:
+    """Return a candidate with another fit of it, if that has the lower cost."""
+    won = candidate.fit.cost - fit.cost
+    if fit.diverged or won <= 0.0:
+        return candidate
+    return replace(
+        candidate,
+        fit=fit,
+        likelihood_ratio=candidate.likelihood_ratio + won,
+        delta_bic=candidate.delta_bic + won / deflation,
+    )
 
 
 def penalty(cause: Cause, samples: float, places: int) -> float:

@@ -1,9 +1,8 @@
 """Learned load for residuals that no cause of the catalogue explains: sparse regression on simulation errors.
 
-Terms in angle, speed and effort are added one by one. The score test chooses the next term; multiple shooting refits
-it with all others and with the baseline's parameters. Validation windows, which are part of the training data but not
-of this fit, decide how many terms are kept. Terms that later ones make superfluous are dropped. The held-out windows
-decide whether the learned load is kept.
+Terms in angle, speed and effort are added one by one (:mod:`deepkoco.diagnose.evidence.term_choice`). Validation
+windows, which are part of the training data but not of the fits of this choice, decide how many terms are kept. Terms
+that later ones make superfluous are dropped. The held-out windows decide whether the learned load is kept.
 
 Source: forward selection, Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 3.3.2; the score test
     as in :mod:`deepkoco.diagnose.evidence.screening`. The library of terms is in the spirit of Brunton, Proctor, Kutz,
@@ -17,27 +16,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.evidence.priors import prior_with
-from deepkoco.diagnose.evidence.promising import WORTH
-from deepkoco.diagnose.evidence.screening import screen
+from deepkoco.diagnose.evidence.term_choice import choose_terms, fit_terms, terms_of
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import STANDSTILL, Windows
-from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.systems.effects import EFFECTS, place
 from deepkoco.systems.effects.learned import SCALES, is_spring
 
-MOST_TERMS = 6
 VALIDATED = 4  # one training window in four validates the number of terms
 MIN_MODEL_WINDOWS = 6
-BETTER = 0.99  # validation error over the best one before, below which a term is kept
-PATIENCE = 2  # terms in a row that may fail to lower the validation error
-ITERATIONS = 12
 LEAST_WEIGHT = 2.0  # standard deviations of a weight below which its term is dropped
 
 
@@ -129,10 +120,8 @@ def learn_residual(
     system = start.system
     scaled = {**reference.values, **_scales(start, train, missing)}
     choose = np.arange(len(train)) % VALIDATED == VALIDATED - 2
-    offered = [
-        c for c in _candidates(start) if not (is_spring(c.name) and c.joint in _resting(train, missing))
-    ]
-    names, validation = _choose(start, train, choose, reference, scaled, offered)
+    offered = [c for c in terms_of(start) if not (is_spring(c.name) and c.joint in _resting(train, missing))]
+    names, validation = choose_terms(start, train, choose, reference, scaled, offered)
     problem = FitProblem(system, train)
     before = reference.chi2 / train.samples
     if not names:
@@ -200,89 +189,12 @@ def _resting(train: Windows, missing: Sequence[MissingTorque]) -> tuple[int, ...
     return tuple(found)
 
 
-def _candidates(start: Baseline) -> list[Cause]:
-    """Return every term at every joint that the baseline does not free already, as causes for the score test."""
-    found, system = [], start.system.base
-    for placed in place(EFFECTS["learned"], system):
-        for p in placed.parameters(system):
-            name = f"{placed.name}.{p.name}"
-            if p.name not in SCALES and name not in start.prior.names:
-                found.append(
-                    Cause(
-                        name,
-                        "learned",
-                        (name,),
-                        "",
-                        "",
-                        "theta",
-                        lambda motion: np.zeros_like(motion.time),
-                        effect=placed.name,
-                        joint=placed.index,
-                    )
-                )
-    return found
-
-
-def _choose(
-    start: Baseline,
-    train: Windows,
-    choose: np.ndarray,
-    reference: Fit,
-    scaled: Mapping[str, float],
-    offered: Sequence[Cause],
-) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Return the weights that lower the validation error, and the validation error after each term."""
-    system = start.system
-    inner, others = FitProblem(system, train.take(~choose)), replace(train.take(choose), varies={})
-    state = reference.state[torch.from_numpy(~choose)]
-    fit = inner.fit_one(Trial("refit", reference.free, start.prior, scaled, state, reference.nuisance))
-    errors = [_error(inner, fit, others)]
-    chosen: list[str] = []
-    kept, failed = 0, 0
-    while len(chosen) < MOST_TERMS and failed < PATIENCE:
-        left = [c for c in offered if c.name not in chosen]
-        prior = _prior(inner, start, scaled, chosen)
-        best = max(screen(inner, fit, prior, [(c, {}) for c in left]), key=lambda p: p.promise)
-        if best.promise < WORTH:
-            break
-        chosen.append(best.cause.name)
-        fit = _fit(inner, start, fit.values, chosen, fit, fit.state)
-        errors.append(_error(inner, fit, others))
-        better = errors[-1] < BETTER * errors[kept]
-        kept, failed = (len(chosen), 0) if better else (kept, failed + 1)
-    return tuple(chosen[:kept]), tuple(errors)
-
-
-def _prior(problem: FitProblem, start: Baseline, values: Mapping[str, float], names: Sequence[str]):
-    found = [c for c in _candidates(start) if c.name in names]
-    return prior_with(problem, start, found, values)
-
-
-def _fit(
-    problem: FitProblem,
-    start: Baseline,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    before: Fit,
-    state: torch.Tensor,
-) -> Fit:
-    prior = _prior(problem, start, values, names)
-    trial = Trial("learned", prior.names, prior, values, state, before.nuisance)
-    return problem.fit_one(trial, ITERATIONS)
-
-
-def _error(problem: FitProblem, fit: Fit, others: Windows) -> float:
-    """Return chi2 per sample of a fit on other windows of the same logs."""
-    unseen = FitProblem(problem.system, problem.elsewhere(others, fit))
-    return unseen.evaluate(fit.values).chi2 / others.samples
-
-
 def _without_idle_terms(
     problem: FitProblem, start: Baseline, scaled: Mapping[str, float], names: Sequence[str], reference: Fit
 ) -> tuple[Fit, tuple[Term, ...]]:
     """Fit all terms, and drop the weakest term while its weight may be zero (backward elimination)."""
     while True:
-        fit = _fit(problem, start, scaled, names, reference, reference.state)
+        fit = fit_terms(problem, start, scaled, names, reference, reference.state)
         terms = _terms(problem, fit, names, dispersion(fit, problem.windows).deflation)
         weakest = min(terms, key=lambda t: abs(t.weight) / max(t.sd, 1e-12))
         if len(terms) == 1 or abs(weakest.weight) >= LEAST_WEIGHT * weakest.sd:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -147,3 +148,39 @@ def _clear_stretches(missing: MissingTorque, several: bool) -> list[tuple[float,
             found.append((significance, place))
             k = end + 1
     return found
+
+
+def over_classes(
+    own: Mapping[str, Estimate],
+    problem: FitProblem,
+    accepted: Sequence[Cause],
+    steps: Sequence[tuple[Ranking, tuple[str, ...]]],
+    but: int | None = None,
+) -> dict[str, Estimate]:
+    """Return estimates whose intervals are as wide about those beside every member of the classes of the named causes.
+
+    Which member of a class is named is a choice that these data do not make. A mass that is another one beside an
+    offset than beside a gain that differs between directions is as uncertain as the two together.
+
+    Args:
+        own: Estimates beside the members that lead.
+        problem: The windows; its system declares the bounds.
+        accepted: The named causes.
+        steps: Ranking and class of each of them.
+        but: Number of the cause whose own parameters these are: its class is of other parameters.
+    """
+    result, bounds = dict(own), {p.name: p for p in declared(problem, tuple(own))}
+    for k, (ranking, members) in enumerate(steps):
+        beside = {n for i, cause in enumerate(accepted) for n in cause.free if i != k}
+        for candidate in ranking.candidates if k != but else ():
+            fit = candidate.fit
+            # A fit without the other named causes is no estimate beside them.
+            if candidate.cause.name not in members or not beside.issubset(fit.free):
+                continue
+            for name in set(own).intersection(fit.free):
+                # A member with more parameters may know less; what counts is how far its estimate is.
+                first, had, other, bound = own[name], result[name], fit.values[name], bounds[name]
+                low = max(other - (first.value - first.low), bound.low)
+                high = min(other + (first.high - first.value), bound.high)
+                result[name] = replace(had, low=min(had.low, low), high=max(had.high, high))
+    return result

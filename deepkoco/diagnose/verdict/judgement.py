@@ -31,7 +31,7 @@ from deepkoco.diagnose.residuals.residuals import (
     dispersion,
     missing_torque,
 )
-from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of
+from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of, over_classes
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of
@@ -161,7 +161,7 @@ def _named(explanation: Explanation, system: System, missing: Sequence[MissingTo
     spread = np.sqrt(prior.covariance.diagonal())
     priors = {n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)}
     result = []
-    for ranking, members in found.steps:
+    for k, (ranking, members) in enumerate(found.steps):
         # The reported values are fitted together with the causes accepted later.
         best = replace(ranking.best, fit=found.final)
         own = missing[best.cause.joint or 0]
@@ -171,7 +171,8 @@ def _named(explanation: Explanation, system: System, missing: Sequence[MissingTo
             evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)
         named = finding(base.problem, best, ranking, members, evidence, given)
         same = same_parameter(found.acting, best.cause, found.final, given, ranking.deflation)
-        result.append(replace(named, same_as=same))
+        wide = over_classes(named.parameters, found.acting, found.accepted, found.steps, k)
+        result.append(replace(named, same_as=same, parameters=wide))
     return (*result, *([found.lost] if found.lost else []))
 
 

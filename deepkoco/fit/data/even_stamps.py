@@ -99,11 +99,12 @@ def even_times(t: np.ndarray) -> np.ndarray | None:
     turn += np.round((phase - median_filter(phase, NEAR, mode="nearest")) / period)
     count = np.diff(turn)
     off = gap - count * period
-    # A few late turns shift the period of the whole log from the typical gap, by more than the gaps scatter.
     middle = float(np.median(off))
     spread = 1.4826 * float(np.median(np.abs(off - middle)))
-    if not 0.0 < spread <= MOST * np.sqrt(2.0) * period:
+    # Below the rounding of the numbers themselves the stamps of most gaps do not scatter.
+    if not np.spacing(np.abs(t).max()) < spread <= MOST * np.sqrt(2.0) * period:
         return None
+    # A few gaps that are a little longer tilt the fitted period by more than regular stamps scatter.
     usual = np.abs(off - middle) <= FAR * spread
     period += float(off[usual].sum() / count[usual].sum())
     off = np.where(usual, gap - count * period, 0.0)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.diagnose.healthy import LARGEST_EXTENSION, learn_baseline
+from deepkoco.diagnose.progress import silent
 from deepkoco.diagnose.report.text import headline
 from deepkoco.logs.recording import Recording, read_log
 from deepkoco.systems import drawing
@@ -195,16 +197,26 @@ def main() -> None:
     parser.add_argument("--gains", type=int, nargs="+", default=[200, 100])
     parser.add_argument("--window", type=float, default=1.0, help="length of a window [s]")
     parser.add_argument("--effects", type=int, default=LARGEST_EXTENSION, help="most effects of healthy logs")
+    parser.add_argument("--progress", action="store_true", help="print each step with its processor time")
     args = parser.parse_args()
+    progress = _say if args.progress else silent
     healthy = [read(args.data, 100, motion) for motion in MOTIONS if motion != args.held]
     system = Xl330Bench()
     began = time.process_time()
-    baseline = learn_baseline(healthy, system, args.window, extension=args.effects)
+    baseline = learn_baseline(healthy, system, args.window, progress, args.effects)
+    learned = round(time.process_time() - began, 1)
     for gain in args.gains:
         log = read(args.data, gain, args.held)
-        result = diagnose([log], system, baseline=baseline, window=args.window)
-        seconds = round(time.process_time() - began, 1)
-        print(json.dumps({"gain": gain, "motion": args.held, **summary(result), "cpu_s": seconds}, indent=1))
+        result = diagnose([log], system, baseline=baseline, window=args.window, progress=progress)
+        seconds = {"learned": learned, "so_far": round(time.process_time() - began, 1)}
+        print(
+            json.dumps({"gain": gain, "motion": args.held, **summary(result), "cpu_s": seconds}, indent=1),
+            flush=True,
+        )
+
+
+def _say(step: str) -> None:
+    sys.stderr.write(f"{time.process_time():8.1f} s  {step}\n")
 
 
 if __name__ == "__main__":
