@@ -197,6 +197,13 @@ class Diagnosis:
         return tuple(c.name for c in self.causes)
 
     @property
+    def prior_sds(self) -> dict[str, float]:
+        """Parameter of the simulation -> distance of its final value, in standard deviations of its prior."""
+        priors = {} if self.details is None else self.details.priors
+        far = {n: e.value - priors[n][0] for n, e in self.final.items() if n in priors}
+        return {n: change / priors[n][1] for n, change in far.items() if priors[n][1] > 0.0}
+
+    @property
     def gain_note(self) -> str:
         """Sentences on the windows that measure the gain."""
         learned = (self.unexplained.get("residual_model") or {}).get("accepted", False)
@@ -239,6 +246,7 @@ class Diagnosis:
                     "window_s": self.window_s,
                     "refit": {n: vars(e) for n, e in self.refit.items()},
                     "final": {n: vars(e) for n, e in self.final.items()},
+                    "prior_sds": self.prior_sds,
                     "moved": [m.to_json() for m in self.moved],
                 },
                 "localisation": [vars(place) for place in self.localisation],

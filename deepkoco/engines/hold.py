@@ -51,4 +51,7 @@ def means_within_tick(values: Tensor, commands: Input, period: float, parts: int
     # Share of each part in which a command has arrived: it replaces the one before it for that long.
     share = np.clip((ends[:, None] - arrival[:, None]) / length, 0.0, 1.0)  # (B, parts, window - 1)
     held = values.numpy()
-    return held[:, None, 0] + share @ (held[:, 1:] - held[:, :-1])
+    means = np.repeat(held[:, :1], parts, axis=1)
+    for k in range(arrival.shape[1]):
+        means += share[:, :, k, None] * (held[:, None, k + 1] - held[:, None, k])
+    return means

@@ -15,6 +15,7 @@ from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE, held_out_mod
 from deepkoco.diagnose.report.figures.timing_figure import timing
 from deepkoco.diagnose.report.page import render
 from deepkoco.diagnose.report.parameter_table import parameter_rows
+from deepkoco.diagnose.report.text import lead, spoken
 from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.fit.data.windows import CommandSeries
 from deepkoco.pages.figures import Shown
@@ -105,6 +106,17 @@ def test_parameters_of_the_model_stand_beside_those_given_and_the_refit_is_a_det
     (picture,) = (p for p in draw_all(diagnosis) if p.name == "parameters")
     assert picture.table["value"].tolist() == [e.value for e in diagnosis.final.values()]
     assert picture.table["refit"].tolist() == [e.value for e in diagnosis.refit.values()]
+
+
+def test_nothing_says_how_far_the_refit_moved_a_parameter_in_units_of_its_prior(diagnosis):
+    name, estimate = next(iter(diagnosis.final.items()))
+    mean, sd = diagnosis.details.priors[name]
+    final = {n: replace(e, value=diagnosis.details.priors[n][0]) for n, e in diagnosis.final.items()}
+    final[name] = replace(estimate, value=mean - 1.24 * sd)
+    quiet = replace(diagnosis, verdict="nothing", causes=(), final=final)
+    assert f"moved {spoken(name)} farthest" in lead(quiet)
+    assert "1.2 standard deviations" in lead(quiet)
+    assert quiet.to_json()["fit"]["prior_sds"][name] == pytest.approx(-1.24)
 
 
 def test_the_page_says_what_to_type_next_and_when_and_by_what_it_was_made(diagnosis):

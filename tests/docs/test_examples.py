@@ -48,6 +48,7 @@ def test_examples_go_on_from_the_first_graph(
         pytest.param("design.md", marks=pytest.mark.study),
         "distractors.md",
         "environments.md",
+        "hidden_cause.md",
         "logs.md",
         "identify.md",
         "pages.md",

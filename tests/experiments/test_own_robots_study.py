@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from experiments.studies.diagnosis.own_robots.__main__ import counts, judge, order
-from experiments.studies.diagnosis.own_robots.cases import Case, draw_case, right_names
+from experiments.studies.diagnosis.own_robots.cases import Case, draw_case, joints_of, right_names
 from tests.oracle.mujoco_robots import cart_pole, random_arm
 from tests.oracle.mujoco_unit import Hidden
 
 
-def case(kind="damping", joint="j2", drive="position") -> Case:
+def case(kind="damping", joint="j2", drive="position", cost=100.0) -> Case:
     robot = random_arm(np.random.default_rng(0), 3, drive)
-    return Case(0, 0, robot, Hidden(kind, joint, 0.1), 10.0)
+    return Case(0, 0, robot, Hidden(kind, joint, 0.1), 10.0, cost)
 
 
 def named(*classes, verdict="cause", same=()):
@@ -33,6 +33,7 @@ def test_a_case_is_the_same_whatever_was_drawn_before():
     first, again = draw_case(7, 0, 4.0, healthy=False), draw_case(7, 0, 4.0, healthy=False)
     assert first == again
     assert draw_case(8, 0, 4.0, healthy=True).hidden is None
+    assert joints_of(7, 0) == first.joints
 
 
 @pytest.mark.parametrize(
@@ -56,6 +57,14 @@ def test_a_healthy_unit_counts_where_nothing_is_named():
     healthy = Case(0, 0, robot, None, 0.0)
     assert judge(healthy, named(verdict="nothing"))["right"] == 1
     assert judge(healthy, named(["coulomb(slider)"]))["right"] == 0
+    assert judge(healthy, named(["unknown"], verdict="unknown"))["right"] == 0
+
+
+def test_nothing_is_right_only_for_what_the_file_allows():
+    assert judge(case(cost=5.0), named(verdict="nothing"))["right"] == 1
+    assert judge(case(cost=5.0), named(["viscous(j2)"]))["right"] == 1
+    assert judge(case(cost=5.0), named(["viscous(j1)"]))["right"] == 0
+    assert judge(case(), named(verdict="nothing"))["right"] == 0
 
 
 def test_names_of_an_effect_are_those_at_its_own_joint_body_and_actuator():
@@ -65,17 +74,25 @@ def test_names_of_an_effect_are_those_at_its_own_joint_body_and_actuator():
     assert right_names(case("payload", "j2")) == {"payload(link2)", "changed(mass(link2))"}
 
 
+def test_an_armature_is_the_inertia_of_a_body_that_no_hinge_turns_before():
+    robot = cart_pole(np.random.default_rng(0))
+    pole, cart = (Case(0, 0, robot, Hidden("armature", n, 0.1), 10.0) for n in ("pivot", "slider"))
+    assert right_names(pole) >= {"armature(pivot)", "changed(inertia_y(pole))"}
+    assert right_names(cart) >= {"armature(slider)", "changed(mass(cart))", "payload(cart)"}
+    load = Case(0, 0, robot, Hidden("payload", "slider", 0.1), 10.0)
+    assert right_names(load) == right_names(cart) - {"changed(armature(slider))"}
+    assert not any("inertia" in name for name in right_names(case("armature", "j3")))
+
+
 def test_counts_tell_apart_what_is_wrong_and_what_is_not_named():
     rows = [
-        {"kind": "gain", "right": "1", "further": "", "verdict": "cause", "cpu_s": "3"},
-        {"kind": "gain", "right": "0", "further": "", "verdict": "unknown", "cpu_s": "5"},
-        {"kind": "", "right": "1", "further": "", "verdict": "nothing", "cpu_s": "1"},
-        {"kind": "", "right": "0", "further": "", "verdict": "cause", "cpu_s": "9"},
+        {"kind": "gain", "cost": "90", "right": "1", "further": "", "verdict": "cause", "cpu_s": "3"},
+        {"kind": "gain", "cost": "90", "right": "0", "further": "", "verdict": "unknown", "cpu_s": "5"},
+        {"kind": "gain", "cost": "2", "right": "1", "further": "", "verdict": "nothing", "cpu_s": "6"},
+        {"kind": "", "cost": "0", "right": "1", "further": "", "verdict": "nothing", "cpu_s": "1"},
+        {"kind": "", "cost": "0", "right": "0", "further": "", "verdict": "cause", "cpu_s": "9"},
     ]
     found = counts(rows)
-    assert (found["in_class"], found["unknown"], found["healthy_named"], found["median_cpu_s"]) == (
-        1,
-        1,
-        1,
-        5.0,
-    )
+    assert (found["hidden"], found["in_class"], found["unknown"], found["nothing"]) == (2, 1, 1, 0)
+    assert (found["allowed"], found["allowed_right"]) == (1, 1)
+    assert (found["healthy"], found["healthy_named"], found["median_cpu_s"]) == (2, 1, 5.0)

@@ -1,5 +1,7 @@
 """Fits that keep slopes from step to step, against fits that compute them at every step."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -91,3 +93,43 @@ def test_a_fit_that_diverges_at_its_start_ends_without_slopes():
     found = LazyBatch(problem, [Trial("lost", ("mass",), prior, values, state)]).run(5)[0]
     assert found.diverged
     assert found.values == values
+
+
+class Valley:
+    """One window that shows y - x^2 with little noise, and its initial state: Rosenbrock's valley.
+
+    The prior alone says where in the valley x is, as it tells a load on a link from a heavier link.
+    """
+
+    names, low, high = ("x", "y"), np.full(2, -10.0), np.full(2, 10.0)
+    scale = np.ones(2)
+    weight = torch.ones(1, 3, 1, dtype=torch.float64)
+    nuisances = SimpleNamespace(
+        varies=(),
+        spread=np.zeros(0),
+        precision=torch.zeros(0, dtype=torch.float64),
+        none=lambda: torch.zeros(0, dtype=torch.float64),
+    )
+    windows = SimpleNamespace(
+        value=torch.zeros(1, 3, 1, dtype=torch.float64),
+        state=torch.zeros(1, 2, dtype=torch.float64),
+        samples=3,
+    )
+
+    def nuisance_slopes(self, slopes):
+        return slopes[:0]
+
+    def predict(self, theta, state, nuisance):
+        x, y = torch.from_numpy(theta).T
+        return torch.stack([1e2 * (y - x**2), state[:, 0, 0], state[:, 0, 1]], 1)[:, None, :, None]
+
+
+def test_a_fit_follows_a_curved_valley_to_its_end():
+    names = ("x", "y")
+    prior = Prior(names, np.array([2.0, 0.0]), np.diag([0.1, 100.0]) ** 2)
+    start = Trial("valley", names, prior, {"x": -1.0, "y": 1.0}, Valley.windows.state)
+    found = LazyBatch(Valley(), [start]).run(25)[0]
+    assert found.converged
+    # y = x^2 costs (y / 100)^2 at most: the prior of x decides.
+    assert found.values["x"] == pytest.approx(2.0, abs=0.01)
+    assert found.values["y"] == pytest.approx(4.0, abs=0.05)

@@ -26,25 +26,22 @@ STRONGEST_DOSE = 30.0
 def strength(log: Log, seed: int) -> float:
     """ES of whatever is hidden in a log of the unit with this seed, recorded at the step ``COARSE``."""
     model = unit_model(log.robot, None, seed, COARSE)
-    rate = (len(log.t) - 1) / (log.t[-1] - log.t[0])
-    rows = round(WINDOW * rate)
-    starts = np.linspace(0.1 * len(log.t), len(log.t) - rows - 1, WINDOWS).astype(int)
     total, count = 0.0, 0
-    for start in starts:
+    for start, rows in windows_of(log):
         wanted = (log.clean[start : start + rows] / log.sd).ravel()
         state = log.states[start].copy()
-        best = wanted - _replay(model, log, state, start, rows)
+        best = wanted - replay(model, log, state, start, rows)
         for _ in range(3):
             here = wanted - best
             slopes = np.empty((len(here), len(state)))
             for k in range(len(state)):
                 moved = state.copy()
                 moved[k] += NUDGE
-                slopes[:, k] = (_replay(model, log, moved, start, rows) - here) / NUDGE
+                slopes[:, k] = (replay(model, log, moved, start, rows) - here) / NUDGE
             step = np.clip(np.linalg.lstsq(slopes, best, rcond=None)[0], -LONGEST_MOVE, LONGEST_MOVE)
             # Sticking makes a replay a kinked function of its start: only a step that helps is taken.
             for share in (1.0, 0.3, 0.1):
-                left = wanted - _replay(model, log, state + share * step, start, rows)
+                left = wanted - replay(model, log, state + share * step, start, rows)
                 if float(left @ left) < float(best @ best):
                     state, best = state + share * step, left
                     break
@@ -55,18 +52,50 @@ def strength(log: Log, seed: int) -> float:
     return math.sqrt(total / count)
 
 
-def _replay(model: mujoco.MjModel, log: Log, state: np.ndarray, start: int, rows: int) -> np.ndarray:
-    """(rows * N,) noise-free readings of the healthy unit under the sent commands, in standard deviations."""
+def windows_of(log: Log) -> list[tuple[int, int]]:
+    """First row and number of rows of the windows of a log."""
+    rate = (len(log.t) - 1) / (log.t[-1] - log.t[0])
+    rows = round(WINDOW * rate)
+    return [(int(s), rows) for s in np.linspace(0.1 * len(log.t), len(log.t) - rows - 1, WINDOWS)]
+
+
+def replay(
+    model: mujoco.MjModel,
+    log: Log,
+    state: np.ndarray,
+    start: int,
+    rows: int,
+    pushed: np.ndarray | None = None,
+    late: np.ndarray | None = None,
+) -> np.ndarray:
+    """(rows * N,) noise-free readings of a unit under the sent commands, in standard deviations of the noise.
+
+    Args:
+        model: The unit.
+        log: The log whose commands are sent.
+        state: (2 J,) positions and speeds at the first row.
+        start: First row.
+        rows: Number of rows.
+        pushed: (J,) constant loads on the joints [N m or N].
+        late: (M,) delay of each command, less than the time between two rows [s].
+    """
     data = mujoco.MjData(model)
     joints = model.njnt
     data.qpos[:], data.qvel[:] = state[:joints], state[joints:]
+    if pushed is not None:
+        data.qfrc_applied[:] = pushed
     rate = (len(log.t) - 1) / (log.t[-1] - log.t[0])
     steps = round(1.0 / (rate * model.opt.timestep))
+    first = 0 if late is None else round(float(late.max()) / model.opt.timestep)
     result = np.zeros((rows, log.clean.shape[1]))
     for i in range(rows):
         result[i] = np.concatenate([data.qpos, data.qvel])[: result.shape[1]]
-        data.ctrl[:] = log.commands[start + i]
-        mujoco.mj_step(model, data, steps)
+        now = log.commands[start + i]
+        if late is not None and first:
+            data.ctrl[:] = np.where(late > 0.0, log.commands[start + i - 1], now)
+            mujoco.mj_step(model, data, first)
+        data.ctrl[:] = now
+        mujoco.mj_step(model, data, steps - first)
     return (result / log.sd).ravel()
 
 
@@ -81,7 +110,7 @@ def dosed(robot: Robot, kind: str, joint: str, dose: float) -> Hidden:
     """
     model = mujoco.MjModel.from_xml_string(robot.xml)
     j = joint_names(model).index(joint)
-    load, inertia, carried = _scales(model, j)
+    load, inertia, carried = joint_scales(model, j)
     size = {
         "frictionloss": 0.05 * load * dose,
         "damping": 0.03 * load * dose,
@@ -97,7 +126,7 @@ def dosed(robot: Robot, kind: str, joint: str, dose: float) -> Hidden:
     return Hidden(kind, joint, size)
 
 
-def _scales(model: mujoco.MjModel, j: int) -> tuple[float, float, float]:
+def joint_scales(model: mujoco.MjModel, j: int) -> tuple[float, float, float]:
     """Torque or force that moves a joint at 1 g, its inertia, and the mass that it carries."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

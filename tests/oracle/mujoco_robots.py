@@ -104,6 +104,31 @@ def cart_pole(rng: np.random.Generator) -> Robot:
     return Robot("cart_pole", _model("cart_pole", body, motors), "motor", (10.0,))
 
 
+def pendulum(rng: np.random.Generator, drive: Drive) -> Robot:
+    """Draw one link on a horizontal axis, with a motor or a servo."""
+    length, mass = rng.uniform(0.2, 0.5), rng.uniform(0.3, 1.5)
+    load, slender = 9.81 * mass * 0.5 * length, mass * length**2 / 12.0
+    inertia = mass * length**2 / 3.0
+    damping, rubs = rng.uniform(0.02, 0.06) * load, rng.uniform(0.01, 0.03) * load
+    rotor = rng.uniform(0.02, 0.08) * inertia
+    body = f"""    <body name="link" pos="0 0 0">
+      <joint name="hinge" type="hinge" axis="0 1 0" damping="{damping:.5f}"
+        frictionloss="{rubs:.5f}" armature="{rotor:.6f}"/>
+      <inertial pos="{0.5 * length:.4f} 0 0" mass="{mass:.4f}" diaginertia="0.0001 {slender:.7f} {slender:.7f}"/>
+    </body>"""
+    if drive == "motor":
+        limit = 1.8 * load
+        motors = [f'    <motor name="motor" joint="hinge" ctrlrange="{-limit:.4f} {limit:.4f}"/>']
+        return Robot("pendulum", _model("pendulum", body, motors), drive, (round(limit, 4),))
+    bandwidth = rng.uniform(12.0, 22.0)
+    kp, kv = inertia * bandwidth**2, 1.4 * inertia * bandwidth
+    motors = [
+        f'    <position name="servo" joint="hinge" kp="{kp:.4f}" kv="{kv:.5f}" ctrlrange="-3 3" '
+        f'forcerange="{-4.0 * load:.4f} {4.0 * load:.4f}"/>'
+    ]
+    return Robot("servo_pendulum", _model("servo_pendulum", body, motors), drive, (1.4,))
+
+
 def draw_robot(rng: np.random.Generator) -> Robot:
     """Draw one robot: in one of six cases a cart-pole, else an arm of 3 to 6 joints."""
     if rng.random() < 1.0 / 6.0:
@@ -115,6 +140,21 @@ def draw_robot(rng: np.random.Generator) -> Robot:
 def compiled(robot: Robot) -> mujoco.MjModel:
     """The model as MuJoCo compiles it."""
     return mujoco.MjModel.from_xml_string(robot.xml)
+
+
+def slides(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a joint is a slide."""
+    return model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+
+
+def turned_before(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether a hinge between the base and a joint turns the body of this joint."""
+    above = model.body_parentid[model.joint(joint).bodyid[0]]
+    while above:
+        if (model.jnt_type[model.jnt_bodyid == above] == mujoco.mjtJoint.mjJNT_HINGE).any():
+            return True
+        above = model.body_parentid[above]
+    return False
 
 
 def _weights(mass: np.ndarray, length: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -137,7 +137,13 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(model.joint(j).name for j in range(model.njnt))
 
 
-def unit_model(robot: Robot, hidden: Hidden | None, seed: int, step: float = STEP) -> mujoco.MjModel:
+def unit_model(
+    robot: Robot,
+    hidden: Hidden | None,
+    seed: int,
+    step: float = STEP,
+    off: Callable[[np.random.Generator], float] | None = None,
+) -> mujoco.MjModel:
     """Compile the unit: the user's model with small deviations of its own, and with the hidden effect.
 
     Args:
@@ -145,6 +151,8 @@ def unit_model(robot: Robot, hidden: Hidden | None, seed: int, step: float = STE
         hidden: The effect; None for a healthy unit. What is no parameter of a model is left to `record`.
         seed: Of the deviations: every unit differs a little from its data sheet.
         step: Of the simulation [s].
+        off: Draws the factor by which a value differs from its data sheet; None draws with a standard deviation of
+            2 % for masses and of 5 % for friction and armature.
     """
     spec = mujoco.MjSpec.from_string(robot.xml)
     if hidden is not None and hidden.kind == "payload":
@@ -152,15 +160,19 @@ def unit_model(robot: Robot, hidden: Hidden | None, seed: int, step: float = STE
         # Beyond the centre of mass, on the far side from the joint.
         load = carrier.add_body(name="hidden_payload", pos=[1.7 * x for x in carrier.ipos])
         load.mass, load.inertia, load.explicitinertial = hidden.size, [1e-8] * 3, True
+        load.ipos = [0.0] * 3  # if it is not given, the compiler takes `pos` once more
     model = spec.compile()
     rng = np.random.default_rng([seed, 11])
     own = [b for b in range(1, model.nbody) if model.body(b).name != "hidden_payload"]
     for b in own:
-        factor = 1.0 + 0.02 * float(np.clip(rng.standard_normal(), -2.0, 2.0))
+        factor = 1.0 + 0.02 * float(np.clip(rng.standard_normal(), -2.0, 2.0)) if off is None else off(rng)
         model.body_mass[b] *= factor
         model.body_inertia[b] *= factor
     for values in (model.dof_damping, model.dof_frictionloss, model.dof_armature):
-        values *= 1.0 + 0.05 * np.clip(rng.standard_normal(model.nv), -2.0, 2.0)
+        if off is None:
+            values *= 1.0 + 0.05 * np.clip(rng.standard_normal(model.nv), -2.0, 2.0)
+        else:
+            values *= [off(rng) for _ in range(model.nv)]
     model.opt.timestep = step
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model.opt.iterations, model.opt.tolerance = 50, 1e-12

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from deepkoco.logs.recording import read_log
+from tests.oracle.mujoco_allowed import cost_within_priors
 from tests.oracle.mujoco_doses import COARSE, dosed, scaled, strength
 from tests.oracle.mujoco_robots import cart_pole, draw_robot, random_arm
-from tests.oracle.mujoco_unit import KINDS, record, unit_model
+from tests.oracle.mujoco_unit import KINDS, Hidden, record, unit_model
 
 SECONDS = 3.0
 
@@ -48,6 +49,34 @@ def test_a_zero_error_shows_at_a_joint_that_gravity_loads():
     robot = arm("motor")
     log = record(robot, dosed(robot, "sensor_bias", "j2", 3.0), 5, SECONDS, step=COARSE)
     assert strength(log, 5) > 0.3
+
+
+@pytest.mark.parametrize(("sds", "cost"), [(0.5, 0.25), (-3.0, 9.0)])
+def test_another_gain_of_a_motor_costs_about_its_squared_prior_deviations(sds, cost):
+    # The file knows a gain to 20 %. The explained part is 1e9 times as large, so slopes by differences add a little.
+    found = cost_within_priors(arm("motor"), Hidden("gain", "j2", 1.0 + 0.2 * sds), 5, SECONDS)
+    assert 0.8 * cost < found < 2.0 * cost
+
+
+def test_a_heavier_cart_is_a_healthy_cart_and_a_spring_at_it_is_not():
+    robot = cart_pole(np.random.default_rng(1))
+    mass = float(mujoco.MjModel.from_xml_string(robot.xml).body("cart").mass[0])
+    # The file knows the mass to 10 %. Less than 1: only ratios of mass, gain and frictions show, and these vary too.
+    assert 0.2 < cost_within_priors(robot, Hidden("payload", "slider", 0.1 * mass), 5, SECONDS) < 1.0
+    assert cost_within_priors(robot, Hidden("spring", "slider", 2.0), 5, SECONDS) > 1000.0
+
+
+def test_a_payload_hangs_where_it_is_said_to_hang():
+    robot = arm(seed=20)
+    plain, loaded = (unit_model(robot, h, 5) for h in (None, Hidden("payload", "j2", 0.3)))
+    place = 1.7 * plain.body("link2").ipos
+    moments = []
+    for model in (plain, loaded):
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        moments.append(data.subtree_com[0] * model.body_subtreemass[0])
+        frame = data.body("link2").xmat.reshape(3, 3), data.body("link2").xpos
+    assert moments[1] - moments[0] == pytest.approx(0.3 * (frame[0] @ place + frame[1]), abs=1e-9)
 
 
 @pytest.mark.study

@@ -11,6 +11,7 @@ from deepkoco.diagnose.causes import CAUSES, Cause, is_changed
 from deepkoco.diagnose.evidence.classes import APART, NEAR, equivalent
 from deepkoco.diagnose.evidence.coloured import leader_under_colour
 from deepkoco.diagnose.evidence.elimination import beyond_chance, held_out_chi2
+from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
@@ -32,7 +33,8 @@ def front_settled(
     """Fit the winner, and all close candidates that may still improve, to convergence.
 
     The class depends on BIC differences, so fits that have not converged would give a wrong class. A candidate that
-    converges late may even become the winner.
+    converges late may even become the winner. A simpler form of the winner is fitted from the winner's optimum too:
+    otherwise two minima of the other parameters are compared, and not the two forms.
     """
     winner = _better(ranking.best, settled(problem, start, accepted, ranking.best), ranking)
     others = list(ranking.candidates[1:])
@@ -41,6 +43,12 @@ def front_settled(
         behind = ranking.best.delta_bic - other.delta_bic
         if behind < 0.0 or not other.cause.free:
             continue
+        if _same_family(winner.cause, other.cause) and _simpler(winner, other, 0.0):
+            other = others[k] = _from_winner(problem, start, accepted, ranking, other, winner)
+            if other.delta_bic > winner.delta_bic:
+                winner, others[k] = other, winner
+                continue
+            behind = ranking.best.delta_bic - other.delta_bic
         if behind - _overpaid(ranking, other) >= NEAR and not _simpler(ranking.best, other, HOPEFUL):
             continue
         sure = other.fit.exact or behind - _overpaid(ranking, other) >= SURE
@@ -50,6 +58,23 @@ def front_settled(
         if others[k].delta_bic > winner.delta_bic:
             winner, others[k] = others[k], winner
     return replace(ranking, candidates=(winner, *others))
+
+
+def _from_winner(
+    problem: FitProblem,
+    start: Baseline,
+    accepted: Sequence[Cause],
+    ranking: Ranking,
+    other: Candidate,
+    winner: Candidate,
+) -> Candidate:
+    """Fit a candidate from the parameters and initial states of the winner, and keep the better of its fits."""
+    null = {n: start.values[n] for n in winner.cause.free}
+    own = {n: other.fit.values[n] for n in other.cause.free}
+    values = {**winner.fit.values, **null, **own}
+    trial = trial_of(problem, start, accepted, other.cause, values, winner.fit.state, ranking.reference)
+    fit = problem.fit([trial], PATIENCE)[0]
+    return other if fit.diverged or fit.cost >= other.fit.cost else _better(other, fit, ranking)
 
 
 def _overpaid(ranking: Ranking, other: Candidate) -> float:

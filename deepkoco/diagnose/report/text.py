@@ -98,7 +98,7 @@ def lead(diagnosis: Diagnosis) -> str:
         doubts += "".join(f" {text}" for text in _minor_texts(diagnosis))
         return (
             f"After a refit of the simulation's own parameters, only {noise_of(diagnosis)} is left. "
-            f"No cause of the catalogue lowers the BIC enough to be named.{doubts}"
+            f"No cause of the catalogue lowers the BIC enough to be named.{_farthest(diagnosis)}{doubts}"
         )
     if diagnosis.verdict == "unknown":
         doubts = diagnosis.unexplained.get("doubts") or ()
@@ -118,6 +118,22 @@ def lead(diagnosis: Diagnosis) -> str:
         if others:
             text += f" These data cannot distinguish {spoken(cause.name)} from {' or '.join(others)}."
     return " ".join([text, *_minor_texts(diagnosis), beside_causes(diagnosis)]).strip()
+
+
+def _farthest(diagnosis: Diagnosis) -> str:
+    """Return the parameter that is farthest from its prior: what a refit explains without a word might be a fault."""
+    distances = diagnosis.prior_sds
+    if not distances:
+        return ""
+    name = max(distances, key=lambda n: abs(distances[n]))
+    assert diagnosis.details is not None
+    mean, final = diagnosis.details.priors[name][0], diagnosis.final[name]
+    (now, before), unit = in_one_unit([final.value, mean], final.unit)
+    return (
+        f" The refit moved {spoken(name)} farthest: {now} {unit}".rstrip()
+        + f" instead of {before} {unit}".rstrip()
+        + f", which is {abs(distances[name]):.1f} standard deviations of what is stated about it."
+    )
 
 
 def _minor_texts(diagnosis: Diagnosis) -> list[str]:

@@ -38,6 +38,8 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
         more than three parameters are needed, or if none of them is far from its prior.
     """
     sd = {n: math.sqrt(v) for n, v in zip(start.prior.names, start.prior.covariance.diagonal(), strict=True)}
+    # The fit keeps the scale of a gauge as given. That is a choice; the value is known no better than it is declared.
+    sd |= {g.fixed: start.system.parameter(g.fixed).prior_sd for g in start.gauges}
     if all(abs(refit.values[n] - start.values[n]) < FAR * sd[n] for n in sd):
         return ()
     spread = dispersion(refit, problem.windows)

@@ -21,7 +21,7 @@ def write(cells: tuple[Tensor, ...], output: Tensor, seq: np.ndarray) -> tuple[T
     if (cell == cell[0]).all():
         written[cell[0]] = output
         return tuple(written)
-    for place in np.unique(cell[cell >= 0]).tolist():
+    for place in sorted(set(cell.tolist()) - {-1}):
         mask = torch.from_numpy(cell == place).to(output.device)
         written[place] = where(mask, output, cells[place])
     return tuple(written)
@@ -33,10 +33,9 @@ def read(cells: tuple[Tensor, ...], seq: np.ndarray) -> Tensor:
     if len(place) == 1 or (place == place[0]).all():
         chosen = [cells[i] for i in place[0].tolist()]
         return chosen[0].unsqueeze(1) if len(chosen) == 1 else torch.stack(chosen, dim=1)
-    device = cells[0].device
-    everything = torch.stack(cells, dim=1)
-    environment = torch.arange(len(place), device=device)[:, None]
-    return everything[environment, torch.from_numpy(place).to(device)]
+    batch, window = place.shape
+    flat = torch.from_numpy((place * batch + np.arange(batch)[:, None]).ravel()).to(cells[0].device)
+    return torch.cat(cells).index_select(0, flat).unflatten(0, (batch, window))
 
 
 def resize(cells: tuple[Tensor, ...], depth: int, written: np.ndarray) -> tuple[Tensor, ...]:

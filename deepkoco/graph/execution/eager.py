@@ -144,21 +144,25 @@ class EagerExecutor:
         schedule, batch = state.schedule, state.batch
         layout = schedule.timing.layout
         # Where all are at the same step, what they see lies side by side in the tables: slice, else gather.
-        together = bool((step == step[0]).all()) and schedule.direct(state.row)
-        rows, places = state.row[:, None], np.broadcast_to(step, batch)[:, None]
-        if not together:
-            if bool((state.row == state.row[0]).all()) and bool((step == step[0]).all()):
-                rows, places = rows[:1], places[:1]
-            row_index = _index(rows, self.device)
+        level = len(step) == 1 or bool((step == step[0]).all())
+        together = level and schedule.direct(state.row)
+        rows, places = state.row[:, None], step[:, None]
+        if not together and level:
+            places = places[:1]
+            if bool((state.row == state.row[0]).all()):
+                rows = rows[:1]
 
         def pick(base: int, size: int, *tables: Any) -> list[Any]:
             if together:
                 first = base + int(step[0]) * size
                 return [table[:, first : first + size] for table in tables]
-            columns = base + places * size + np.arange(size)
-            column_index = _index(columns, self.device)
+            # One flat index for all tables: a pair of indices costs three times as much.
+            flat = rows * tables[0].shape[1] + (base + places * size)
+            if size > 1:
+                flat = flat + np.arange(size)
+            index = _index(flat, self.device)
             return [
-                table[rows, columns] if isinstance(table, np.ndarray) else table[row_index, column_index]
+                table.reshape(-1).take(flat) if isinstance(table, np.ndarray) else table.take(index)
                 for table in tables
             ]
 

@@ -8,6 +8,8 @@ from itertools import permutations
 import numpy as np
 
 from deepkoco.systems.trees.actuators import load_actuator, read_actuators
+from deepkoco.systems.trees.held_joints import how_to_hold
+from deepkoco.systems.trees.inertias import SMALL
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
 from deepkoco.systems.trees.names import Names
 from deepkoco.systems.trees.refusals import refuse_what_is_no_tree
@@ -238,9 +240,11 @@ def _refuse_massless(joints: Sequence[Joint], bodies: Sequence[Body]) -> None:
             carried[at] += body.mass
             at = joints[at].parent
     for joint, mass in zip(joints, carried, strict=True):
-        if not mass > 0.0 and not joint.armature > 0.0:
+        # Frames between two joints have next to none.
+        if not mass > len(bodies) * SMALL and not joint.armature > 0.0:
             raise TreeError(
-                f'nothing behind the joint "{joint.name}" has a mass; give its body an <inertial> or a geom'
+                f'nothing behind the joint "{joint.name}" has a mass; give its body an <inertial> or a geom with a '
+                f"mass, or hold it: {how_to_hold([joint.name])}"
             )
 
 
@@ -276,6 +280,9 @@ def _left_out(model: Model, names: Names, last: dict[int, int]) -> list[str]:
     limited = [names.joints[j] for j in range(model.njnt) if model.jnt_limited[j]]
     if limited:
         notes.append(f"limits of joints are not simulated: {', '.join(limited)}")
+    tendons = [names.tendons[t] for t in range(model.ntendon) if model.tendon_limited[t]]
+    if tendons:
+        notes.append(f"limits of tendons are not simulated: {', '.join(tendons)}")
     if model.opt.density or model.opt.viscosity:
         notes.append("the drag of the medium (density, viscosity) is not simulated")
     return notes

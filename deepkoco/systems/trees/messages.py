@@ -62,3 +62,9 @@ def missing_file(message: str) -> str | None:
     if found is None or "Element 'include'" in message:
         return None
     return found.group(1) if found.group(1) else None
+
+
+def massless_body(message: str) -> str | None:
+    """Name of the body that moves and has no mass or no inertia; None if the message is about something else."""
+    found = re.search(_PATTERNS[0][0], " ".join(message.split()))
+    return None if found is None else found["name"]

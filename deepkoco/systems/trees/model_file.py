@@ -3,69 +3,96 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from deepkoco.systems.trees.messages import in_one_sentence, missing_file
+from deepkoco.systems.trees.held_joints import hold_joints
+from deepkoco.systems.trees.inertias import give_inertia, mend_inertias
+from deepkoco.systems.trees.messages import in_one_sentence, massless_body, missing_file
 from deepkoco.systems.trees.mujoco_library import mujoco_library
 from deepkoco.systems.trees.tree import TreeError
 
 MOST_FILES = 1000  # missing files of one model
 
 
-def read_model(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+def read_model(path: str | Path, held: Mapping[str, float] | None = None) -> tuple[Any, tuple[str, ...]]:
     """Compile an MJCF or URDF file.
 
     What only shows (meshes of bodies whose inertia is given, textures, height fields) is left out where its file is
-    missing.
+    missing. Joints that follow others are held, inertias that no body of matter has become the nearest possible ones,
+    and frames between two joints get a small mass.
 
     Args:
         path: File; other files that it includes are found beside it.
+        held: Joints that are held; see :func:`.hold_joints`.
 
     Returns:
-        The `mujoco.MjModel`, and sentences on what was left out of it.
+        The `mujoco.MjModel`, and sentences on what was left out of it or changed.
 
     Raises:
         TreeError: The file is missing or is not valid; the message names the element and the way out.
     """
-    model, _, notes = _compiled(Path(path))
+    model, _, notes = _compiled(Path(path), held or {})
     return model, notes
 
 
-def read_spec(path: str | Path) -> tuple[Any, tuple[str, ...]]:
+def read_spec(path: str | Path, held: Mapping[str, float] | None = None) -> tuple[Any, tuple[str, ...]]:
     """As :func:`read_model`, but the specification (`mujoco.MjSpec`) before it is compiled."""
     path = Path(path)
-    _, missing, notes = _compiled(path)
-    spec = _spec(path)
-    _left_out(spec, path, missing)
-    return spec, notes
+    _, lacks, notes = _compiled(path, held or {})
+    return _prepared(path, lacks, held or {})[0], notes
 
 
-def _compiled(path: Path) -> tuple[Any, list[str], tuple[str, ...]]:
-    """The model, files that are missing, and sentences on what was left out."""
+@dataclass
+class _Lacks:
+    """What a model file does without, as its compilation shows."""
+
+    files: list[str] = field(default_factory=list)
+    masses: list[str] = field(default_factory=list)
+    """Bodies that move and have none."""
+
+
+def _compiled(path: Path, held: Mapping[str, float]) -> tuple[Any, _Lacks, tuple[str, ...]]:
+    """The model, what its file lacks, and sentences on what was left out or changed."""
     if not path.is_file():
         raise TreeError(f"{path}: there is no such file")
     try:
         ElementTree.parse(path)
     except ElementTree.ParseError as error:
         raise TreeError(f"{path}: is no valid XML: {error}") from None
-    missing: list[str] = []
+    lacks = _Lacks(_not_there(_spec(path), path))
     for _ in range(MOST_FILES):
         # A specification that failed to compile may have changed: each try starts from the file.
-        spec = _spec(path)
-        if not missing:
-            missing += _not_there(spec, path)
-        notes = _left_out(spec, path, missing)
+        spec, notes = _prepared(path, lacks, held)
         _refuse_muscles(spec, path)
         try:
-            return spec.compile(), missing, notes
+            return spec.compile(), lacks, notes
         except (ValueError, RuntimeError) as error:
-            file = missing_file(str(error))
-            if file is None or file in missing:
+            file, body = missing_file(str(error)), massless_body(str(error))
+            if file is not None and file not in lacks.files:
+                lacks.files.append(file)
+            elif body is not None and body not in lacks.masses and give_inertia(_spec(path), body):
+                lacks.masses.append(body)
+            else:
                 raise TreeError(f"{path}: {in_one_sentence(str(error))}") from None
-            missing.append(file)
     raise TreeError(f"{path}: more than {MOST_FILES} files are missing")
+
+
+def _prepared(path: Path, lacks: _Lacks, held: Mapping[str, float]) -> tuple[Any, tuple[str, ...]]:
+    """The specification without what it lacks, with its joints held and its inertias mended, and sentences on these."""
+    spec = _spec(path)
+    notes = [*_left_out(spec, path, lacks.files)]
+    try:
+        notes += hold_joints(spec, held)
+    except TreeError as error:
+        raise TreeError(f"{path}: {error}") from None
+    notes += mend_inertias(spec)
+    for body in lacks.masses:
+        give_inertia(spec, body)
+    return spec, tuple(notes)
 
 
 def _spec(path: Path) -> Any:

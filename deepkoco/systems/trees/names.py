@@ -36,6 +36,7 @@ class Names:
         self.actuators = self._readable(actuators, "actuator")
         sites = [given(kinds.mjOBJ_SITE, s) or f"site {s}" for s in range(model.nsite)]
         self.sites = self._readable(sites, "site")
+        self.tendons = [given(kinds.mjOBJ_TENDON, t) or f"tendon {t}" for t in range(model.ntendon)]
 
     @staticmethod
     def _free(name: str, taken: Sequence[str]) -> str:

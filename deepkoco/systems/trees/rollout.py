@@ -74,7 +74,9 @@ class TreeRollout:
         begin, slope = (_stacked(x, (steps, *shape)) for x in (given.begin, given.slope))
         loads = np.empty((0, steps, count))
         if given.loads is not None:
-            loads = np.ascontiguousarray(given.loads.numpy()).reshape(joints, steps, count)
+            # One load may act in all lanes.
+            spread = given.loads.expand(joints, steps, *shape)
+            loads = np.ascontiguousarray(spread.numpy()).reshape(joints, steps, count)
         value = np.empty((2 * joints, steps + 1, count))
         left, right = np.empty((joints, steps, count)), np.empty((joints, steps, count))
         a = law.arrays

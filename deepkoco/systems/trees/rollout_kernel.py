@@ -282,9 +282,11 @@ def tree_rollout(
     inertia, gravity, passive, law = numbers
     joints, motors = len(parent), len(begin)
     steps, count = left.shape[1], left.shape[2]
-    varies = False
+    # A variable that starts as False has a type of its own, for which all of the steps are compiled once more.
+    varying = 0
     for e in range(len(kinds)):
-        varies = varies or kinds[e] >= LEVELS
+        varying += kinds[e] >= LEVELS
+    varies = varying > 0
     s = np.empty((joints + 1, ROWS, LANES))
     masses = np.empty((2, joints, joints, LANES))
     stages = np.empty((9, joints, LANES))

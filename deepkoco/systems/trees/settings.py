@@ -17,7 +17,7 @@ from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.yaml_file import YamlFileError, read_yaml
 
 ENDING = ".parameters.yaml"
-KEYS = ("parameters", "servos", "noise", "zero_sd", "payload")
+KEYS = ("parameters", "servos", "noise", "zero_sd", "payload", "held")
 FIELDS = ("value", "prior_sd", "low", "high")
 JOINT_KINDS = ("damping", "frictionloss", "armature", "stiffness", "springref")
 
@@ -38,6 +38,8 @@ class TreeSettings:
         noise: {"q_*": 0.0015}      # standard deviation of sensors
         zero_sd: {"q_*": 0.02}      # of their zeros, from log to log
         payload: gripperframe       # place of the payload
+        held: ["finger_*", root]    # joints that do not move in the logs: a gripper, the base on its stand;
+                                    # {finger_left: 0.04} holds one at a position [rad, m]
 
     Args:
         given: The document.
@@ -79,6 +81,22 @@ class TreeSettings:
         if not isinstance(document, Mapping):
             raise TreeError(f"{path}: expected the keys {', '.join(KEYS)}")
         return cls(document, str(path))
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Position [rad, m] of each joint that is held, by name or pattern; NaN: where the model is drawn.
+
+        Raises:
+            TreeError: It is neither a list of names nor names with positions.
+        """
+        given = self.given.get("held") or []
+        if isinstance(given, str):
+            given = [given]
+        if isinstance(given, Mapping):
+            return {str(name): self._number(f"held: {name}", value) for name, value in given.items()}
+        if not isinstance(given, list):
+            raise self._error(f"held: expected a list of joints, or joints and positions, got {given!r}")
+        return {str(name): math.nan for name in given}
 
     def applied_to(self, tree: Tree) -> Tree:
         """The tree with servos, and with values of joints that its model leaves at 0."""

@@ -87,6 +87,7 @@ class TreeSystem(System):
         tree: The description.
         origin: Text by which the robot is found again; None if it was made in Python.
         notes: Sentences on what the model has and the system leaves out.
+        held: Joints of the file that are held; see :func:`.hold_joints`.
         payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
         tip: The place of `with_payload`.
     """
@@ -96,7 +97,7 @@ class TreeSystem(System):
     def __init__(self, tree: Tree, origin: str | None = None, settings: TreeSettings | None = None) -> None:
         settings = TreeSettings({}) if settings is None else settings
         tree = settings.applied_to(tree)
-        self.tree, self.origin, self.notes = tree, origin, tree.notes
+        self.tree, self.origin, self.notes, self.held = tree, origin, tree.notes, settings.held
         self.name, self.joints = tree.name, len(tree.joints)
         names = tuple(joint.name for joint in tree.joints)
         units = tuple("m" if joint.slides else "rad" for joint in tree.joints)
@@ -157,12 +158,13 @@ class TreeSystem(System):
             TreeError: The file cannot be read, or is no contact-free tree of hinges and slides.
         """
         path = Path(path)
-        model, notes = read_model(path)
+        settings = TreeSettings.beside(path)
+        model, notes = read_model(path, settings.held)
         try:
             tree = compile_tree(model, path.stem)
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
-        return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), TreeSettings.beside(path))
+        return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), settings)
 
     @property
     def commands(self) -> tuple[Channel, ...]:

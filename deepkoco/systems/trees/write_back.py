@@ -95,7 +95,7 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
             f"{system.name} was not read from an MJCF or URDF file, so there is none to write back to"
         )
     path = Path(str(robot.origin))
-    spec, _ = read_spec(path)
+    spec, _ = read_spec(path, robot.held)
     model = spec.compile()
     result = WriteBack()
     writer = _Writer(robot, spec, model, result, _values(system))

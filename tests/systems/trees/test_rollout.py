@@ -92,6 +92,22 @@ def test_compiled_rollout_takes_the_steps_of_the_simulator(arm, kind, monkeypatc
     assert 0.0 < sticks < 1.0
 
 
+def test_one_push_may_act_on_all_lanes(arm, monkeypatch):
+    rng = np.random.default_rng(4)
+    windows = three_windows(arm, rng)
+    values = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in arm.parameters}
+    start = torch.from_numpy(rng.normal(size=(LANES, 3, 6)) * [0.1, 0.5, 0.5, 0.3, 1.0, 1.0])
+    push = torch.zeros(3, 1, 3, windows.steps, dtype=torch.float64)
+    push[1, 0, :, 20:40] = 2.0
+    one = integrate(arm, windows, values, start, push)
+    every = integrate(arm, windows, values, start, push.expand(3, LANES, 3, windows.steps))
+    monkeypatch.setattr(TreeSystem, "rollout", lambda self, parameters: None)
+    slow = integrate(arm, windows, values, start, push)
+    for a, b, c in zip(one.value, every.value, slow.value, strict=True):
+        torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)
+        torch.testing.assert_close(a, c, rtol=1e-6, atol=1e-8)
+
+
 def test_effects_that_remember_the_way_of_a_joint_have_no_compiled_rollout(arm):
     system = ExtendedSystem(arm, ("bristle(shoulder)",))
     assert system.rollout(system.default_parameters()) is None

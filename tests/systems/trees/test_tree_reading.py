@@ -53,17 +53,17 @@ REFUSED = {
         'the element "joint" has no attribute "nmae"',
     ),
     "no XML": ("arm: 3", "is no valid XML"),
-    "no inertia": (mjcf(link("")), 'the body "arm" moves and has no mass'),
+    "no inertia": (mjcf(link("")), 'nothing behind the joint "hinge" has a mass'),
     "name twice": (mjcf(link() + link(name="other")), 'called "hinge"'),
     "free joint": (mjcf(f'<body name="box"><freejoint/>{CAPSULE}</body>'), 'the body "box" has a free joint'),
     "ball joint": (mjcf(f'<body name="box"><joint type="ball"/>{CAPSULE}</body>'), "ball joint"),
     "nothing moves": (mjcf(f"<body>{CAPSULE}</body>"), "no joints"),
     "equality": (
         mjcf(
-            link() + link(name="b", joint="y"),
-            '<equality><joint name="mimic" joint1="hinge" joint2="y"/></equality>',
+            link(CAPSULE + link(name="b", joint="y")),
+            '<equality><joint name="linkage" joint1="hinge" joint2="y"/></equality>',
         ),
-        'the joint "hinge" follows the joint "y"',
+        'the equality constraint "linkage" is active',
     ),
     "weld": (
         mjcf(

@@ -24,7 +24,7 @@ from typing import Any
 
 from deepkoco.output.versions import versions
 from deepkoco.output.whole_file import write_whole_text
-from experiments.studies.diagnosis.own_robots.cases import Case, draw_case, right_names
+from experiments.studies.diagnosis.own_robots.cases import ALLOWED, Case, draw_case, joints_of, right_names
 
 COLUMNS = (
     "case",
@@ -33,11 +33,13 @@ COLUMNS = (
     "joint",
     "size",
     "strength",
+    "cost",
     "verdict",
     "first",
     "class",
     "right",
     "further",
+    "moved",
     "cpu_s",
     "wall_s",
     "note",
@@ -67,14 +69,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for index, healthy in enumerate(order(args.hidden, args.healthy)):
         if index in done or time.monotonic() - began > 60.0 * args.most:
             continue
-        case = draw_case(index, args.seed, args.seconds, healthy)
-        if args.joints and case.joints not in args.joints:
+        if args.joints and joints_of(index, args.seed) not in args.joints:
             continue
+        case = draw_case(index, args.seed, args.seconds, healthy)
         rows.append(run_case(case, args.out, args.seconds, args.limit))
         rows.sort(key=lambda row: row["case"])
         _write(table, rows)
         write_whole_text(args.out / "summary.json", json.dumps(summary(rows, args), indent=1) + "\n")
-        sys.stdout.write(" ".join(str(rows[-1][c]) for c in COLUMNS[:12]) + "\n")
+        sys.stdout.write(" ".join(str(rows[-1][c]) for c in COLUMNS[:14]) + "\n")
         sys.stdout.flush()
     sys.stdout.write(json.dumps(counts(rows)) + "\n")
     return 0
@@ -117,6 +119,7 @@ def run_case(case: Case, out: Path, seconds: float, limit: float) -> dict[str, A
         "joint": hidden.joint if hidden else "",
         "size": f"{hidden.size:.6g}" if hidden else "",
         "strength": f"{case.strength:.4g}",
+        "cost": f"{case.cost:.4g}",
         "cpu_s": round(_children() - spent, 1),
         "wall_s": round(time.monotonic() - began, 1),
         "note": note,
@@ -127,6 +130,8 @@ def run_case(case: Case, out: Path, seconds: float, limit: float) -> dict[str, A
 def judge(case: Case, answer: Mapping[str, Any] | None) -> dict[str, Any]:
     """Whether the first named cause has the right one in its class, and what else is named.
 
+    "Nothing" is right for a healthy unit, and for an effect that the uncertainties of the file allow.
+
     Args:
         case: The case.
         answer: report.json; None where there is none.
@@ -134,20 +139,24 @@ def judge(case: Case, answer: Mapping[str, Any] | None) -> dict[str, Any]:
     causes = [] if answer is None or answer["verdict"] == "unknown" else answer["causes"]
     members = list(causes[0]["class"]) if causes else []
     members += [f"changed({m['name']})" for m in causes[0].get("same_as", [])] if causes else []
-    wanted = right_names(case)
-    right = bool(wanted & set(members)) if wanted else not causes
+    nothing = answer is not None and answer["verdict"] == "nothing" and case.allowed
+    right = nothing or bool(right_names(case) & set(members))
+    moved = [] if answer is None else answer.get("fit", {}).get("moved", [])
     return {
         "verdict": "none" if answer is None else answer["verdict"],
         "first": causes[0]["name"] if causes else "",
         "class": ";".join(members),
-        "right": int(right and answer is not None),
+        "right": int(right),
         "further": ";".join(cause["name"] for cause in causes[1:]),
+        "moved": ";".join(m["name"] for m in moved),
     }
 
 
 def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Counts over the cases so far."""
-    hidden = [r for r in rows if r["kind"]]
+    everything = [r for r in rows if r["kind"]]
+    hidden = [r for r in everything if float(r["cost"]) > ALLOWED]
+    allowed = [r for r in everything if float(r["cost"]) <= ALLOWED]
     healthy = [r for r in rows if not r["kind"]]
     cpu = sorted(float(r["cpu_s"]) for r in rows)
     return {
@@ -155,6 +164,9 @@ def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "in_class": sum(int(r["right"]) for r in hidden),
         "nothing_further": sum(int(r["right"]) and not r["further"] for r in hidden),
         "unknown": sum(r["verdict"] == "unknown" for r in hidden),
+        "nothing": sum(r["verdict"] == "nothing" for r in hidden),
+        "allowed": len(allowed),
+        "allowed_right": sum(int(r["right"]) for r in allowed),
         "healthy": len(healthy),
         "healthy_named": sum(r["verdict"] in ("cause", "ambiguous") for r in healthy),
         "healthy_unknown": sum(r["verdict"] == "unknown" for r in healthy),

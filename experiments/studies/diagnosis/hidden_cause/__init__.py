@@ -1,0 +1,1 @@
+"""HiddenCause: a benchmark of diagnosis. Units with one hidden cause, and several methods on the same cases."""
