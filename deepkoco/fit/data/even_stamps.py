@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.fft import dst
@@ -146,7 +147,8 @@ def _scatter_and_stiffness(off: np.ndarray, count: np.ndarray, usual: np.ndarray
     ends = np.flatnonzero(np.diff(np.concatenate([[False], usual, [False]])))
     runs = [slice(*run) for run in ends.reshape(-1, 2)]
     late, turns = (
-        np.concatenate([dst(signal[run], type=1, norm="ortho") for run in runs]) for signal in (off, count)
+        np.concatenate([np.asarray(dst(signal[run], type=1, norm="ortho")) for run in runs])
+        for signal in (off, count)
     )
     bare = np.concatenate(
         [2.0 - 2.0 * np.cos(np.pi * np.arange(1, m + 1) / (m + 1)) for m in np.ptp(ends.reshape(-1, 2), 1)]
@@ -163,7 +165,8 @@ def _scatter_and_stiffness(off: np.ndarray, count: np.ndarray, usual: np.ndarray
     grid = np.log(WANDER)
     best = int(np.argmin([misfit(at) for at in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    ratio = float(np.exp(minimize_scalar(misfit, bounds=bounds, method="bounded").x))
+    found: Any = minimize_scalar(misfit, bounds=bounds, method="bounded")
+    ratio = float(np.exp(found.x))
     return variance(ratio + bare), 1.0 / ratio
 
 
