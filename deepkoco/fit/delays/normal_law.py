@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar, root_scalar
@@ -54,7 +55,7 @@ def normal_law(linear: LinearDelays) -> NormalLaw:
     costs = [profile.cost(x) for x in reach]
     best = int(np.argmin(costs))
     inner = reach[max(best - 1, 0)], reach[min(best + 1, PLACES - 1)]
-    found = minimize_scalar(profile.cost, bounds=inner, method="bounded", options={"xatol": 1e-9})
+    found: Any = minimize_scalar(profile.cost, bounds=inner, method="bounded", options={"xatol": 1e-9})
     ends = min((costs[best], reach[best]), (float(found.fun), float(found.x)))
     lowest, at = ends
 

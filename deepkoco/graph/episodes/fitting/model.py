@@ -230,7 +230,7 @@ def time_constant(delay: np.ndarray, usual: np.ndarray, time: np.ndarray) -> flo
     grid = np.log(np.median(gap)) + np.linspace(np.log(0.05), np.log(300.0), 60)
     best = int(np.argmin([cost(x) for x in grid]))
     ends = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = minimize_scalar(cost, bounds=ends, method="bounded")
+    found: Any = minimize_scalar(cost, bounds=ends, method="bounded")
     return float(np.exp(found.x)) if found.fun < -(_SURE**2) else None
 
 
