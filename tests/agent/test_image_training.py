@@ -180,6 +180,7 @@ def test_control_from_frames_runs_without_torch(whole):
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.study
 def test_a_killed_run_on_frames_ends_bit_for_bit_like_an_uninterrupted_one(whole, tmp_path):
     folder = tmp_path / "killed"
     process = subprocess.Popen([sys.executable, str(SCRIPT), str(folder)])

@@ -94,6 +94,7 @@ def test_a_finished_run_is_left_as_it_is(finished):
     assert (finished / "model" / "model.safetensors").read_bytes() == before
 
 
+@pytest.mark.study
 def test_runs_killed_again_and_again_end_bit_for_bit_like_an_uninterrupted_one(finished, tmp_path):
     folder = tmp_path / "killed"
     kills = 0

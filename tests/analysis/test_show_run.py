@@ -62,6 +62,7 @@ def small(monkeypatch) -> None:
     monkeypatch.setattr(analyse_module, "AnalysisOptions", lambda **given: replace(whole(**given), **few))
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("small")
 def test_a_run_becomes_one_page_with_its_data_beside_it(run, tmp_path, capsys):
     page = tmp_path / "page.html"

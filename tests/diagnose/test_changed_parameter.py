@@ -38,6 +38,7 @@ def cart_log():
     return cart_pole_log(seed=4, seconds=12.0)
 
 
+@pytest.mark.study
 def test_wrong_mass_beyond_its_prior_is_the_headline(cart_log):
     result = diagnose([cart_log], Misread(0.12, 0.01))
     assert result.names == ("changed(pole_mass)",)

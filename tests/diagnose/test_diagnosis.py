@@ -126,6 +126,7 @@ def test_model_is_a_system_and_diagnosing_from_it_finds_nothing(report):
     assert diagnose([second], system).verdict == "nothing"
 
 
+@pytest.mark.study
 def test_diagnose_with_the_same_seed_gives_the_same_report_with_or_without_progress(log, diagnosis):
     told = []
     again = diagnose([log], "rod_pendulum", seed=5, progress=told.append)

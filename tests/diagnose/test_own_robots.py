@@ -40,6 +40,7 @@ def test_the_delay_of_a_motor_of_ones_own_is_named_with_its_size(tmp_path):
     assert model.parameter("actuation_delay.delay").value == pytest.approx(0.03, abs=5e-4)
 
 
+@pytest.mark.study
 def test_only_the_sum_of_two_inertias_of_a_motor_is_told(tmp_path):
     report = diagnosed(tmp_path, MotorUnit(load_inertia=2.2e-4), MOTOR, 10.0)
     assert report["verdict"] == "nothing"

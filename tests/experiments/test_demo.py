@@ -123,6 +123,7 @@ def diagnosed():
     return diagnose([log], "rod_pendulum", only=["torque_bias", "coulomb"])
 
 
+@pytest.mark.study
 def test_the_pages_of_a_demo_lead_to_each_other_and_every_picture_to_its_numbers(
     diagnosed, make_run, tmp_path
 ):

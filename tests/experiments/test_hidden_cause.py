@@ -294,6 +294,7 @@ def test_columns_of_a_table_made_by_hand():
     assert "| b | 0 of 1" in table_of(found)
 
 
+@pytest.mark.study
 def test_an_entrant_is_plugged_in_by_module_and_class_and_a_kill_loses_no_row(tmp_path: Path):
     def go(folder: str, cases: str) -> dict[str, Any]:
         said: list[str] = []

@@ -79,6 +79,7 @@ def test_coloured_problem_filters_measurements_and_simulations_alike(problem):
     assert bool((coloured.weight[..., order:] > 0.0).any())
 
 
+@pytest.mark.study
 def test_of_two_forces_with_one_mean_correlated_errors_tell_which_was_there():
     # A force along the rail that no model has leaves slow errors, in which offset and asymmetry look alike.
     for seed, hidden, other in (

@@ -89,6 +89,7 @@ def test_the_installed_command_looks_into_the_current_folder(here):
     assert "the module my_cart is imported, but it registers no Crt-v0" in ended.stderr
 
 
+@pytest.mark.study
 def test_a_task_that_cannot_be_drawn_is_trained_evaluated_and_shown(here, capsys, monkeypatch):
     few = {"episodes": 2, "exploring_episodes": 4, "windows": 20, "prunings": 1, "film_plans": 1}
     whole = analyse.AnalysisOptions
