@@ -189,6 +189,7 @@ def _print(
 ) -> None:
     from rich.console import Console
 
+    from deepkoco.cli.logs import named_system
     from deepkoco.logs.inspect.doubts import doubts_of
     from deepkoco.logs.inspect.log_summary import summary_table
     from deepkoco.logs.inspect.tables import clock_table, column_table, joint_table, proposal_table
@@ -218,6 +219,8 @@ def _print(
         console.print(proposal_table(fitting))
         if fitting.proposal.joints:
             console.print(joint_table(fitting.proposal))
+        for note in () if args.system is None else named_system(args.system).notes:
+            say(f"model file: {note}")
         if fitting.doubt is not None:
             say(f"! {fitting.proposal.system} does not fit this log: {fitting.doubt}")
     proposal = None if fitting is None else fitting.proposal

@@ -116,8 +116,8 @@ def _repeats(windows: Windows, stride: int) -> bool:
     return apart > 0.0 and alike / apart < REPEATED
 
 
-def describe_data(recordings: Sequence[Recording], data: Data) -> dict:
-    """Return files, lengths, noise and windows for the report."""
+def describe_data(recordings: Sequence[Recording], data: Data, system: System) -> dict:
+    """Return files, lengths, noise and windows for the report, and what the system leaves out of its file."""
     logs = []
     for recording in recordings:
         logs.append(
@@ -130,6 +130,7 @@ def describe_data(recordings: Sequence[Recording], data: Data) -> dict:
         )
     return {
         "logs": logs,
+        "model": list(system.notes),
         "noise_sd": [n.sd for n in data.train.noise],
         "windows_resting": data.resting,
         "windows_spare": data.spare,

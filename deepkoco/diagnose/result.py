@@ -57,7 +57,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         localisation=localise(judgement.missing),
         advice=_advice(request, explanation, judgement),
         data={
-            **describe_data(request.recordings, base.data),
+            **describe_data(request.recordings, base.data, request.system),
             "healthy": describe_healthy(base.learned),
         },
         refit=estimates(base.problem, base.reference, base.reference.free, first.deflation),
@@ -95,7 +95,7 @@ def insufficient(request: DiagnosisRequest) -> Diagnosis:
         window_s=request.length,
         localisation=(),
         advice=advice,
-        data=describe_data(request.recordings, data),
+        data=describe_data(request.recordings, data, request.system),
         refit={},
         model=system,
         seed=request.seed,

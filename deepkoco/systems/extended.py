@@ -79,7 +79,7 @@ class ExtendedSystem(System):
         if unknown:
             raise ParameterError(f"unknown effect {', '.join(unknown)}; known: {', '.join(known)}")
         self.base = base
-        self.name, self.origin = base.name, base.origin
+        self.name, self.origin, self.notes = base.name, base.origin, base.notes
         self.joints = base.joints
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction

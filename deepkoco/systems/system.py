@@ -174,6 +174,7 @@ class System(metaclass=Declared):
         force_sites: Places at which an outside force can act; each is a cause of its own, ``force(PLACE)``.
         origin: Text by which `load_system` finds it again, such as ``/home/me/my_robot.py:CartPole``; None for a system
             of the package.
+        notes: Sentences on what its file has and the system leaves out or changes.
     """
 
     dry_friction = True
@@ -182,6 +183,7 @@ class System(metaclass=Declared):
     tip: str | None = None
     force_sites: tuple[str, ...] = ()
     origin: str | None = None
+    notes: tuple[str, ...] = ()
     wraps = False
 
     name: str

@@ -149,16 +149,22 @@ def test_headline_and_lead_name_the_cause(diagnosis):
 
 
 @pytest.mark.study
-def test_report_shows_the_warnings_of_reading(diagnosis, tmp_path):
-    said = "torque is not known from 2.1 to 2.4 s"
+def test_report_shows_the_warnings_of_reading_and_of_the_model_file(diagnosis, tmp_path):
+    said, left = "torque is not known from 2.1 to 2.4 s", "limits of joints are not simulated: elbow"
     doubted = replace(
         diagnosis,
-        data={**diagnosis.data, "logs": [{**log, "warnings": [said]} for log in diagnosis.data["logs"]]},
+        data={
+            **diagnosis.data,
+            "model": [left],
+            "logs": [{**log, "warnings": [said]} for log in diagnosis.data["logs"]],
+        },
     )
     console = Console(width=200, record=True, file=io.StringIO())
     console.print(terminal_table(doubted))
-    assert said in console.export_text()
-    assert f"<li>{said}</li>" in write_report(doubted, tmp_path / "out").read_text()
+    text, page = console.export_text(), write_report(doubted, tmp_path / "out").read_text()
+    for sentence in (said, left):
+        assert sentence in text
+        assert f"<li>{sentence}</li>" in page
 
 
 @pytest.mark.study

@@ -81,6 +81,7 @@ def render(
         advice_title="What to record next" if suffices else "What is needed",
         advice=list(diagnosis.advice),
         warnings=[text for log in diagnosis.data["logs"] for text in log["warnings"]],
+        model_notes=diagnosis.data.get("model", ()),
         pictures=pictures,
         causes=[_cause(c, diagnosis) for c in diagnosis.causes],
         rows=parameter_rows(diagnosis),

@@ -206,6 +206,8 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
         names = ", ".join(t["name"].split(".")[-1] for t in learned["terms"]) or "none"
         kept = "kept in model.yaml" if learned["accepted"] else "rejected"
         table.add_row("learned term", f"{names}; {kept}: {learned['reason']}")
+    for text in diagnosis.data.get("model", ()):
+        table.add_row("model file", text)
     for log in diagnosis.data["logs"]:
         for text in log["warnings"]:
             table.add_row("assumed", text)

@@ -50,6 +50,7 @@ def changes_text(system: System, written: WriteBack) -> str:
     lines = [f"# Changes of {system.name}", ""]
     if robot is not None:
         lines += [f"`{ROBOT_FILE}` is `{robot.origin}` with these changes.", ""]
+        lines += ["", *(f"- {note}" for note in robot.notes), ""] if robot.notes else []
     found = [c for c in written.changes if c.reason != FITTED]
     fitted = [c for c in written.changes if c.reason == FITTED]
     if not written.changes:

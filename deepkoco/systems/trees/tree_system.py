@@ -86,7 +86,6 @@ class TreeSystem(System):
     Attributes:
         tree: The description.
         origin: Text by which the robot is found again; None if it was made in Python.
-        notes: Sentences on what the model has and the system leaves out.
         held: Joints of the file that are held; see :func:`.hold_joints`.
         payload_sites: Names of the places at which a payload can be fixed; see `with_payload_at`.
         tip: The place of `with_payload`.

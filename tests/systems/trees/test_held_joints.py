@@ -208,3 +208,9 @@ def test_an_inertia_that_no_matter_has_is_mended_and_named(tmp_path):
     assert "no body of matter has the inertia given for arm" in " ".join(system.notes)
     moments = sorted(system.tree.bodies[-1].moments)
     assert moments == pytest.approx([0.015, 0.015, 0.03], rel=1e-3)
+
+
+def test_changes_list_what_was_read_otherwise_than_it_stands_in_the_file(tmp_path):
+    system = read(tmp_path, gripper(), "[left]")
+    _, changes = write_robot(system, tmp_path)
+    assert "- held, as the settings say: left\n" in changes.read_text()
