@@ -37,9 +37,8 @@ def hold_joints(spec: Any, held: Mapping[str, float]) -> tuple[str, ...]:
     notes = [f"held, as the settings say: {', '.join(chosen)}"] if chosen else []
     for follower, leader, offset in _followers(spec, chosen):
         chosen[follower] = offset
-        notes.append(
-            f'the joint "{follower}" follows "{leader}" and is held: "{leader}" moves its own bodies alone'
-        )
+        alone = "" if leader in chosen else f': "{leader}" moves its own bodies alone'
+        notes.append(f'the joint "{follower}" follows "{leader}" and is held{alone}')
     if not chosen:
         return ()
     moved = {name: by for name, by in chosen.items() if by != 0.0}
