@@ -30,6 +30,7 @@ BETTER = 0.99  # validation error over the best one before, below which a term i
 # First terms that are tried, each with terms after it. The term that explains most alone need not be one of those that
 # explain most together: of a dry friction and an offset, it is a friction that grows with the effort.
 FIRST = 3
+LOOK = 2  # terms of each chain, after which the best chain alone goes on
 PATIENCE = 2  # terms in a row that may fail to lower the validation error
 ITERATIONS = 12
 
@@ -70,71 +71,78 @@ def choose_terms(
     inner, others = FitProblem(system, train.take(~choose)), replace(train.take(choose), varies={})
     state = reference.state[torch.from_numpy(~choose)]
     fit = inner.fit_one(Trial("refit", reference.free, start.prior, scaled, state, reference.nuisance))
-    errors = [_error(inner, fit, others)]
-    nothing = _Chain((), errors[0], tuple(errors))
-    promises = _promises(inner, start, scaled, fit, (), offered)
-    chains = [nothing]
-    for first in promises[:FIRST]:
-        chains.append(_chain(inner, start, scaled, fit, others, offered, first, errors[0]))
+    task = _Task(inner, start, scaled, others, offered)
+    before = _error(inner, fit, others)
+    chains = []
+    for first in _promises(task, fit, ())[:FIRST]:
+        chains.append(_Chain((first,), fit, (before,)))
+        for _ in range(LOOK):
+            chains[-1] = _grown(task, chains[-1])
         if chains[-1].error <= start.floor * white_limit(others):
             break  # only noise is left
+    if not chains:
+        return (), (before,)
     # A chain that keeps no term still tells what its terms did.
-    best = min(chains[1:], key=lambda c: c.error, default=nothing)
-    return best.names, best.validation
+    best = min(chains, key=lambda c: (c.error, min(c.validation[1:])))
+    while not best.ended:
+        best = _grown(task, best)
+    return best.names[: best.kept], best.validation
+
+
+class _Task(NamedTuple):
+    """What the terms of every chain are fitted to (``inner``) and judged by (``others``)."""
+
+    inner: FitProblem
+    start: Baseline
+    scaled: Mapping[str, float]
+    others: Windows
+    offered: Sequence[Cause]
 
 
 class _Chain(NamedTuple):
-    """Terms that were added one by one.
+    """Terms that are added one by one.
 
     Attributes:
-        names: Those that lowered the validation error.
-        error: Validation error with them.
+        names: Terms so far, the last one not yet fitted unless the chain has ended.
+        fit: Fit with all terms but that one.
         validation: Validation error after 0, 1, 2, ... terms.
+        kept: Number of terms up to the last one that lowered the validation error.
+        failed: Number of terms after it.
+        ended: Whether no more term is worth a fit.
     """
 
     names: tuple[str, ...]
-    error: float
+    fit: Fit
     validation: tuple[float, ...]
+    kept: int = 0
+    failed: int = 0
+    ended: bool = False
+
+    @property
+    def error(self) -> float:
+        """Validation error with the terms that are kept."""
+        return self.validation[self.kept]
 
 
-def _chain(
-    inner: FitProblem,
-    start: Baseline,
-    scaled: Mapping[str, float],
-    fit: Fit,
-    others: Windows,
-    offered: Sequence[Cause],
-    first: str,
-    before: float,
-) -> _Chain:
-    """Return the terms that lower the validation error, the first one given and each next one the most promising."""
-    errors, chosen = [before], [first]
-    kept, failed = 0, 0
-    while True:
-        fit = fit_terms(inner, start, fit.values, chosen, fit, fit.state)
-        errors.append(_error(inner, fit, others))
-        better = errors[-1] < BETTER * errors[kept]
-        kept, failed = (len(chosen), 0) if better else (kept, failed + 1)
-        if len(chosen) == MOST_TERMS or failed == PATIENCE:
-            break
-        following = _promises(inner, start, scaled, fit, chosen, offered)
-        if not following:
-            break
-        chosen.append(following[0])
-    return _Chain(tuple(chosen[:kept]), errors[kept], tuple(errors))
+def _grown(task: _Task, chain: _Chain) -> _Chain:
+    """Return a chain with its next term fitted, and the most promising one after it named."""
+    if chain.ended:
+        return chain
+    names = chain.names
+    fit = fit_terms(task.inner, task.start, chain.fit.values, names, chain.fit, chain.fit.state)
+    errors = (*chain.validation, _error(task.inner, fit, task.others))
+    better = errors[-1] < BETTER * chain.error
+    kept, failed = (len(names), 0) if better else (chain.kept, chain.failed + 1)
+    following: list[str] = []
+    if len(names) < MOST_TERMS and failed < PATIENCE:
+        following = _promises(task, fit, names)
+    return _Chain((*names, *following[:1]), fit, errors, kept, failed, not following)
 
 
-def _promises(
-    inner: FitProblem,
-    start: Baseline,
-    scaled: Mapping[str, float],
-    fit: Fit,
-    chosen: Sequence[str],
-    offered: Sequence[Cause],
-) -> list[str]:
+def _promises(task: _Task, fit: Fit, chosen: Sequence[str]) -> list[str]:
     """Return the terms that are worth a fit by the score test, the most promising first."""
-    left = [(c, {}) for c in offered if c.name not in chosen]
-    found = screen(inner, fit, prior_of(inner, start, scaled, chosen), left)
+    left = [(c, {}) for c in task.offered if c.name not in chosen]
+    found = screen(task.inner, fit, prior_of(task.inner, task.start, task.scaled, chosen), left)
     return [p.cause.name for p in sorted(found, key=lambda p: -p.promise) if p.promise >= WORTH]
 
 
