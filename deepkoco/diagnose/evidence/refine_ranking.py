@@ -14,7 +14,7 @@ from deepkoco.diagnose.evidence.elimination import beyond_chance, held_out_chi2
 from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
-from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
 from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
 from deepkoco.fit.data.windows import Windows
@@ -74,7 +74,7 @@ def _from_winner(
     values = {**winner.fit.values, **null, **own}
     trial = trial_of(problem, start, accepted, other.cause, values, winner.fit.state, ranking.reference)
     fit = problem.fit([trial], PATIENCE)[0]
-    return other if fit.diverged or fit.cost >= other.fit.cost else _better(other, fit, ranking)
+    return with_better_fit(other, fit, ranking.deflation)
 
 
 def _overpaid(ranking: Ranking, other: Candidate) -> float:

@@ -66,7 +66,19 @@ def choose_terms(
     scaled: Mapping[str, float],
     offered: Sequence[Cause],
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Return the weights that lower the validation error, and the validation error after each term."""
+    """Return the weights that lower the validation error, and the validation error after each term.
+
+    Args:
+        start: The baseline.
+        train: W windows of the training data.
+        choose: (W,) true for the windows that choose terms and are not fitted.
+        reference: Fit of the baseline to ``train``.
+        scaled: Values of all parameters, with the ranges that the terms are scaled by.
+        offered: Terms, as :func:`terms_of` returns them.
+
+    Returns:
+        Names of the weights that are kept, and chi2 per sample of the windows that choose after 0, 1, 2, ... terms.
+    """
     system = start.system
     inner, others = FitProblem(system, train.take(~choose)), replace(train.take(choose), varies={})
     state = reference.state[torch.from_numpy(~choose)]
@@ -149,6 +161,7 @@ def _promises(task: _Task, fit: Fit, chosen: Sequence[str]) -> list[str]:
 def prior_of(
     problem: FitProblem, start: Baseline, values: Mapping[str, float], names: Sequence[str]
 ) -> Prior:
+    """Return the prior of the baseline's parameters and of the weights of these terms."""
     found = [c for c in terms_of(start) if c.name in names]
     return prior_with(problem, start, found, values)
 
@@ -161,6 +174,7 @@ def fit_terms(
     before: Fit,
     state: torch.Tensor,
 ) -> Fit:
+    """Fit the weights of these terms with the baseline's parameters, from ``values`` and (W, S) initial states."""
     prior = prior_of(problem, start, values, names)
     trial = Trial("learned", prior.names, prior, values, state, before.nuisance)
     return problem.fit_one(trial, ITERATIONS)

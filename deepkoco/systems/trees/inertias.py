@@ -9,10 +9,8 @@ import numpy as np
 
 POINT = 1e-3  # radius of gyration of a body with a mass and no inertia [m]
 FLAT = 1e-4  # thickness of the flattest body that is taken, as a share of the largest second moment
-SMALL, RADIUS = (
-    1e-9,
-    0.03,
-)  # mass [kg] and radius of gyration [m] of a frame between two joints that has neither
+SMALL = 1e-9  # mass of a frame between two joints that has none [kg]
+RADIUS = 0.03  # its radius of gyration [m]
 
 
 def mend_inertias(spec: Any) -> tuple[str, ...]:
