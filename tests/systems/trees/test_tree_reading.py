@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from deepkoco.systems.effects import effects_of
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeError, TreeSystem
 
 LINK = '<body name="{name}"><joint name="{joint}" axis="0 1 0"/>{inside}</body>'
