@@ -133,3 +133,23 @@ def test_a_fit_follows_a_curved_valley_to_its_end():
     # y = x^2 costs (y / 100)^2 at most: the prior of x decides.
     assert found.values["x"] == pytest.approx(2.0, abs=0.01)
     assert found.values["y"] == pytest.approx(4.0, abs=0.05)
+
+
+def test_a_simulation_that_runs_away_beside_a_step_leaves_the_step_straight(arm, trial):
+    reference = LazyBatch(arm, [trial], TOLERANCE).run(25)[0]
+    predict, probes = arm.predict, []
+
+    def running_away(theta, *rest):
+        shown = predict(theta, *rest)
+        if len(theta) == 2:  # both sides of a point: finite, but their products are not
+            probes.append(True)
+            return torch.full_like(shown, 1e302)
+        return shown
+
+    arm.predict = running_away
+    batch = LazyBatch(arm, [trial], TOLERANCE)
+    batch.curved[0] = True
+    found = batch.run(25)[0]
+    assert probes
+    assert found.converged
+    assert abs(found.cost - reference.cost) < 10.0 * TOLERANCE

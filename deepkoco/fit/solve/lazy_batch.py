@@ -237,7 +237,10 @@ class LazyBatch(Batch):
             gp=-0.5 * torch.einsum("qwm,wm->q", own, second),
             gs=-0.5 * torch.einsum("wms,wm->ws", slopes.states, second),
         )
-        move, states, _ = pull.solve(self.damping[k], np.zeros(p, dtype=bool), np.zeros(p))
+        try:
+            move, states, _ = pull.solve(self.damping[k], np.zeros(p, dtype=bool), np.zeros(p))
+        except DivergedError:  # beside the point the simulation runs away: the straight step stands
+            return theta, initial, nuisance
         spread = np.concatenate([problem.scale[columns], problem.nuisances.spread])
         along = np.concatenate([way[0][columns], way[2].numpy()]) / spread
         if 2.0 * float(np.linalg.norm(move / spread)) > MOST_CURVED * float(np.linalg.norm(along)):
