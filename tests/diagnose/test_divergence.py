@@ -55,6 +55,7 @@ def diagnosis():
     )
 
 
+@pytest.mark.study
 def test_baseline_of_another_build_is_left_out_and_reported(diagnosis, tmp_path):
     assert diagnosis.verdict != "insufficient"
     (told,) = diagnosis.unexplained["not_fitted"]
@@ -67,6 +68,7 @@ def test_baseline_of_another_build_is_left_out_and_reported(diagnosis, tmp_path)
     assert content["unexplained"]["not_fitted"] == [told]
 
 
+@pytest.mark.study
 def test_the_diagnosis_is_that_without_the_baseline(diagnosis):
     plain = diagnose([arm_log(0)], "two_link_arm", only=["coulomb(joint 2)"])
     assert diagnosis.verdict == plain.verdict

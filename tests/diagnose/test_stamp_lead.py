@@ -37,6 +37,7 @@ def mujoco_log(seed: int, seconds: float = 12.0) -> Recording:
     return Recording(channels, None, "pendulum", {})
 
 
+@pytest.mark.study
 def test_healthy_log_of_mujoco_at_its_default_step_misses_nothing(tmp_path):
     path = tmp_path / "pendulum.xml"
     path.write_text(PENDULUM)

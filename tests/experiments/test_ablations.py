@@ -24,6 +24,7 @@ def read(*overrides: str) -> TrainRunConfig:
     return config
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", available()[1:])
 def test_every_ablation_can_be_trained_and_changes_a_setting(name):
     config = read(f"+ablation={name}")

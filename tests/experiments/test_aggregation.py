@@ -87,6 +87,7 @@ def test_a_collected_run_without_its_weights_is_still_averaged(make_run, tmp_pat
     assert len(read_runs(tmp_path)) == 2
 
 
+@pytest.mark.study
 def test_collection_keeps_everything_but_the_weights(make_run, tmp_path, capsys):
     runs = tmp_path / "runs"
     make_run(runs / "none" / "seed_1", seed=1)

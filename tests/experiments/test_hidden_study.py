@@ -78,6 +78,7 @@ def test_an_effect_that_stops_the_machine_is_beyond_every_strength():
     assert strength("rod_pendulum", {"gain": {"factor": 0.0}}, "bang-bang", 1, 6.0, 1.0) == math.inf
 
 
+@pytest.mark.study
 def test_a_push_on_a_joint_at_rest_does_not_grow_out_of_all_bounds():
     """Windows in which a joint rests say nothing, and no dose of what acts there alone shows."""
 

@@ -29,6 +29,7 @@ def test_every_beginning_of_the_study_has_its_share_of_healthy_cases(hidden, hea
         assert abs(sum(listed[:k]) - k * healthy / len(listed)) <= 1.0
 
 
+@pytest.mark.study
 def test_a_case_is_the_same_whatever_was_drawn_before():
     first, again = draw_case(7, 0, 4.0, healthy=False), draw_case(7, 0, 4.0, healthy=False)
     assert first == again

@@ -161,6 +161,7 @@ def test_the_benchmark_names_a_missing_model(monkeypatch, tmp_path, capsys):
     assert "config.json" in capsys.readouterr().err
 
 
+@pytest.mark.study
 def test_the_optimum_of_the_same_start_states_is_told(make_run, tmp_path, capsys):
     evaluate(EvaluateConfig(str(make_run(tmp_path / "run")), episodes=8, json=True))
     result = json.loads(capsys.readouterr().out)

@@ -62,6 +62,7 @@ def test_updates_of_a_default_run_by_hand():
     assert updates_of_a_run(read_settings(), 200) == 8300 + 303 + 15 * 350
 
 
+@pytest.mark.study
 def test_it_prints_one_json_object(capsys):
     main(["--json", "--seconds", "0.1", "--only", "states"])
     result = json.loads(capsys.readouterr().out)["pendulum, states (P = 10, M = 1)"]

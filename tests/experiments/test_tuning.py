@@ -79,6 +79,7 @@ def test_every_agent_has_a_space():
     assert set(AGENTS) <= set(SPACES)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("agent", [name for name in SPACES if name in AGENTS])
 def test_every_space_is_of_settings_of_its_agent(agent):
     space = load_search_space(CONFIGS / "tuning" / f"{agent}.yaml")

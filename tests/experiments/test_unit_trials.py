@@ -133,6 +133,7 @@ def test_interval_of_a_mean_is_near_that_of_the_normal_law():
     assert (low, high) == pytest.approx((mean - half, mean + half), abs=0.03)
 
 
+@pytest.mark.study
 def test_the_command_writes_trials_and_films(runs, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--unit", str(UNIT), "--episodes", "1", "--clock", "simulated"]

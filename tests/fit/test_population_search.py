@@ -151,6 +151,7 @@ def test_cma_es_fit_matches_levenberg_marquardt():
     assert found.convergence.stages[0][1][-1] < found.convergence.stages[0][1][0]
 
 
+@pytest.mark.study
 def test_cma_es_fit_with_varies_matches_levenberg_marquardt():
     logs = [rod_log(4.0, seed=k, viscous=v) for k, v in enumerate((0.01, 0.05), start=1)]
     options = {"varies": {"viscous": 0.03}, "bounds": {"viscous": (0.0, 0.2)}}

@@ -51,6 +51,7 @@ def test_a_zero_error_shows_at_a_joint_that_gravity_loads():
     assert strength(log, 5) > 0.3
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("sds", "cost"), [(0.5, 0.25), (-3.0, 9.0)])
 def test_another_gain_of_a_motor_costs_about_its_squared_prior_deviations(sds, cost):
     # The file knows a gain to 20 %. The explained part is 1e9 times as large, so slopes by differences add a little.
@@ -58,6 +59,7 @@ def test_another_gain_of_a_motor_costs_about_its_squared_prior_deviations(sds, c
     assert 0.8 * cost < found < 2.0 * cost
 
 
+@pytest.mark.study
 def test_a_heavier_cart_is_a_healthy_cart_and_a_spring_at_it_is_not():
     robot = cart_pole(np.random.default_rng(1))
     mass = float(mujoco.MjModel.from_xml_string(robot.xml).body("cart").mass[0])

@@ -145,6 +145,7 @@ def test_a_relative_path_that_leads_nowhere_is_explained(tmp_path, monkeypatch):
     assert f"is not below the current folder, {tmp_path}" in str(error.value)
 
 
+@pytest.mark.study
 def test_a_sweep_is_gone_on_with_by_the_same_command_and_averaged(here, capsys):
     sweep = ["sweep", *FEW, "task=gymnasium", "task.id=my_cart:Cart-v0", "run=runs/seed_${seed}"]
     assert main([*sweep, "seed=0"]) == 0
