@@ -23,6 +23,7 @@ from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.result import diagnosis_of, insufficient
 from deepkoco.diagnose.verdict.judgement import judge
+from deepkoco.diagnose.window_choice import followed_length
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
@@ -57,7 +58,8 @@ def diagnose(
         healthy: Logs of the same unit in which nothing is wrong; like ``recordings``.
         holdout: Logs that are never fitted, like ``recordings``; without them, one window in four is held out.
         seed: Seed of the bootstrap.
-        window: Length of a window [s]; None takes about one period of the system.
+        window: Length of a window [s]; None takes about one period of the system, or as much less as the system as
+            given follows the logs.
         detection: Fall of the BIC from which a cause is named.
         only: Causes to try, by their names at this system; a name without a place (``coulomb``) stands for every
             joint, command or channel. None tries the whole catalogue.
@@ -85,8 +87,13 @@ def diagnose(
                 "that was learned from them"
             )
         check_learned(baseline, base)
-    length = window_length(base) if window is None else window
     with one_thread():
+        if window is not None:
+            length = window
+        else:
+            # Healthy logs show what the unit does, and their baseline follows it.
+            known = baseline is not None or healthy
+            length = window_length(base) if known else followed_length(recordings, base)
         data = cut_data(recordings, holdout, base, length)
         request = DiagnosisRequest(
             recordings, base, data, length, seed, detection, causes, progress, began, evidence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,6 +27,7 @@ PRIORS = {
     "stiffness": 0.3,
     "springref": 0.1,
     "gain": 0.2,
+    "gain of a load": 0.1,
     "kp": 0.2,
     "kv": 0.3,
     "bias": 0.2,
@@ -35,22 +36,40 @@ PRIORS = {
 }
 """Prior standard deviation of each kind as a share of the model's value.
 
-That of `com` is a share of the body's radius of gyration, that of `springref` is in rad, or in units of 0.1 m.
+A command in N m or N is known better than one that has no unit. That of `com` is a share of the body's radius of
+gyration, that of `springref` is in rad, or in units of 0.1 m.
 """
 LEAST_SHARE, LARGEST_SHARE = (
     0.02,
     50.0,
 )  # bounds of quantities that are positive, as shares of the model's value
+# Prior standard deviation of a rotor that a model leaves out [inertia that its joint moves at least]. An MJCF file
+# could say it; a URDF file cannot, and behind a gear a rotor often outweighs its arm.
+ROTOR, UNKNOWN_ROTOR = 0.02, 2.0
+LARGEST_ROTOR = 20.0  # bound of such a rotor, likewise
+# Least prior standard deviation of the rate [1/s] at which damping makes a motion fade, in a model without drives. Such
+# files state values as 0.003 N m s/rad for numerical reasons, where gears have a thousand times as much.
+FADING = 10.0
 COM_REACH = 5.0  # bounds of a centre of mass [radii of gyration]
 
 
-def declared_parameters(tree: Tree) -> tuple[Parameter, ...]:
-    """Every quantity of the model that is not zero, with its bounds and its prior."""
+def declared_parameters(tree: Tree, moved: Sequence[float]) -> tuple[Parameter, ...]:
+    """Every quantity of the model that is not zero, with its bounds and its prior, and the rotor of every drive.
+
+    A URDF file cannot say that a motor turns a rotor behind a gear, and few MJCF files do; every drive has one.
+
+    Args:
+        tree: The tree.
+        moved: Inertia that each joint moves at least [kg m2 or kg]; it scales a rotor that the model leaves out.
+    """
+    driven = {actuator.joint for actuator in tree.actuators}
+    rotor, fading = (UNKNOWN_ROTOR, FADING) if tree.without_actuators else (ROTOR, 0.0)
     found: list[Parameter] = []
     for body in tree.bodies:
         found += _of_body(body)
-    for joint in tree.joints:
-        found += _of_joint(joint)
+    for index, joint in enumerate(tree.joints):
+        untold = _Untold(rotor, fading, moved[index]) if index in driven else None
+        found += _of_joint(joint, untold)
     for actuator in tree.actuators:
         found += _of_actuator(actuator, tree.joints[actuator.joint])
     return tuple(found)
@@ -180,9 +199,10 @@ def _positive(name: str, value: float, unit: str, kind: str, text: str) -> Param
     return Parameter(name, value, unit, *bounds, PRIORS[kind] * size, text)
 
 
-def _loss(name: str, value: float, unit: str, kind: str, text: str) -> Parameter:
-    """What takes energy out, and may be nothing."""
-    return Parameter(name, value, unit, 0.0, LARGEST_SHARE * value, PRIORS[kind] * value, text)
+def _loss(name: str, value: float, unit: str, kind: str, text: str, least: float) -> Parameter:
+    """What takes energy out, and may be nothing; its prior is no narrower than ``least``."""
+    sd = max(PRIORS[kind] * value, least)
+    return Parameter(name, value, unit, 0.0, LARGEST_SHARE * max(value, least), sd, text)
 
 
 def _of_body(body: Body) -> list[Parameter]:
@@ -207,7 +227,15 @@ def _of_body(body: Body) -> list[Parameter]:
     return found
 
 
-def _of_joint(joint: Joint) -> list[Parameter]:
+class _Untold(NamedTuple):
+    """What the drive of a joint may have that its model does not tell; see `ROTOR` and `FADING`."""
+
+    rotor: float
+    fading: float
+    inertia: float  # that the joint moves at least [kg m2 or kg]
+
+
+def _of_joint(joint: Joint, untold: _Untold | None) -> list[Parameter]:
     load, inertia, unit = ("N", "kg", "m") if joint.slides else ("N m", "kg m2", "rad")
     name, found = joint.name, []
     listed = (
@@ -216,9 +244,13 @@ def _of_joint(joint: Joint) -> list[Parameter]:
     )
     for kind, of, text in listed:
         if (value := float(getattr(joint, kind))) > 0.0:
-            found.append(_loss(f"{kind}({name})", value, of, kind, text))
-    if joint.armature > 0.0:
-        text = f"I_r, inertia of the rotor of {name} behind its gear"
+            least = untold.fading * untold.inertia if untold and kind == "damping" else 0.0
+            found.append(_loss(f"{kind}({name})", value, of, kind, text, least))
+    text = f"I_r, inertia of the rotor of {name} behind its gear"
+    if joint.armature == 0.0 and untold:
+        sd, high = untold.rotor * untold.inertia, LARGEST_ROTOR * untold.inertia
+        found.append(Parameter(f"armature({name})", 0.0, inertia, 0.0, high, sd, text))
+    elif joint.armature > 0.0:
         found.append(_positive(f"armature({name})", joint.armature, inertia, "armature", text))
     if joint.stiffness != 0.0:
         text = f"k, stiffness of the spring of {name}"
@@ -245,7 +277,8 @@ def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
     else:
         if g0 != 0.0:
             of = "1" if unit == force else f"{force}/({unit})"
-            found.append(_positive(f"gain({name})", g0, of, "gain", f"k, force of {name} per command"))
+            kind = "gain" if of != "1" else "gain of a load"
+            found.append(_positive(f"gain({name})", g0, of, kind, f"k, force of {name} per command"))
         if b1 != 0.0:
             text = f"k_p, stiffness of {name}"
             found.append(_positive(f"kp({name})", -b1, f"{force}/{per}", "kp", text))

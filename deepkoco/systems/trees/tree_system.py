@@ -138,7 +138,7 @@ class TreeSystem(System):
         self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        declared = visible_parameters(self, tree, declared_parameters(tree))
+        declared = visible_parameters(self, tree, declared_parameters(tree, self._least_inertias))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
     @classmethod

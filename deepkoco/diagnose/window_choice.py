@@ -1,0 +1,61 @@
+"""Length of the windows: about one period of the system, or less where the simulation as given leaves the logs.
+
+A cause is found by its slope at the refit. Where the simulation has left the motion within a window, that slope says
+nothing, the cost has many minima, and a refit ends in one of them with parameters that no machine has. Along a short
+window the state is nearly known, and its change is nearly linear in loads and masses.
+
+Source: Bock, Recent advances in parameter identification (1983), on the length of the intervals of multiple shooting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.fit.data.windows import Windows, cut_windows, estimate_channels, moving, window_length
+from deepkoco.fit.fit import FitProblem
+from deepkoco.logs.recording import Recording
+from deepkoco.systems import System
+
+SHARES = (1.0, 0.5, 0.25, 0.125)  # of the usual length
+FOLLOWS = 0.1  # squared error of a simulation, as a share of the motion in its window, up to which it follows its log
+SOME = 20  # windows that are simulated
+SHORTEST = 16  # samples of each channel that a window keeps
+
+
+def followed_length(recordings: Sequence[Recording], system: System) -> float:
+    """Return the longest window [s] in which the system as given follows most of the logs.
+
+    Where it follows them in none, the window that it leaves least.
+
+    Args:
+        recordings: Logs to explain.
+        system: The system as given.
+    """
+    usual, noise = window_length(system), estimate_channels(recordings, system)
+    least, best = np.inf, usual
+    for share in SHARES:
+        windows = cut_windows(recordings, system, share * usual, noise)
+        windows = windows.take(moving(windows)) if len(windows) else windows
+        if len(windows) == 0 or int(windows.valid.sum(-1).max(0).values.min()) < SHORTEST:
+            break
+        left = _left_out(windows, system)
+        if left <= FOLLOWS:
+            return share * usual
+        if left < least:
+            least, best = left, share * usual
+    return best
+
+
+def _left_out(windows: Windows, system: System) -> float:
+    """Median over windows of the squared error, as a share of the motion, with fitted initial states."""
+    some = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
+    start = baseline_from(system, some)
+    problem = FitProblem(start.system, some)
+    _, cost = problem.fit_states(start.values, some.state)
+    value, valid = some.value, some.valid
+    mean = (value * valid).sum(-1, keepdim=True) / valid.sum(-1, keepdim=True).clamp_min(1)
+    motion = ((value - mean) * problem.weight).square().sum((1, 2))
+    return float((cost / motion.clamp_min(1e-300)).nan_to_num(np.inf, np.inf).median())
