@@ -19,7 +19,7 @@ from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
-from deepkoco.diagnose.verdict.advice import always_there, class_advice, cut_short, level_advice, not_fitted
+from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
 from deepkoco.diagnose.verdict.judgement import Judgement
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
@@ -43,6 +43,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         judgement: The verdict on them.
     """
     base, train, first = explanation.base, explanation.base.train, explanation.first
+    # First, because it may leave out something that the result then lists.
     advice = _advice(request, explanation, judgement)
     at_end = judgement.final if judgement.load is None else judgement.load.fit
     return Diagnosis(
@@ -56,7 +57,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         windows=len(train),
         window_s=request.length,
         localisation=localise(judgement.missing),
-        advice=(*cut_short(request.limit), *advice),
+        advice=advice,
         data={
             **describe_data(request.recordings, base.data, request.system),
             "healthy": describe_healthy(base.learned),

@@ -6,6 +6,7 @@ import pytest
 
 from deepkoco.cli.command_line import main
 from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.report.text import lead
 from deepkoco.diagnose.time_limit import TimeLimit, TimeLimitError
 from tests.oracle.unit import hidden_log
 
@@ -62,8 +63,10 @@ def test_a_diagnosis_whose_time_is_over_gives_its_best_answer_and_lists_what_is_
     assert cut.names == full.names == ("coulomb",)
     assert "a further cause together with coulomb" in cut.left_out
     assert cut.to_json()["time_limit"] == {"seconds": 1e-9, "left_out": list(cut.left_out)}
-    assert cut.advice[0].startswith("The time limit of 1e-09 s ended this diagnosis early")
-    assert "a further cause together with coulomb" in cut.advice[0]
+    said = "The time limit of 1e-09 s ended this diagnosis early"
+    assert said in lead(cut)
+    assert f"Not checked: {'; '.join(cut.left_out)}." in lead(cut)
+    assert said not in lead(full)
 
 
 def test_a_limit_that_is_not_reached_changes_nothing_but_its_own_key(log):

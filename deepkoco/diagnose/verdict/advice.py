@@ -23,7 +23,6 @@ from deepkoco.diagnose.experiment_design.experiment_setup import (
 )
 from deepkoco.diagnose.experiment_design.log_at_hand import LogAtHand
 from deepkoco.diagnose.experiment_design.search import Scan, scan
-from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import ExtendedSystem, System
@@ -42,16 +41,6 @@ def not_fitted(names: Sequence[str]) -> tuple[str, ...]:
     return (
         f"Could not be fitted: {_listed(names)}. The simulation diverges there. Check that the logs belong to this "
         "system and this unit, or give shorter windows.",
-    )
-
-
-def cut_short(limit: TimeLimit) -> tuple[str, ...]:
-    """Return a sentence that lists what a diagnosis left out because its time was over."""
-    if not limit.left_out:
-        return ()
-    return (
-        f"The time limit of {limit.seconds:g} s ended this diagnosis early, so the answer is the best so far. Not "
-        f"checked: {'; '.join(limit.left_out)}. Give more time to check this.",
     )
 
 
