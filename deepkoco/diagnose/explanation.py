@@ -52,9 +52,8 @@ def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str
             base.start, base.train, base.data.held, request.causes, request.detection, progress, request.limit
         )
         first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
-        asked = more and (
-            not found.accepted or request.limit.allows("what the healthy logs say of the causes")
-        )
+        tested = base.start.healthy is not None and found.accepted
+        asked = more and (not tested or request.limit.allows("what the healthy logs say of the causes"))
         causes = selection.consistent_with_healthy(found) if asked else []
         if not causes:
             return _of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))

@@ -34,11 +34,14 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.moved:
         values = " and ".join(_moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
+    differs = "no cause of the catalogue explains the difference"
+    if diagnosis.left_out:
+        differs = "the time did not suffice to say by what"
     return {
         "cause": named,
         "ambiguous": f"{named} (or an equivalent)",
         "nothing": explained,
-        "unknown": "The simulation differs from this log, and no cause of the catalogue explains the difference",
+        "unknown": f"The simulation differs from this log, and {differs}",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
 
