@@ -75,6 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print report.json instead of a table")
     parser.add_argument(
+        "--time-limit",
+        type=float,
+        metavar="S",
+        help="time [s] after which no further step begins; the report lists what is then missing (default: none)",
+    )
+    parser.add_argument(
         "--evidence",
         action="store_true",
         help="add the probability of each cause to report.json; it decides nothing yet, and doubles the time",
@@ -100,6 +106,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or result_folder(first, "_diagnosis")
     if args.window is not None and not 0.05 <= args.window <= 60.0:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
+    if args.time_limit is not None and not args.time_limit > 0.0:
+        raise InputError(f"--time-limit {args.time_limit:g}: give a positive number of seconds")
     try:
         check_new(out)
         with _Doing(args.json) as say:
@@ -115,6 +123,7 @@ def run(args: argparse.Namespace) -> int:
                 args.window,
                 progress=say,
                 evidence=args.evidence,
+                time_limit=args.time_limit,
             )
             say("drawing the report")
             page = write_report(result, out)

@@ -22,6 +22,7 @@ from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.result import diagnosis_of, insufficient
+from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.diagnose.window_choice import followed_length
 from deepkoco.fit.data.windows import window_length
@@ -43,6 +44,7 @@ def diagnose(
     baseline: Baseline | None = None,
     progress: Progress = silent,
     evidence: bool = False,
+    time_limit: float | None = None,
 ) -> Diagnosis:
     """Compare logs of a unit with its simulation, and name the cause of the difference.
 
@@ -67,6 +69,9 @@ def diagnose(
             share it. None learns it from ``healthy``.
         progress: Called with the name of each step; ``print``, for example.
         evidence: Whether :mod:`deepkoco.diagnose.probability` answers too. It doubles the time and decides nothing.
+        time_limit: Time [s] after which no further step begins; the result is the best answer so far, and its
+            ``left_out`` lists the steps that are missing. Only then the result depends on the speed of the machine. The
+            first ranking of the causes is always made. None makes every step.
 
     Raises:
         LogError: A log cannot be read, or lacks a channel.
@@ -74,8 +79,9 @@ def diagnose(
         BaselineError: ``healthy`` and ``baseline`` are both given, or the baseline was learned on another system.
         UnknownCauseError: ``only`` names a cause that the system does not have.
         DivergedError: The simulation of the system as given diverges on these logs.
+        TimeLimitError: ``time_limit`` is not positive.
     """
-    began = time.perf_counter()
+    began, limit = time.perf_counter(), TimeLimit(time_limit)
     base = any_system(system)
     plain = base.base if isinstance(base, ExtendedSystem) else base
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
@@ -96,14 +102,14 @@ def diagnose(
             length = window_length(base) if known else followed_length(recordings, base)
         data = cut_data(recordings, holdout, base, length)
         request = DiagnosisRequest(
-            recordings, base, data, length, seed, detection, causes, progress, began, evidence
+            recordings, base, data, length, seed, detection, causes, progress, began, evidence, limit
         )
         if len(data.train) < MIN_TRAINING_WINDOWS:
             return insufficient(request)
         learned, unfitted = baseline, ()
         if learned is None and healthy:
             try:
-                learned = learn_baseline(healthy, base, length, progress)
+                learned = learn_baseline(healthy, base, length, progress, limit=limit)
             except DivergedError as error:
                 unfitted = (f"the healthy logs, which are left out ({error})",)
         if learned is not None:
@@ -119,5 +125,6 @@ def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[st
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
     explanation = explain(request, start, unfitted)
     judgement = judge(request, explanation)
+    weighed = request.evidence and request.limit.allows("probabilities of the causes")
     result = diagnosis_of(request, explanation, judgement)
-    return with_evidence(result, request, explanation.base) if request.evidence else result
+    return with_evidence(result, request, explanation.base) if weighed else result

@@ -165,6 +165,8 @@ class Diagnosis:
         moved: Where nothing is missing: parameters far from their given values with which the simulation explains the
             log.
         evidence: Answer of the method of probabilities, which decides nothing; None where it did not run.
+        time_limit: Time that was allowed [s]; None for no limit.
+        left_out: Steps that were not made because this time was over.
     """
 
     verdict: Verdict
@@ -190,6 +192,8 @@ class Diagnosis:
     final: dict[str, Estimate] = field(default_factory=dict)
     moved: tuple[Moved, ...] = ()
     evidence: dict[str, Any] | None = None
+    time_limit: float | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -257,8 +261,14 @@ class Diagnosis:
                 "versions": self.versions,
                 "seconds": self.seconds,
                 **({} if self.evidence is None else {"evidence": self.evidence}),
+                **self._limited(),
             }
         )
+
+    def _limited(self) -> dict[str, Any]:
+        if self.time_limit is None:
+            return {}
+        return {"time_limit": {"seconds": self.time_limit, "left_out": list(self.left_out)}}
 
     def _gain(self) -> dict[str, Any] | None:
         if self.gain is None:

@@ -49,10 +49,12 @@ def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str
         progress("refit of the simulation as given")
         base = refit_to_logs(learned, request.data)
         selection = Selection(
-            base.start, base.train, base.data.held, request.causes, request.detection, progress
+            base.start, base.train, base.data.held, request.causes, request.detection, progress, request.limit
         )
         first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
-        causes = selection.consistent_with_healthy(found) if more else []
+        tested = base.start.healthy is not None and found.accepted
+        asked = more and (not tested or request.limit.allows("what the healthy logs say of the causes"))
+        causes = selection.consistent_with_healthy(found) if asked else []
         if not causes:
             return _of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
         more -= 1

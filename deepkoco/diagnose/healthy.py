@@ -30,6 +30,7 @@ from deepkoco.diagnose.per_log_refits import run_to_run
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, within_bounds
+from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.per_log_differences import may_differ
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
@@ -50,6 +51,7 @@ def learn_baseline(
     length: float,
     progress: Progress = silent,
     extension: int = LARGEST_EXTENSION,
+    limit: TimeLimit | None = None,
 ) -> Baseline:
     """Refit, and where needed extend, the baseline on logs in which nothing is wrong.
 
@@ -66,7 +68,9 @@ def learn_baseline(
         length: Length of the windows [s].
         progress: Called with the name of each step.
         extension: Largest number of small effects that are added.
+        limit: Asked before each of them; it remembers what it refused. None allows all.
     """
+    limit = TimeLimit() if limit is None else limit
     progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
@@ -79,6 +83,8 @@ def learn_baseline(
     alike: dict[str, tuple[str, ...]] = {}
     causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
     for _ in range(extension):
+        if not limit.allows("small effects that the healthy logs show"):
+            break
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         ranking = rank(problem, start, fit, accepted, hints, causes)
@@ -96,6 +102,7 @@ def learn_baseline(
     progress(f"healthy logs: lost commands{in_company_of(c.name for c in accepted)}")
     prior = prior_with(problem, start, accepted, fit.values)
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
+    lost = lost if limit.allows("lost commands in the healthy logs") else []
     losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
     healthy = Healthy(tuple(recordings), windows, start, tuple(accepted), fit)
     # If the healthy logs cannot decide between several causes, a later log may. So all of them are added, with the

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.data import Data
 from deepkoco.diagnose.progress import Progress
+from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
@@ -27,6 +28,7 @@ class DiagnosisRequest:
         progress: Called with the name of each step.
         began: When the diagnosis began, by ``time.perf_counter`` [s].
         evidence: Whether the method of probabilities answers too.
+        limit: Asked before every step that an answer can do without; it remembers those that it refused.
     """
 
     recordings: Sequence[Recording]
@@ -39,3 +41,4 @@ class DiagnosisRequest:
     progress: Progress
     began: float
     evidence: bool = False
+    limit: TimeLimit = field(default_factory=TimeLimit)

@@ -43,6 +43,8 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         judgement: The verdict on them.
     """
     base, train, first = explanation.base, explanation.base.train, explanation.first
+    # First, because it may leave out something that the result then lists.
+    advice = _advice(request, explanation, judgement)
     at_end = judgement.final if judgement.load is None else judgement.load.fit
     return Diagnosis(
         verdict=judgement.verdict,
@@ -55,7 +57,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         windows=len(train),
         window_s=request.length,
         localisation=localise(judgement.missing),
-        advice=_advice(request, explanation, judgement),
+        advice=advice,
         data={
             **describe_data(request.recordings, base.data, request.system),
             "healthy": describe_healthy(base.learned),
@@ -70,6 +72,8 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         details=_details(request, base, judgement),
         final=_written(explanation, judgement),
         moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),
+        time_limit=request.limit.seconds,
+        left_out=tuple(request.limit.left_out),
     )
 
 
@@ -162,7 +166,8 @@ def _unidentified(base: Refitted) -> tuple[Direction, ...]:
 def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judgement) -> tuple[str, ...]:
     base, classes = explanation.base, ()
     logs = [str(r.path) for r in request.recordings if r.path is not None]
-    if any(len(found.members) > 1 for found in judgement.causes):
+    doubtful = any(len(found.members) > 1 for found in judgement.causes)
+    if doubtful and request.limit.allows("commands that would distinguish the causes of a class"):
         start = replace(base.start, prior=base.learned.prior)
         classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
     return (

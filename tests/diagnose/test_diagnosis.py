@@ -236,9 +236,10 @@ def test_diagnose_command_shows_progress_on_a_terminal_only(log, tmp_path, monke
     assert stream is Terminal or shown == ""
 
 
-def told(*_, progress, evidence):
+def told(*_, progress, evidence, time_limit):
     """A diagnosis that ends at once."""
     assert evidence is False
+    assert time_limit is None
     progress("fitting every [b]cause")
     time.sleep(0.2)  # the line is drawn ten times a second
     return SimpleNamespace(verdict="insufficient", to_json=dict)

@@ -159,7 +159,8 @@ def test_pruned_ranks_the_last_cause_again_without_those_that_are_removed():
     problem, start, causes, fit, reference = fitted(log, ["coulomb", "cogging"])
     selection = Selection(start, problem.windows, None, causes, 24.0)
     hints = selection._hints(problem, reference, missing_torque(problem, reference))
-    steps = [(rank(problem, start, reference, (), hints, causes), ("coulomb", "cogging")), (None, ())]
+    first = rank(problem, start, reference, (), hints, causes)
+    steps = [(first, ("coulomb", "cogging")), (first, ())]
     found = selection._pruned(Selected(fit, tuple(causes), tuple(steps), problem))
     assert found.accepted == (causes[0],)
     ((ranking, members),) = found.steps

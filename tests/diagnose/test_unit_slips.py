@@ -6,7 +6,14 @@ from dataclasses import replace
 import pytest
 
 from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.slips import LARGE, SLIPS, slipped
+from deepkoco.diagnose.evidence.start_values import Hints
+from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.fit import FitProblem, cut_windows, window_length
 from deepkoco.logs.recording import Recording
+from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
 
 RIVALS = ("gain", "length", "payload", "coulomb", "unit_slip", "channel_slip(theta)")
@@ -28,3 +35,19 @@ def test_unit_slip_that_the_refit_absorbs_is_named(excitation, seed):
     assert result.verdict == "cause"
     assert result.causes[0].name == "unit_slip"
     assert result.causes[0].parameters["unit_slip.factor"].value == pytest.approx(180.0 / math.pi)
+
+
+def test_few_windows_choose_the_right_one_of_many_constants():
+    log = rescaled(hidden_log("rod_pendulum", {}, "steps", 7, 60.0), "theta", 180.0 / math.pi)
+    system = make_system("rod_pendulum")
+    windows = cut_windows([log], system, window_length(system))
+    start = baseline_from(system, windows)
+    windows, reference = refit_sharply(start, windows)
+    known = catalogue(system)
+    hints = Hints(system, windows, missing_torque(FitProblem(start.system, windows), reference), math.inf)
+    causes = [c for c in known.values() if not c.free and c.scatter is None and not c.traced]
+    offered = [(c, place) for c in causes for place in c.starts(hints.for_cause(c))]
+    assert len(offered) * len(windows) > LARGE
+    trials = slipped(FitProblem(start.system, windows), start, (), reference, offered, math.inf)
+    assert len(trials) == SLIPS
+    assert trials[0].name == "channel_slip(theta)"

@@ -1,6 +1,7 @@
 """FitProblem, windows and push, on closed-form motion."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,3 +203,33 @@ def test_window_length_is_about_one_period():
         2 * math.pi / math.sqrt(15.0), rel=1e-3
     )
     assert window_length(make_system("pendulum")) == 1.0
+
+
+def test_a_fit_of_a_wrong_model_ends_after_as_many_steps_whatever_the_noise_is_said_to_be():
+    # Friction that the model lacks leaves a hundred times the noise; with a tenth of the noise said, ten thousand.
+    counts = []
+    for share in (1.0, 0.1):
+        noise = tuple(Noise(share * n.sd, 0.0) for n in NOISE)
+        problem, values = problem_of(decaying_swing(), noise=noise)
+        declared = [p for p in problem.system.parameters if p.name in ("length", "mass")]
+        prior = Prior.of([replace(p, prior_sd=share * p.prior_sd) for p in declared])
+        fit = problem.fit([Trial("swing", ("length", "mass"), prior, values)], 40)[0]
+        assert fit.converged
+        assert fit.chi2 / problem.windows.samples > 20.0
+        counts.append(len(fit.history))
+    assert counts[0] == counts[1]
+
+
+def decaying_swing(decay=0.8) -> Recording:
+    """A large free swing that decays; its frequency is that of a smaller rod."""
+    swing = free_swing(omega=1.1 * RATE, amplitude=0.6)
+    t = swing.channels["theta"].t
+    faded = np.exp(-decay * t)
+    theta = math.pi + 0.6 * faded * np.cos(1.1 * RATE * t)
+    speed = np.gradient(theta, t)
+    channels = {
+        **swing.channels,
+        "theta": Series(t, theta, "rad", "measurement"),
+        "omega": Series(t, speed, "rad/s", "measurement"),
+    }
+    return replace(swing, channels=channels)

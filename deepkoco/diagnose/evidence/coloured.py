@@ -9,7 +9,7 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
-from deepkoco.diagnose.evidence.selection import ITERATIONS, PATIENCE
+from deepkoco.diagnose.evidence.selection import PATIENCE
 from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.coloured import ColouredProblem, whitening
 from deepkoco.fit.fit import FitProblem, Trial
@@ -67,7 +67,8 @@ def leader_under_colour(
     coloured = ColouredProblem(problem, whitening(problem, [c.fit for c in everyone]))
     if coloured.samples == 0:
         return None
-    fits = coloured.fit([_trial(problem, start, accepted, c) for c in everyone], ITERATIONS)
+    # Only minima are compared: the starts are minima under independent errors, and one may be nearer than another.
+    fits = coloured.fit([_trial(problem, start, accepted, c) for c in everyone], PATIENCE)
     if any(fit.diverged for fit in fits[:1]):
         return None
     lowest = min(fits, key=lambda fit: fit.cost)

@@ -17,6 +17,9 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
+# Causes -> fit with all of them but one, by their names and its name.
+Removals = dict[tuple[tuple[str, ...], str], Fit]
+
 __all__ = ["BENDING", "FLEXIBLE_CAUSES", "PUSHES", "carried", "eliminated", "without", "without_kinds"]
 
 
@@ -30,6 +33,7 @@ def eliminated(
     share: float = 0.0,
     before: float = math.inf,
     exempt: Collection[Cause] = (),
+    done: Removals | None = None,
 ) -> tuple[list[Cause], Fit]:
     """Remove causes whose delta BIC, together with all others, is too small; the weakest first.
 
@@ -46,13 +50,14 @@ def eliminated(
         share: Share of what all causes explain, which a cause needs to stay.
         before: Cost of the refit without any cause.
         exempt: Causes that may explain less than that share.
+        done: Fits without one cause that are known; those that are made are added.
 
     Returns:
         The remaining causes and their fit.
     """
     kept = list(accepted)
     while len(kept) > least:
-        fits = _less(problem, start, kept, kept, fit)
+        fits = _less(problem, start, kept, kept, fit, done)
         spread = dispersion(fit, problem.windows)
         deflation = max(spread.deflation, start.least_deflation)
         samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
@@ -75,7 +80,13 @@ def eliminated(
 
 
 def carried(
-    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], fit: Fit, held: Windows, least: int
+    problem: FitProblem,
+    start: Baseline,
+    accepted: Sequence[Cause],
+    fit: Fit,
+    held: Windows,
+    least: int,
+    done: Removals | None = None,
 ) -> tuple[list[Cause], Fit]:
     """Remove lasting causes that clearly raise the held-out error.
 
@@ -89,13 +100,14 @@ def carried(
         fit: Fit with all of them.
         held: Held-out windows.
         least: Number of causes that stay in any case, including pushes.
+        done: Fits without one cause that are known; those that are made are added.
 
     Returns:
         The remaining causes and their fit.
     """
     kept = list(accepted)
     while len(kept) > least and (lasting := [c for c in kept if c.effect != "event"]):
-        fits = _less(problem, start, kept, lasting, fit)
+        fits = _less(problem, start, kept, lasting, fit, done)
         now = held_out_chi2(problem, start, fit, held)
         # A cause can win by letting baseline parameters return to their prior instead of improving the simulation.
         # Held-out windows cannot test such a cause, so its harm is set to zero.
@@ -134,15 +146,25 @@ def beyond_chance(harm: np.ndarray) -> bool:
 
 
 def _less(
-    problem: FitProblem, start: Baseline, kept: Sequence[Cause], out: Sequence[Cause], fit: Fit
+    problem: FitProblem,
+    start: Baseline,
+    kept: Sequence[Cause],
+    out: Sequence[Cause],
+    fit: Fit,
+    done: Removals | None = None,
 ) -> list[Fit]:
-    """Return a fit without each of some causes."""
-    trials = [without(problem, start, kept, cause, fit) for cause in out]
-    if start.tempering == 1.0:
-        return problem.fit(trials, ITERATIONS, CLOSE)
-    # What is compared is large, so slopes at the fit of all causes will do, with one renewal.
-    known = problem.slopes_at(fit.values, fit.free, fit.state, fit.nuisance)
-    return problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=1)
+    """Return a fit without each of some causes; ``done`` gives those that were made before."""
+    done, names = {} if done is None else done, tuple(c.name for c in kept)
+    new = [c for c in out if (names, c.name) not in done]
+    trials = [without(problem, start, kept, cause, fit) for cause in new]
+    if start.tempering == 1.0 or not trials:
+        fits = problem.fit(trials, ITERATIONS, CLOSE)
+    else:
+        # What is compared is large, so slopes at the fit of all causes will do, with one renewal.
+        known = problem.slopes_at(fit.values, fit.free, fit.state, fit.nuisance)
+        fits = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=1)
+    done.update({(names, c.name): less for c, less in zip(new, fits, strict=True)})
+    return [done[names, c.name] for c in out]
 
 
 def _mostly_prior_penalty(less: Fit, fit: Fit) -> bool:

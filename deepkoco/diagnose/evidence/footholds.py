@@ -17,6 +17,7 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 
 ITERATIONS = 14
+ALONE = 6  # iterations of a cause alone, which only choose among starts
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
@@ -39,18 +40,20 @@ def alone(
     trials: Sequence[Trial],
     points: Sequence[StartPoint],
     known: FrozenSlopes | None = None,
+    iterations: int = ITERATIONS,
 ) -> list[Trial]:
-    """Return trials that start where the parameters of their causes alone fit best.
+    """Return trials that start where the parameters of their causes alone fit best, one for each cause.
 
     The baseline's parameters could otherwise absorb a cause as they did in the refit.
     """
     free = {p.cause.name: p.cause.free for p in points}
     own = [replace(t, free=tuple(free[t.name])) for t in trials]
-    fits = problem.fit(own, ITERATIONS, CLOSE, known, exact=False, renewals=0)
-    return [
-        replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance)
-        for t, fit in zip(trials, fits, strict=True)
-    ]
+    fits = problem.fit(own, iterations, CLOSE, known, exact=False, renewals=0)
+    best: dict[str, tuple[Trial, Fit]] = {}
+    for trial, fit in zip(trials, fits, strict=True):
+        if trial.name not in best or fit.cost < best[trial.name][1].cost:
+            best[trial.name] = (trial, fit)
+    return [replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance) for t, fit in best.values()]
 
 
 def from_halves(
@@ -75,10 +78,8 @@ def from_halves(
         for k, p in zip(sound, points, strict=True)
     ]
     trials = alone(halves, trials, points)
-    trials = [
-        trial_of(halves, start, accepted, p.cause, t.values, t.state, reference)
-        for p, t in zip(points, trials, strict=True)
-    ]
+    causes = {p.cause.name: p.cause for p in points}
+    trials = [trial_of(halves, start, accepted, causes[t.name], t.values, t.state, reference) for t in trials]
     fits = halves.fit(trials, ITERATIONS, CLOSE)
     kept = [k for k, fit in enumerate(fits) if not fit.diverged]
     found = [fits[k].values for k in kept]
@@ -91,7 +92,7 @@ def from_halves(
     first = (costs[0] <= costs[1])[..., None]
     states = torch.where(first, states[0], states[1])
     return [
-        trial_of(problem, start, accepted, points[k].cause, found[i], states[i], reference)
+        trial_of(problem, start, accepted, causes[fits[k].name], found[i], states[i], reference)
         for i, k in enumerate(kept)
         if bool(torch.isfinite(costs[:, i].min(0).values).all())
     ]

@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause, catalogue, kind_of
+from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.evidence.elimination import (
     BENDING,
-    FLEXIBLE_CAUSES,
     PUSHES,
     carried,
     eliminated,
@@ -28,9 +27,9 @@ from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.refine_ranking import classed, front_settled, with_fit
 from deepkoco.diagnose.evidence.sanity_checks import at_bound
 from deepkoco.diagnose.evidence.seen_when_healthy import (
-    Hypothesis,
     consistent_with_healthy,
     healthy_shows_pushes,
+    hypotheses_of,
 )
 from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic
 from deepkoco.diagnose.evidence.selection import FURTHER, PATIENCE, rank, without_events_first
@@ -45,8 +44,10 @@ from deepkoco.diagnose.residuals.residuals import (
     white_limit,
 )
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
 
 MOST_CAUSES = 3
 MAX_ROUNDS = 3  # of comparing each cause again and eliminating causes
@@ -63,6 +64,7 @@ class Selection:
         causes: Causes to try; None tries the whole catalogue.
         detection: Fall of the BIC from which a first cause is accepted.
         progress: Called with the name of each step.
+        limit: Asked before every step but the first ranking; None allows all.
     """
 
     def __init__(
@@ -73,13 +75,13 @@ class Selection:
         causes: Sequence[Cause] | None,
         detection: float,
         progress: Progress = silent,
+        limit: TimeLimit | None = None,
     ) -> None:
-        self.progress = progress
+        self.progress, self.limit = progress, TimeLimit() if limit is None else limit
         self.start, self.train, self.held = start, train, held
         self.causes, self.detection = causes, detection
         self.problem = FitProblem(start.system, train)
-        self.before = math.inf  # chi2 of the refit
-        self.cost = math.inf  # cost of the refit: chi2 and the penalty of the prior
+        self.before = self.cost = math.inf  # chi2 of the refit; its cost, with the penalty of the prior
         self.usual_pushes: set[str] = set()  # pushes that are no stronger than those of healthy logs
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
@@ -87,7 +89,7 @@ class Selection:
         self.before, self.cost = reference.chi2, reference.cost
         hints = self._hints(self.problem, reference, missing)
         self.progress("fitting every cause")
-        first = rank(self.problem, self.start, reference, (), hints, self.causes)
+        first = rank(self.problem, self.start, reference, (), hints, self.causes, self.limit)
         nothing = Selected(reference, (), (), self.problem)
         forward = self._forward(nothing, first, hints)
         first = forward.steps[0][0] if forward.steps else first
@@ -97,19 +99,8 @@ class Selection:
         return first, self._without_tolerated(replace(found, minor=forward.minor))
 
     def consistent_with_healthy(self, found: Selected) -> list[Cause]:
-        """Return the causes that may have been present before: accepted causes and members of their classes that the
-        healthy logs are consistent with."""
-        hypotheses = []
-        for ranking, members in found.steps:
-            for candidate in ranking.candidates:
-                cause, fit = candidate.cause, candidate.fit
-                # Pushes, tones and detents of one log say nothing about another log.
-                if cause.name not in members or not cause.free or kind_of(cause.name) in FLEXIBLE_CAUSES:
-                    continue
-                if fit is not ranking.reference:
-                    freed = set(fit.free)
-                    beside = [c for c in found.accepted if c.name != cause.name and freed.issuperset(c.free)]
-                    hypotheses.append(Hypothesis(cause, tuple(beside), fit))
+        """Return the accepted causes and members of their classes that may have been present in the healthy logs."""
+        hypotheses = hypotheses_of(found)
         verdicts = consistent_with_healthy(self.start, found.acting, hypotheses)
         return [hypothesis.cause for hypothesis, yes in zip(hypotheses, verdicts, strict=True) if yes]
 
@@ -126,9 +117,12 @@ class Selection:
         while len(accepted) < MOST_CAUSES + len(healthy):
             names = [*(c.name for c in accepted), *([so_far.lost.name] if so_far.lost else [])]
             if ranking is None or hints is None:
+                if not self.limit.allows(f"a further cause{in_company_of(names)}"):
+                    break
                 self.progress(f"fitting every cause{in_company_of(names)}")
                 hints = self._hints(problem, final, missing_torque(problem, final))
-                ranking = rank(problem, start, final, accepted, hints, self.causes)
+                worth = 0.0 if len(accepted) == len(healthy) else LEAST_SHARE * (self.cost - final.cost)
+                ranking = rank(problem, start, final, accepted, hints, self.causes, self.limit, worth)
             wanted = FURTHER if accepted or so_far.lost else self.detection
             if not ranking.candidates or ranking.best.delta_bic <= wanted:
                 break
@@ -249,9 +243,10 @@ class Selection:
             LEAST_SHARE,
             self.cost,
             self._tolerated(found),
+            done := {},
         )
         if self.held is not None and len(self.held) > 0:
-            kept, final = carried(found.acting, self.start, kept, final, self.held, least)
+            kept, final = carried(found.acting, self.start, kept, final, self.held, least, done)
         if dispersion(final, self.train).lag_one > coloured_from(self.train):
             kept, final = self._without(found.acting, kept, final, BENDING, 0.5)
         if more_than_noise(final, self.train, self.start) is not None:
@@ -286,18 +281,21 @@ class Selection:
         accepted, steps, final = list(found.accepted), list(found.steps), found.final
         everything = catalogue(start.system.base).values() if self.causes is None else self.causes
         lasting = [c for c in everything if c.effect != "event"]
-        healthy = self._tolerated(found)
+        healthy, near = self._tolerated(found), TOLERANCE * dispersion(final, self.train).correlation
         for k, cause in enumerate(accepted):
-            if cause in healthy:
-                continue
             others = [*accepted[:k], *accepted[k + 1 :]]
+            # The last cause has competed already beside the same others, unless they fit otherwise by now.
+            again = steps[k][0].compared(lasting, others) and found.lost is None
+            again = again and found.final.cost - final.cost < self._deflation(final)
+            if again or cause in healthy or not self.limit.allows(f"comparing {cause.name} again"):
+                continue
             self.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
-            less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE)
+            less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE, near)
             hints = self._hints(problem, less, missing_torque(problem, less))
             # A push can improve any window that a missing cause fits badly. It therefore competes with no other
             # cause; only its time and size are fitted again.
             rivals = [cause] if cause.effect == "event" else lasting
-            ranking = rank(problem, start, less, others, hints, rivals)
+            ranking = rank(problem, start, less, others, hints, rivals, self.limit)
             ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
             ranking, members = classed(problem, start, ranking, others, self.held)
             steps[k] = (ranking, members)
@@ -337,7 +335,7 @@ class Selection:
         if best is None and not left and plain.accepted:
             return None
         prefixes = [nothing] if plain.accepted else []
-        if len(forward.accepted) > 1:
+        if len(forward.accepted) > 1 and forward.accepted[:1] != plain.accepted:
             step = forward.steps[0]
             prefixes.append(
                 replace(nothing, final=step[0].best.fit, accepted=forward.accepted[:1], steps=(step,))
@@ -360,7 +358,7 @@ class Selection:
         steps = list(found.steps)
         causes = self._loss_causes()
         for k, cause in enumerate(found.accepted):
-            if cause.effect == "event" and causes:
+            if cause.effect == "event" and causes and self.limit.allows("lost commands"):
                 self.progress(f"lost commands instead of {cause.name}")
                 ranking, members = steps[k]
                 more = instead_of_push(found.acting, self.start, found.accepted, cause, found.final, causes)
@@ -374,6 +372,8 @@ class Selection:
 
     def _with_searched_losses(self, prefix: Selected, causes: Sequence[Cause]) -> Selected | None:
         """Search lost commands on top of a selection, and then accept further causes."""
+        if not self.limit.allows("lost commands"):
+            return None
         self.progress(f"lost commands{in_company_of(c.name for c in prefix.accepted)}")
         start, fit = self.start, prefix.final
         prior = prior_with(self.problem, start, prefix.accepted, fit.values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,19 +32,36 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Candidates from best to worst, with the reference and the deflation behind their scores."""
+    """Candidates from best to worst, with the reference and the deflation behind their scores.
+
+    Attributes:
+        reference: Fit of the baseline with the causes accepted so far.
+        candidates: Best first.
+        dispersion: Of the lowest fit.
+        deflation: Factor on likelihood ratios.
+        samples: Effective number of samples.
+        unfitted: Causes for which the simulation diverges from every start.
+        beside: Names of the causes that are part of the reference.
+        asked: Names of all causes that might have competed.
+    """
 
     reference: Fit
     candidates: tuple[Candidate, ...]
     dispersion: Dispersion
     deflation: float
-    samples: float  # effective number of samples
-    unfitted: tuple[str, ...] = ()  # causes for which the simulation diverges from every start
+    samples: float
+    unfitted: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
+    asked: tuple[str, ...] = ()
 
     @property
     def best(self) -> Candidate:
         """The candidate whose BIC falls most."""
         return self.candidates[0]
+
+    def compared(self, causes: Iterable[Cause], others: Iterable[Cause]) -> bool:
+        """Return whether all these causes competed in it, beside exactly these others."""
+        return {*self.beside} == {c.name for c in others} and {c.name for c in causes} <= {*self.asked}
 
     def probabilities(self) -> dict[str, float]:
         """Return the weight exp(delta BIC / 2) of each candidate, normalised over all candidates and the reference."""

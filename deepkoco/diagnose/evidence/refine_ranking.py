@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, Cause, is_changed
+from deepkoco.diagnose.evidence.candidate_fits import SCOUTING
 from deepkoco.diagnose.evidence.classes import APART, NEAR, equivalent
 from deepkoco.diagnose.evidence.coloured import leader_under_colour
 from deepkoco.diagnose.evidence.elimination import beyond_chance, held_out_chi2
@@ -15,14 +16,16 @@ from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
-from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE, SCOUTING
+from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
 from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
 HOPEFUL = 0.9  # share of what the winner explains, from which a simpler cause is fitted to convergence
 SURE = 2.0 * APART  # BIC difference from which a fit that kept the slopes of another point is not repeated
+PACE = 8  # iterations that show the pace of a fit
 VALLEYS = 8  # largest number of searches along a valley
 USUAL_CHANGE = 0.3  # scale of the change of a parameter, as a share of its given value
 
@@ -36,7 +39,9 @@ def front_settled(
     converges late may even become the winner. A simpler form of the winner is fitted from the winner's optimum too:
     otherwise two minima of the other parameters are compared, and not the two forms.
     """
-    winner = _better(ranking.best, settled(problem, start, accepted, ranking.best), ranking)
+    # Of correlated residuals, a sample decides only so much less.
+    near = TOLERANCE * ranking.dispersion.correlation
+    winner = _better(ranking.best, settled(problem, start, accepted, ranking.best, near), ranking)
     others = list(ranking.candidates[1:])
     for k, other in enumerate(others):
         # A candidate with a better score than the winner was put behind it on purpose (`without_events_first`).
@@ -54,7 +59,7 @@ def front_settled(
         sure = other.fit.exact or behind - _overpaid(ranking, other) >= SURE
         if other.fit.converged and sure and not _pulled_back(problem, start, other):
             continue
-        others[k] = _better(other, settled(problem, start, accepted, other), ranking)
+        others[k] = _better(other, settled(problem, start, accepted, other, near), ranking)
         if others[k].delta_bic > winner.delta_bic:
             winner, others[k] = others[k], winner
     return replace(ranking, candidates=(winner, *others))
@@ -68,12 +73,25 @@ def _from_winner(
     other: Candidate,
     winner: Candidate,
 ) -> Candidate:
-    """Fit a candidate from the parameters and initial states of the winner, and keep the better of its fits."""
+    """Fit a candidate from the parameters and initial states of the winner, and keep the better of its fits.
+
+    A fit that comes neither near the winner nor explains most of what that explains would change nothing. It ends
+    where it would not reach this at its present pace.
+    """
     null = {n: start.values[n] for n in winner.cause.free}
     own = {n: other.fit.values[n] for n in other.cause.free}
     values = {**winner.fit.values, **null, **own}
     trial = trial_of(problem, start, accepted, other.cause, values, winner.fit.state, ranking.reference)
-    fit = problem.fit([trial], PATIENCE)[0]
+    close = TOLERANCE * ranking.dispersion.correlation
+    fit = problem.fit([trial], PACE, close)[0]
+    charge = other.likelihood_ratio / ranking.deflation - other.delta_bic
+    near = (winner.delta_bic - NEAR + charge) * ranking.deflation
+    missing = fit.cost - ranking.reference.cost + min(near, HOPEFUL * winner.likelihood_ratio)
+    ended = fit.converged or fit.diverged
+    lately = fit.history[len(fit.history) // 2 :]
+    if not ended and missing < (lately[0] - lately[-1]) * (PATIENCE - PACE) / max(len(lately) - 1, 1):
+        trial = replace(trial, values=fit.values, state=fit.state, nuisance=fit.nuisance)
+        fit = problem.fit([trial], PATIENCE - PACE, close)[0]
     return with_better_fit(other, fit, ranking.deflation)
 
 
@@ -238,7 +256,13 @@ def _better(candidate: Candidate, fit: Fit, ranking: Ranking) -> Candidate:
     )
 
 
-def settled(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], winner: Candidate) -> Fit:
+def settled(
+    problem: FitProblem,
+    start: Baseline,
+    accepted: Sequence[Cause],
+    winner: Candidate,
+    tolerance: float = TOLERANCE,
+) -> Fit:
     """Fit a winner to convergence. Otherwise its remaining misfit would look like a further cause."""
     fit = winner.fit
     prior = prior_with(problem, start, [*accepted, winner.cause], fit.values)
@@ -246,7 +270,7 @@ def settled(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], win
         return fit
     trial = Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.nuisance)
     if winner.cause.valley is None:
-        found = problem.fit([trial], PATIENCE)[0]
+        found = problem.fit([trial], PATIENCE, tolerance)[0]
         return fit if found.diverged else found
     for _ in range(VALLEYS):
         # A fit takes short steps in a narrow valley of the cost, so new starts are placed along the valley.

@@ -12,8 +12,10 @@ import scipy.stats
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
-from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.causes import Cause, is_changed, kind_of
+from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
 from deepkoco.diagnose.evidence.start_values import WIDTHS
 from deepkoco.diagnose.residuals.residuals import MissingTorque, missing_torque
@@ -67,6 +69,22 @@ def consistent_with_healthy(
         hypothesis.cause.name not in known and chi2 <= limit
         for hypothesis, chi2, limit in zip(hypotheses, least, limits, strict=True)
     ]
+
+
+def hypotheses_of(found: Selected) -> list[Hypothesis]:
+    """Return the accepted causes and the members of their classes, each with its fit."""
+    hypotheses = []
+    for ranking, members in found.steps:
+        for candidate in ranking.candidates:
+            cause, fit = candidate.cause, candidate.fit
+            # Pushes, tones and detents of one log say nothing about another log.
+            if cause.name not in members or not cause.free or kind_of(cause.name) in FLEXIBLE_CAUSES:
+                continue
+            if fit is not ranking.reference:
+                freed = set(fit.free)
+                beside = [c for c in found.accepted if c.name != cause.name and freed.issuperset(c.free)]
+                hypotheses.append(Hypothesis(cause, tuple(beside), fit))
+    return hypotheses
 
 
 def healthy_shows_pushes(

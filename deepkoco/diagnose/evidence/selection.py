@@ -10,9 +10,10 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
+from deepkoco.diagnose.evidence.candidate_fits import fit_best
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
-from deepkoco.diagnose.evidence.footholds import CLOSE, ITERATIONS, alone, from_halves, trial_of
+from deepkoco.diagnose.evidence.footholds import ALONE, CLOSE, ITERATIONS, alone, from_halves, trial_of
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.promising import (
     WORTH,
@@ -22,10 +23,12 @@ from deepkoco.diagnose.evidence.promising import (
 )
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
+from deepkoco.diagnose.evidence.slips import HOPELESS, slipped
 from deepkoco.diagnose.evidence.start_values import Hints
+from deepkoco.diagnose.progress import in_company_of
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
+from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
-from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 
@@ -33,15 +36,7 @@ from deepkoco.fit.solve.prior import Prior
 # which nothing is wrong (results/diagnose/), with other seeds than the tests use.
 DETECTION = 24.0
 FURTHER = 30.0
-SCOUTING = 4  # iterations after which only the best start of each cause is continued
-PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
 PATIENCE = 40  # further iterations for a winner that has not converged
-SLIPS = 4  # unit conversion constants that are fitted in full
-SLIP_ITERATIONS = 6
-HOPELESS = (
-    10.0  # cost of a unit slip over that of the reference, from which it is not fitted with many parameters
-)
-FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 MOST_CHANGED = 6  # and changed parameters
 
@@ -53,6 +48,8 @@ def rank(
     accepted: Sequence[Cause],
     hints: Hints,
     causes: Sequence[Cause] | None = None,
+    limit: TimeLimit | None = None,
+    worth: float = 0.0,
 ) -> Ranking:
     """Fit each promising cause on top of a reference and rank them by the BIC.
 
@@ -63,9 +60,11 @@ def rank(
         accepted: Those causes.
         hints: Data from which causes choose their start values.
         causes: Causes to try; None tries the whole catalogue.
+        limit: Asked before a second round of fits; None allows it.
+        worth: Fall of the cost that a cause needs; those that will fall short of it are not fitted to the end.
     """
-    everything = catalogue(problem.system.base).values() if causes is None else causes
-    names = {c.name for c in accepted}
+    everything = [*catalogue(problem.system.base).values()] if causes is None else causes
+    names = [c.name for c in accepted]
     tried = [c for c in everything if c.name not in names and c.scatter is None and not c.traced]
     if start.tempering > 1.0:
         # A hundred times slower than the others, and told from dry friction by micrometres that a large error hides.
@@ -108,17 +107,20 @@ def rank(
         for p in promising
     ]
     # With many parameters, the candidates of a reference share its slopes.
-    known = tangent.kept() if trials and problem.keeps_slopes(trials) else None
-    slipped = _slipped(problem, start, accepted, reference, slips, HOPELESS if many else np.inf)
-    if known is None:
-        trials += slipped
-        fits = _fit_best(problem, trials, reference)
+    sharing = bool(trials) and problem.keeps_slopes(trials)
+    known = tangent.kept() if sharing else None
+    of_slips = slipped(problem, start, accepted, reference, slips, HOPELESS if many else np.inf)
+    if sharing:
+        fits = fit_best(problem, trials, reference, known)
+        fits |= fit_best(problem, of_slips, reference)
+        trials += of_slips
     else:
-        fits = _fit_best(problem, trials, reference, known)
-        fits |= _fit_best(problem, slipped, reference)
-        trials += slipped
+        trials += of_slips
+        fits = fit_best(problem, trials, reference, worth=worth)
     # With a tempered prior, the values as given are known to be no place from which anything can be told.
     far_away = start.tempering == 1.0 and strained(problem, start, reference)
+    if far_away and limit is not None:
+        far_away = limit.allows(f"fits of causes from the values as given{in_company_of(names)}")
     far = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
     if far_away and (promising or far):
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
@@ -133,26 +135,21 @@ def rank(
         from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
         values = [{**reference.values, **before, **p.values} for p in from_given]
-        known = None
-        if problem.keeps_slopes(trials):
-            foot = {**reference.values, **before}
-            state, cost = problem.fit_states(foot, reference.state)
-            states, costs = state.expand(len(values), -1, -1), cost.expand(len(values), -1)
-            known = problem.slopes_at(foot, reference.free, state, reference.nuisance)
-        else:
-            states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
-        if known is None and not reference.converged:
+        if not sharing and not reference.converged:
             footholds = from_halves(problem, start, accepted, from_given, values, reference)
         else:
+            foot = {**reference.values, **before}
+            state, cost = problem.fit_states(foot, reference.state)
+            known = problem.slopes_at(foot, reference.free, state, reference.nuisance) if sharing else None
             footholds = [
-                trial_of(problem, start, accepted, p.cause, values[k], states[k], reference)
+                trial_of(problem, start, accepted, p.cause, values[k], state, reference)
                 for k, p in enumerate(from_given)
-                if bool(torch.isfinite(costs[k]).all())
+                if bool(torch.isfinite(cost).all())
             ]
-            footholds = alone(problem, footholds, from_given, known)
+            footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
         trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
-        for name, fit in _fit_best(problem, footholds, reference, known).items():
+        for name, fit in fit_best(problem, footholds, reference, known, worth).items():
             if name not in fits or fit.cost < fits[name].cost:
                 fits[name] = fit
     promised = largest_promises(promises)
@@ -175,9 +172,10 @@ def rank(
             replace(first[n], values=fits[n].values, state=fits[n].state, nuisance=fits[n].nuisance)
             for n in unsettled
         ]
-        fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, CLOSE), strict=True))
+        near = CLOSE * ranking.dispersion.correlation
+        fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, near), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
-    return replace(ranking, unfitted=unfitted)
+    return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
 
 
 def _screened_as_given(
@@ -203,93 +201,6 @@ def _screened_as_given(
     for point in promising_starts(screen(problem, there, prior, pairs)):
         first.setdefault(point.cause.name, point)
     return sorted(first.values(), key=lambda p: -p.promise)
-
-
-def _fit_best(
-    problem: FitProblem, trials: Sequence[Trial], reference: Fit, known: FrozenSlopes | None = None
-) -> dict[str, Fit]:
-    """Return the fit of each name: a few iterations of every trial, then more for the best trial of each name.
-
-    Args:
-        problem: The windows.
-        trials: The trials; several may have one name.
-        reference: Fit whose cost they lower.
-        known: Slopes near their starts, which the first iterations keep.
-    """
-    if not trials:
-        return {}
-    scouts = problem.fit(trials, SCOUTING, CLOSE, known, exact=False, renewals=None if known is None else 0)
-    best: dict[str, tuple[Fit, Trial]] = {}
-    for trial, scout in zip(trials, scouts, strict=True):
-        if trial.name not in best or scout.cost < best[trial.name][0].cost:
-            best[trial.name] = (scout, trial)
-    won = reference.cost - min(scout.cost for scout, _ in best.values())
-    longer, running = [], []
-    for name, (scout, trial) in best.items():
-        # A candidate that is far behind is not continued; it would not become the winner.
-        if not scout.converged and reference.cost - scout.cost > PROMISING_SHARE * won:
-            running.append(name)
-            longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
-    longer = problem.fit(longer, ITERATIONS, CLOSE) if known is None else _fit_front(problem, longer, known)
-    return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
-
-
-def _fit_front(problem: FitProblem, trials: Sequence[Trial], known: FrozenSlopes) -> list[Fit]:
-    """Fit trials with known slopes, then the best of them with slopes of their own."""
-    fits = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
-    front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:FRONT]
-    again = [
-        replace(trials[k], values=fits[k].values, state=fits[k].state, nuisance=fits[k].nuisance)
-        for k in front
-    ]
-    for k, fit in zip(front, problem.fit(again, ITERATIONS, CLOSE, exact=False), strict=True):
-        if fit.cost <= fits[k].cost:
-            fits[k] = fit
-    return fits
-
-
-def _slipped(
-    problem: FitProblem,
-    start: Baseline,
-    accepted: Sequence[Cause],
-    reference: Fit,
-    slips: Sequence[tuple[Cause, Mapping[str, float]]],
-    most: float,
-) -> list[Trial]:
-    """Return trials of unit conversion constants; they start from the baseline's values before the refit.
-
-    Args:
-        problem, start, accepted, reference: As for :func:`rank`.
-        slips: The constants.
-        most: Cost before a fit, over that of the reference, from which a constant is left out.
-    """
-    if not slips:
-        return []
-    before = {n: start.values[n] for n in start.prior.names}
-    values = [{**reference.values, **before, **place} for _, place in slips]
-    states = problem.windows.state.repeat(len(slips), 1, 1)
-    for k, (cause, place) in enumerate(slips):
-        if cause.kind == "channel_slip":
-            states[k, :, problem.windows.shows[cause.index]] /= next(iter(place.values()))
-    if np.isfinite(most):
-        theta = np.array([[float(v[n]) for n in problem.names] for v in values])
-        shown = problem.predict(theta, states, reference.nuisance[None].repeat(len(values), 1))
-        cost = (
-            ((problem.windows.value - shown) * problem.weight).square().sum((1, 2, 3)).nan_to_num(torch.inf)
-        )
-        # Initial states lower the cost of a simulation that is right a few times, and hardly that of others.
-        hopeful = [k for k in cost.argsort().tolist() if cost[k] <= most * reference.cost][: 2 * SLIPS]
-        slips, values, states = [slips[k] for k in hopeful], [values[k] for k in hopeful], states[hopeful]
-        if not slips:
-            return []
-    fitted, costs = problem.fit_states_each(values, states, SLIP_ITERATIONS)
-    total = costs.sum(-1).nan_to_num(torch.inf)
-    # Only the few constants with the lowest cost are fitted in full.
-    return [
-        trial_of(problem, start, accepted, slips[k][0], values[k], fitted[k], reference)
-        for k in total.argsort()[:SLIPS].tolist()
-        if bool(torch.isfinite(total[k]))
-    ]
 
 
 def without_events_first(

@@ -34,11 +34,14 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.moved:
         values = " and ".join(_moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
+    differs = "no cause of the catalogue explains the difference"
+    if diagnosis.left_out:
+        differs = "the time did not suffice to say by what"
     return {
         "cause": named,
         "ambiguous": f"{named} (or an equivalent)",
         "nothing": explained,
-        "unknown": "The simulation differs from this log, and no cause of the catalogue explains the difference",
+        "unknown": f"The simulation differs from this log, and {differs}",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
 
@@ -89,7 +92,22 @@ def new_value(name: str, given: float, estimate: Estimate) -> str:
     return f"{text} (x {factor:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}])"
 
 
+def cut_short(diagnosis: Diagnosis) -> str:
+    """Return a sentence that lists what was not checked because the time was over; empty where everything was."""
+    if diagnosis.time_limit is None or not diagnosis.left_out:
+        return ""
+    return (
+        f"The time limit of {diagnosis.time_limit:g} s ended this diagnosis early, so this is the best answer so far. "
+        f"Not checked: {'; '.join(diagnosis.left_out)}."
+    )
+
+
 def lead(diagnosis: Diagnosis) -> str:
+    """Return a few sentences that explain the verdict, and say what was not checked."""
+    return " ".join(filter(None, (_explained(diagnosis), cut_short(diagnosis))))
+
+
+def _explained(diagnosis: Diagnosis) -> str:
     """Return two or three sentences that explain the verdict."""
     if diagnosis.verdict == "insufficient":
         return " ".join(diagnosis.advice)
@@ -213,6 +231,8 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
             table.add_row("assumed", text)
     for text in diagnosis.advice:
         table.add_row("next experiment" if diagnosis.verdict != "insufficient" else "needed", text)
+    if missing := cut_short(diagnosis):
+        table.add_row("not checked", missing)
     table.add_row("time", f"{diagnosis.seconds:.1f} s")
     return table
 

@@ -104,7 +104,7 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train, white)
     if base.start.tempering > 1.0 and verdict == "unknown":
         unfitted = (*unfitted, TOO_SLOW)
-    elif verdict == "unknown" or rival:
+    elif (verdict == "unknown" or rival) and request.limit.allows("a learned load"):
         request.progress("a learned load")
         learned, failed = _learned_load(base, missing, seed)
         unfitted = (*unfitted, *failed)

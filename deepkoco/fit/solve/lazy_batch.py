@@ -98,13 +98,6 @@ class LazyBatch(Batch):
                     )  # fmt: skip
         return [replace(self._result(k), exact=bool(self.current[k])) for k in range(len(self.trials))]
 
-    def _tolerance(self, k: int) -> float:
-        """Return the fall of the cost below which a trial has converged, for residuals of the size that it has.
-
-        A cost far above the number of samples shows model error, and costs are then compared by their ratio.
-        """
-        return self.tolerance * max(1.0, float(self.cost[k]) / max(self.problem.windows.samples, 1))
-
     def _judge(self, k: int, normal: NormalEquations, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
         """Accept or reject a point."""
         decrease = self.cost[k] - normal.cost

@@ -62,11 +62,11 @@ class Batch:
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
                     self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
                     self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
-                    self.converged[k] = decrease < self.tolerance
+                    self.converged[k] = decrease < self._tolerance(int(k))
                 else:
                     self.damping[k] *= 20.0
                     # If the step raises the cost by rounding errors only, the cost is at its minimum.
-                    self.converged[k] = normal.finite and -decrease < 1e-3 * self.tolerance
+                    self.converged[k] = normal.finite and -decrease < 1e-3 * self._tolerance(int(k))
                 self.history[k].append(float(self.cost[k]))
                 self.done[k] = (
                     self.converged[k] or self.damping[k] > LARGEST_DAMPING or self.normal[k] is None
@@ -78,9 +78,16 @@ class Batch:
                         self.done[k] = True
                         continue
                     trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
-                    if gain < 0.25 * self.tolerance:
+                    if gain < 0.25 * self._tolerance(int(k)):
                         self.done[k] = self.converged[k] = True
         return [self._result(k) for k in range(len(self.trials))]
+
+    def _tolerance(self, k: int) -> float:
+        """Return the fall of the cost below which a trial has converged, for residuals of the size that it has.
+
+        A cost far above the number of samples shows model error, and costs are then compared by their ratio.
+        """
+        return self.tolerance * max(1.0, float(self.cost[k]) / max(self.problem.windows.samples, 1))
 
     def _linearise(
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
