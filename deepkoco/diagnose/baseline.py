@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -224,7 +225,7 @@ def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     fit = refit(start, windows)
     windows = with_sharp_noise(windows, fit)
     for _ in range(STEP_ROUNDS):
-        parts = fine_steps(start.system, windows, fit)
+        parts = fine_steps(partial(FitProblem, start.system), windows, fit)
         windows = with_steps_cut(windows, parts)
         trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
         fit = FitProblem(start.system, windows).fit_one(trial)

@@ -1,6 +1,7 @@
 """Integration steps that are chosen by the log: their error is less than what the log can tell."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def seen_by(unit, noise_sd):
 @pytest.mark.parametrize("noise_sd", [1e-4, 1e-5])
 def test_steps_are_cut_until_their_error_is_less_than_a_fine_sensor_tells(unit, noise_sd):
     system, windows = seen_by(unit, noise_sd)
-    parts = fine_steps(system, windows, fit_of(system, windows))
+    parts = fine_steps(partial(FitProblem, system), windows, fit_of(system, windows))
     exact = simulated(system, windows, EXACT)
     told = [float(((simulated(system, windows, k) - exact) / noise_sd).square().sum()) for k in (1, parts)]
     assert told[1] < 2.0 * UNSEEN < told[0]  # the noise of this log counts as a little larger than it is
@@ -71,13 +72,13 @@ def test_steps_are_cut_until_their_error_is_less_than_a_fine_sensor_tells(unit, 
 
 def test_steps_stay_where_the_sensor_is_coarse(unit):
     system, windows = seen_by(unit, 0.02)
-    assert fine_steps(system, windows, fit_of(system, windows)) == 1
+    assert fine_steps(partial(FitProblem, system), windows, fit_of(system, windows)) == 1
 
 
 def test_steps_stay_where_something_larger_is_missing(unit):
     system, windows = seen_by(unit, 1e-4)
     wrong = windows.with_value(windows.value + 0.05 * torch.sin(20.0 * windows.t))
-    assert fine_steps(system, wrong, fit_of(system, wrong)) == 1
+    assert fine_steps(partial(FitProblem, system), wrong, fit_of(system, wrong)) == 1
 
 
 def test_windows_keep_their_length_and_samples_when_their_steps_are_cut(unit):

@@ -8,6 +8,7 @@ small push or tone, and no value of any parameter removes it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,14 +18,13 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.dispersion import dispersion
-from deepkoco.systems import ExtendedSystem
 
 # Squared error over all samples, in variances of the noise: no cause can be named for less than it explains.
 UNSEEN = 24.0
 MOST = 8  # parts of a step
 
 
-def fine_steps(system: ExtendedSystem, windows: Windows, fit: Fit) -> int:
+def fine_steps(problem_of: Callable[[Windows], ShootingProblem], windows: Windows, fit: Fit) -> int:
     """Return into how many parts each integration step must be cut: 1, 2, 4 or 8.
 
     The error of a step is estimated by the change that half of it makes. It is compared with the residuals of the fit:
@@ -32,14 +32,14 @@ def fine_steps(system: ExtendedSystem, windows: Windows, fit: Fit) -> int:
     reason, so the smaller ones count.
 
     Args:
-        system: The extended system.
+        problem_of: Gives the problem of such windows.
         windows: The windows.
         fit: A fit of them; its parameters, initial states and nuisances are simulated.
     """
-    parts, before, left = 1, _simulated(system, windows, fit, 1), fit
+    parts, before, left = 1, _simulated(problem_of, windows, fit, 1), fit
     deflation = dispersion(fit, windows).deflation
     while parts < MOST:
-        finer = _simulated(system, windows, fit, 2 * parts)
+        finer = _simulated(problem_of, windows, fit, 2 * parts)
         left = replace(left, residual=left.residual + before - finer)
         deflation = min(deflation, dispersion(left, windows).deflation)
         if not float((finer - before).square().sum()) > UNSEEN * deflation:
@@ -53,8 +53,10 @@ def with_steps_cut(windows: Windows, parts: int) -> Windows:
     return replace(windows, step=windows.step / parts, steps=windows.steps * parts)
 
 
-def _simulated(system: ExtendedSystem, windows: Windows, fit: Fit, parts: int) -> Tensor:
+def _simulated(
+    problem_of: Callable[[Windows], ShootingProblem], windows: Windows, fit: Fit, parts: int
+) -> Tensor:
     """Return the simulated measurements (W, N, M) of a fit, in standard deviations of the noise; 0 where padded."""
-    problem = ShootingProblem(system, with_steps_cut(windows, parts))
+    problem = problem_of(with_steps_cut(windows, parts))
     theta = np.array([[float(fit.values[n]) for n in problem.names]])
     return problem.predict(theta, fit.state[None], fit.nuisance[None])[0] * problem.weight
