@@ -15,7 +15,7 @@ from deepkoco.fit.data.windows import Windows, halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
-from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import MOST, fine_steps, with_steps_cut
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
@@ -224,9 +224,10 @@ def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough."""
     fit = refit(start, windows)
     windows = with_sharp_noise(windows, fit)
+    left = MOST
     for _ in range(STEP_ROUNDS):
-        parts = fine_steps(partial(FitProblem, start.system), windows, fit)
-        windows = with_steps_cut(windows, parts)
+        parts = fine_steps(partial(FitProblem, start.system), windows, fit, left)
+        windows, left = with_steps_cut(windows, parts), left // parts
         trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
         fit = FitProblem(start.system, windows).fit_one(trial)
         if parts == 1:

@@ -24,8 +24,10 @@ UNSEEN = 24.0
 MOST = 8  # parts of a step
 
 
-def fine_steps(problem_of: Callable[[Windows], ShootingProblem], windows: Windows, fit: Fit) -> int:
-    """Return into how many parts each integration step must be cut: 1, 2, 4 or 8.
+def fine_steps(
+    problem_of: Callable[[Windows], ShootingProblem], windows: Windows, fit: Fit, most: int = MOST
+) -> int:
+    """Return into how many parts each integration step must be cut: a power of two.
 
     The error of a step is estimated by the change that half of it makes. It is compared with the residuals of the fit:
     where something larger is missing, a fine step shows nothing more. Residuals that finer steps remove are no such
@@ -35,10 +37,11 @@ def fine_steps(problem_of: Callable[[Windows], ShootingProblem], windows: Window
         problem_of: Gives the problem of such windows.
         windows: The windows.
         fit: A fit of them; its parameters, initial states and nuisances are simulated.
+        most: Largest number of parts.
     """
     parts, before, left = 1, _simulated(problem_of, windows, fit, 1), fit
     deflation = dispersion(fit, windows).deflation
-    while parts < MOST:
+    while parts < most:
         finer = _simulated(problem_of, windows, fit, 2 * parts)
         left = replace(left, residual=left.residual + before - finer)
         deflation = min(deflation, dispersion(left, windows).deflation)
