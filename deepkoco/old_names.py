@@ -133,6 +133,12 @@ MOVED_NAMES = {
         ("deepkoco.graph.episodes.storage", name): "deepkoco.graph.episodes.export"
         for name in ("episode_table", "export_episodes")
     },
+    **{
+        ("deepkoco.systems.extended", name): "deepkoco.systems.model_yaml"
+        for name in ("ModelFileError", "load_model", "save_model")
+    },
+    **{("deepkoco.systems.system", name): "deepkoco.systems.motion" for name in ("CommandTiming", "Timing")},
+    ("deepkoco.systems.system", "rk4_step"): "deepkoco.systems.runge_kutta",
 }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from deepkoco.engines.engine import EngineError
-from deepkoco.engines.mjcf_object import MjcfObject, one_line
+from deepkoco.engines.mjcf_model import MjcfModel, one_line
 from deepkoco.engines.mujoco_world import import_mujoco
 from deepkoco.suggestion import did_you_mean
 from deepkoco.systems import Channel
@@ -52,7 +52,7 @@ class Scene:
         EngineError: A model cannot be read, or has no such sensor or keyframe.
     """
 
-    def __init__(self, objects: Mapping[str, MjcfObject]) -> None:
+    def __init__(self, objects: Mapping[str, MjcfModel]) -> None:
         self._mujoco = mujoco = import_mujoco()
         self.objects = dict(objects)
         self.model = self._compile()
@@ -109,7 +109,7 @@ class Scene:
         except (ValueError, RuntimeError) as error:
             raise EngineError(f"{', '.join(objects)}: MuJoCo cannot join them: {one_line(error)}") from None
 
-    def _read(self, name: str, each: MjcfObject) -> None:
+    def _read(self, name: str, each: MjcfModel) -> None:
         model, prefix = self.model, f"{name}_" if name else ""
         joints = [j for j in range(model.njnt) if self._owner(self._joint(j)) == name]
         actuators = [a for a in range(model.nu) if self._owner(self._actuator(a)) == name]
@@ -135,7 +135,7 @@ class Scene:
         if each.keyframe is not None:
             self._start_at(name, each, joints)
 
-    def _start_at(self, name: str, each: MjcfObject, joints: list[int]) -> None:
+    def _start_at(self, name: str, each: MjcfModel, joints: list[int]) -> None:
         """Put an object's keyframe, which is in its own frame, into the start of the scene."""
         mujoco = self._mujoco
         alone = each.compile()

@@ -3,16 +3,14 @@
 from deepkoco.systems.bodies.circling_target import CirclingTarget
 from deepkoco.systems.bodies.quadrotor_height import QuadrotorHeight
 from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
-from deepkoco.systems.extended import (
-    ExtendedSystem,
-    MemoryEffectError,
-    ModelFileError,
-    load_model,
-    save_model,
-)
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.extended import ExtendedSystem, MemoryEffectError
 from deepkoco.systems.joint import JointSystem
 from deepkoco.systems.loading import any_system, load_system
+from deepkoco.systems.model_yaml import ModelFileError, load_model, save_model
+from deepkoco.systems.motion import CommandTiming, Motion, Timing
 from deepkoco.systems.origins import SystemLoadError
+from deepkoco.systems.parameter import Parameter, ParameterError, Parameters
 from deepkoco.systems.registry import (
     JOINT_SYSTEMS,
     SYSTEMS,
@@ -24,17 +22,8 @@ from deepkoco.systems.registry import (
     register_system,
     system_names,
 )
-from deepkoco.systems.system import (
-    Channel,
-    CommandTiming,
-    Motion,
-    Parameter,
-    ParameterError,
-    Parameters,
-    System,
-    Timing,
-    rk4_step,
-)
+from deepkoco.systems.runge_kutta import rk4_step
+from deepkoco.systems.system import System
 
 __all__ = [
     "JOINT_SYSTEMS",

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from abc import ABCMeta
 from collections.abc import Sequence
 from typing import Any
+
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.parameter import Parameter
 
 COORDINATES = ("rad", "m")
 EXAMPLES = {
@@ -21,25 +23,6 @@ EXAMPLES = {
 
 class DeclarationError(ValueError):
     """A system declares too little, or what it declares does not go together; the message says what to write."""
-
-
-class Declared(ABCMeta):
-    """Class of the classes of systems: a system is completed and checked as soon as it is made."""
-
-    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Make a system.
-
-        Raises:
-            DeclarationError: It declares too little, or what does not go together.
-        """
-        missing = [name for name in sorted(cls.__abstractmethods__) if name in EXAMPLES]
-        if missing:
-            raise DeclarationError(_lacks(cls.__name__, missing[0]))
-        system = super().__call__(*args, **kwargs)
-        if not system.wraps:
-            complete(system)
-            check_declaration(system)
-        return system
 
 
 def complete(system: Any) -> None:
@@ -65,14 +48,11 @@ def complete(system: Any) -> None:
 
 
 def check_declaration(system: Any) -> None:
-    """Check that what a system declares goes together, and that its equations run.
+    """Check that what a system declares goes together.
 
     Raises:
         DeclarationError: They do not; the message names class, joint, channel or parameter, and what to write.
     """
-    from deepkoco.systems.equations_check import check_equations
-    from deepkoco.systems.system import Channel, Parameter
-
     who = type(system).__name__
     if not isinstance(getattr(system, "joints", None), int) or not hasattr(system, "state_units"):
         raise DeclarationError(
@@ -85,22 +65,21 @@ def check_declaration(system: Any) -> None:
     _check_names(who, "channels", (*system.commands, *system.measurements))
     _check_commands(who, system)
     _check_measurements(who, system)
-    check_equations(system)
 
 
-def _lacks(who: str, name: str) -> str:
+def lacks(who: str, name: str) -> str:
     return f"{who} lacks {name}: write {EXAMPLES[name]}"
 
 
 def _check_tuple(who: str, name: str, given: Any, kind: type) -> None:
     if given is None:
-        raise DeclarationError(_lacks(who, name))
+        raise DeclarationError(lacks(who, name))
     if isinstance(given, kind):
         raise DeclarationError(f"{who}: {name} is one {kind.__name__}, not a tuple: put a comma behind it")
     if not isinstance(given, Sequence) or not all(isinstance(each, kind) for each in given):
         raise DeclarationError(f"{who}: {name} = {given!r:.80}; give a tuple: {EXAMPLES[name]}")
     if not given and name == "measurements":
-        raise DeclarationError(_lacks(who, name))
+        raise DeclarationError(lacks(who, name))
 
 
 def _check_states(who: str, system: Any) -> None:

@@ -14,16 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.plain import is_plain, is_readable
-
-if TYPE_CHECKING:
-    from deepkoco.systems.system import Motion
 
 Values = tuple[Tensor, ...]
 Levels = tuple[Tensor | None, ...]

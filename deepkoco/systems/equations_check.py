@@ -9,6 +9,7 @@ from torch import Tensor
 
 from deepkoco.own_objects import in_words
 from deepkoco.systems.declaration import DeclarationError
+from deepkoco.systems.motion import Motion
 
 SAMPLES = 3
 TOLERANCE = 1e-6  # relative, between a batch and its entries one by one
@@ -61,8 +62,6 @@ def _samples(system: Any) -> tuple[tuple[Tensor, ...], ...]:
 def _accelerations(
     system: Any, who: str, angles: Any, speeds: Any, efforts: Any, loads: Any = None
 ) -> tuple[Tensor, ...]:
-    from deepkoco.systems.system import Motion
-
     time = torch.zeros((), dtype=torch.float64)
     try:
         found = system.accelerations(system.default_parameters())(

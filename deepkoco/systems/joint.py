@@ -10,15 +10,10 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.system import (
-    Acceleration,
-    Channel,
-    InverseInertia,
-    Motion,
-    Parameter,
-    Parameters,
-    System,
-)
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.motion import Acceleration, InverseInertia, Motion
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 
 def angle_channel(noise_sd: float, zero_sd: float = 0.0) -> Channel:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from deepkoco.systems.dry_friction import Levels, Values
-from deepkoco.systems.effects.effect import Effect, JointState
-
-if TYPE_CHECKING:
-    from deepkoco.systems.system import Motion, Parameters
+from deepkoco.systems.joint_state import JointState, Memory
+from deepkoco.systems.motion import Motion
+from deepkoco.systems.parameter import Parameters
 
 
 class Remembering(NamedTuple):
     """An effect with a memory at one joint, and its own parameters."""
 
-    effect: Effect
+    memory: Memory
+    load: Callable[
+        [JointState, Tensor, Parameters], Tensor
+    ]  # (joint, value, own parameters) -> load [N m or N]
     joint: int
     values: Parameters
 
@@ -40,27 +43,25 @@ class JointMemory:
             needed: Per joint, load that would hold the joint at rest [N m or N].
         """
         result = []
-        for effect, j, own in self.parts:
+        for memory, _, j, own in self.parts:
             hold = needed[j]
-            assert effect.memory is not None
             assert hold is not None
-            result.append(effect.memory.start(_joint(motion, j), hold, own))
+            result.append(memory.start(_joint(motion, j), hold, own))
         return tuple(result)
 
     def advanced(self, values: Values, since: Values, motion: Motion) -> Values:
         """Values after the joints have moved from the angles ``since``, each in one direction."""
         result = []
-        for value, (effect, j, own) in zip(values, self.parts, strict=True):
-            assert effect.memory is not None
-            result.append(effect.memory.advance(value, motion.angles[j] - since[j], _joint(motion, j), own))
+        for value, (memory, _, j, own) in zip(values, self.parts, strict=True):
+            result.append(memory.advance(value, motion.angles[j] - since[j], _joint(motion, j), own))
         return tuple(result)
 
     def loads(self, values: Values, motion: Motion, given: Levels) -> Levels:
         """Add the loads of the effects to what is given for each joint."""
         total = list(given)
-        for value, (effect, j, own) in zip(values, self.parts, strict=True):
-            load, before = effect.apply(_joint(motion, j), value, own), total[j]
-            total[j] = load if before is None else before + load
+        for value, (_, load, j, own) in zip(values, self.parts, strict=True):
+            added, before = load(_joint(motion, j), value, own), total[j]
+            total[j] = added if before is None else before + added
         return tuple(total)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deepkoco.own_objects import origin_of_class
-from deepkoco.systems.extended import load_model
+from deepkoco.systems.model_yaml import load_model
 from deepkoco.systems.origins import SystemLoadError, find_system, made
 from deepkoco.systems.system import System
 

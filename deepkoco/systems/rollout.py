@@ -10,6 +10,19 @@ from torch import Tensor
 from deepkoco.systems.dry_friction import DryFriction
 
 
+class RolledEffect(Protocol):
+    """What a system reads of an effect to say whether its compiled loop has it; see `Effect`."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def place(self) -> str: ...
+
+    @property
+    def steady(self) -> bool: ...
+
+
 class EffectLoad(NamedTuple):
     """Load of an effect on a joint, for a compiled loop.
 

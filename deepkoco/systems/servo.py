@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from deepkoco.systems.system import Parameter, Parameters
+from deepkoco.systems.parameter import Parameter, Parameters
 
 Scalar = Tensor | float
 

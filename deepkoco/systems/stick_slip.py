@@ -16,8 +16,10 @@ from torch import Tensor
 
 from deepkoco.systems.dry_friction import DryFriction, Levels, Values, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
+from deepkoco.systems.motion import Acceleration, InverseInertia, Motion
+from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.plain import is_plain
-from deepkoco.systems.system import Acceleration, InverseInertia, Motion, Parameters, System
+from deepkoco.systems.system import System
 
 
 class Joints(NamedTuple):

@@ -4,153 +4,28 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.declaration import Declared
-from deepkoco.systems.drawing import Point, canvas, draw_bars
+from deepkoco.old_names import moved_names
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.declared import Declared
+from deepkoco.systems.drawn import Drawn
 from deepkoco.systems.dry_friction import DryFriction, Levels
-from deepkoco.systems.rollout import Rollout
+from deepkoco.systems.joint_memory import JointMemory
+from deepkoco.systems.motion import Acceleration, InverseInertia, Motion, PayloadWay
+from deepkoco.systems.named_joints import NamedJoints
+from deepkoco.systems.parameter import Parameter, ParameterError, Parameters
+from deepkoco.systems.rollout import RolledEffect, Rollout
+from deepkoco.systems.signal_path import SignalPath
 from deepkoco.systems.typical_loads import typical_loads
 
-if TYPE_CHECKING:
-    from deepkoco.systems.effects.effect import Effect
-    from deepkoco.systems.joint_memory import JointMemory
-
-Parameters = Mapping[str, Tensor]
-
-UNREADABLE = "().,;"  # in the name of a joint: names of parameters are read by them
-
-# By the unit of a joint. An encoder of a rail resolves a tenth of a millimetre, one of a joint that turns a milliradian
-# or two: while friction holds it, a joint must not creep by more.
-SMOOTHING = {"rad": 0.05, "m": 0.0004}  # speed over which the sign of dry friction is smoothed [rad/s, m/s]
+__getattr__ = moved_names(__name__)
 
 
-class ParameterError(ValueError):
-    """A parameter name is unknown or its value is outside its bounds."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One named physical quantity.
-
-    Attributes:
-        name: Name by which every part of the package speaks of it.
-        value: Nominal value, in ``unit``.
-        unit: SI unit as text, e.g. ``"kg m2"``.
-        low: Smallest admissible value.
-        high: Largest admissible value.
-        prior_sd: Standard deviation of the prior around ``value``, in ``unit``.
-        description: One phrase with the symbol of the equation.
-    """
-
-    name: str
-    value: float
-    unit: str
-    low: float
-    high: float
-    prior_sd: float
-    description: str
-
-    def __post_init__(self) -> None:
-        if not (self.low <= self.value <= self.high):
-            raise ParameterError(
-                f"{self.name} = {self.value} {self.unit} is outside [{self.low}, {self.high}]"
-            )
-        if not self.prior_sd > 0:
-            raise ParameterError(f"{self.name}: prior_sd must be positive, got {self.prior_sd}")
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One signal that crosses the boundary of the system.
-
-    Attributes:
-        name: Name of the signal.
-        unit: SI unit as text.
-        kind: ``"command"`` or ``"measurement"``.
-        low: Lower limit of the signal (``-inf`` if none).
-        high: Upper limit of the signal (``inf`` if none).
-        noise_sd: Typical standard deviation of the sensor noise, in ``unit`` (0 for a command).
-        description: One phrase.
-        angle: Whether the signal is an angle that may be wrapped by a sensor.
-        zero_sd: Standard deviation of the sensor's zero from one log to the next, in ``unit``.
-        default: Value of a command that a log does not show; None if every log must show it.
-    """
-
-    name: str
-    unit: str
-    kind: str
-    low: float = -math.inf
-    high: float = math.inf
-    noise_sd: float = 0.0
-    description: str = ""
-    angle: bool = False
-    zero_sd: float = 0.0
-    default: float | None = None
-
-
-class Timing(NamedTuple):
-    """Delays that a system carries besides its equations, all in seconds."""
-
-    actuation_delay: Tensor  # command sent -> command acts
-    sensing_delay: Tensor  # state -> measurement stamped
-    lag: Tensor  # time constant of the actuator's first-order lag
-
-
-class CommandTiming(NamedTuple):
-    """What happens in time to one command on its way to the joint."""
-
-    delay: Tensor  # sensing delay included: along a log the two act alike [s]
-    lag: tuple[Tensor, ...]  # time constants of first-order lags in series [s]
-    skew: Tensor  # seconds that the measurements' clock gains per second
-
-
-class PayloadWay(NamedTuple):
-    """The line along a link on which a payload may hang, by its distance from the link's joint.
-
-    Attributes:
-        at: Where it is taken to hang if nothing else is known [m].
-        low, high: Bounds [m].
-        sd: Standard deviation of its prior [m].
-    """
-
-    at: float
-    low: float
-    high: float
-    sd: float
-
-
-class Motion(NamedTuple):
-    """Joint coordinates and what acts on them; every tensor has the batch shape (...)."""
-
-    angles: tuple[Tensor, ...]  # J joint coordinates [rad or m]
-    speeds: tuple[Tensor, ...]  # J, per second
-    efforts: tuple[Tensor, ...]  # M, in the commands' units
-    loads: tuple[Tensor | None, ...] | None = None  # J outside loads [N m or N]
-    time: Tensor | None = None  # log time [s]
-    # J speeds over which the sign of dry friction changes; infinite where dry friction is left out
-    smoothing: tuple[Tensor, ...] | None = None
-
-    def load(self, joint: int) -> Tensor | float:
-        """Outside load on a joint [N m or N]; 0 where there is none."""
-        given = None if self.loads is None else self.loads[joint]
-        return 0.0 if given is None else given
-
-
-Outline = tuple[list[tuple[Point, Point]], list[Point]]
-Acceleration = Callable[[Motion], tuple[Tensor, ...]]
-Delivery = Callable[[Motion], tuple[Tensor, ...]]
-InverseInertia = Callable[[Motion], tuple[tuple[Tensor, ...], ...]]
-
-
-class System(metaclass=Declared):
+class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
     """Dynamics with named parameters, command channels and measurement channels.
 
     A subclass declares ``joint_units`` (or ``joints``, ``state_names`` and ``state_units``), ``parameters``,
@@ -197,10 +72,6 @@ class System(metaclass=Declared):
     @abstractmethod
     def commands(self) -> tuple[Channel, ...]:
         """The command channels, M of them."""
-
-    def effort_of(self, commands: Tensor) -> Tensor:
-        """Commands (..., M) in the shape that `actuate` and `derivative` take: the same, or (...) for one command."""
-        return commands[..., 0] if len(self.commands) == 1 else commands
 
     @property
     def has_equations(self) -> bool:
@@ -326,8 +197,6 @@ class System(metaclass=Declared):
 
     def joint_memory(self, parameters: Parameters) -> JointMemory:
         """What effects remember of the ways of the joints; nothing for a plain system."""
-        from deepkoco.systems.joint_memory import JointMemory
-
         return JointMemory(())
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
@@ -381,51 +250,6 @@ class System(metaclass=Declared):
         return ()
 
     @property
-    def command_joints(self) -> tuple[int, ...]:
-        """Joint that each command drives; commands beyond these only switch something."""
-        return tuple(range(len(self.commands)))
-
-    @property
-    def coupled_joints(self) -> tuple[tuple[int, int], ...]:
-        """(a, b) where a share of what drives joint a may reach joint b: all pairs of three joints, else neighbours."""
-        driven = [j for j in dict.fromkeys(self.command_joints) if j < self.joints]
-        near = self.joints if self.joints <= 3 else 1
-        return tuple((a, b) for a in driven for b in range(self.joints) if 0 < abs(a - b) <= near)
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Name of each joint in reports and, of several joints, in the names of effects: ``coulomb(cart)``."""
-        return tuple(f"joint {j + 1}" for j in range(self.joints))
-
-    def at_joint(self, name: str, joint: int) -> str:
-        """Name of an effect or a cause at one joint: ``coulomb(joint 2)``; without the joint where there is one only.
-
-        Raises:
-            ParameterError: A name of a joint is given twice, or holds a sign that names of parameters are read by.
-        """
-        if self.joints == 1:
-            return name
-        names = self.joint_names
-        if len(set(names)) != self.joints or any(not n or set(n) & set(UNREADABLE) for n in names):
-            raise ParameterError(
-                f"{self.name}: joint_names = {names!r}: give {self.joints} different names without {UNREADABLE}"
-            )
-        return f"{name}({names[joint]})"
-
-    @property
-    def measured_states(self) -> tuple[int, ...]:
-        """State that each measurement shows: the one of its name; else the first, the second, and so on."""
-        names = [channel.name for channel in self.measurements]
-        if set(names) <= set(self.state_names):
-            return tuple(self.state_names.index(name) for name in names)
-        return tuple(range(len(names)))
-
-    @property
-    def shows_states(self) -> bool:
-        """Whether sensors without any error show states as they are."""
-        return type(self).ideal_measurement is System.ideal_measurement
-
-    @property
     def load_scales(self) -> tuple[float, ...]:
         """Typical load of each joint [N m or N]: the unit in which bounds of extra loads are set.
 
@@ -440,15 +264,6 @@ class System(metaclass=Declared):
         return typical_loads(self)
 
     @property
-    def smoothing_speeds(self) -> tuple[float, ...]:
-        """Speed of each joint over which `derivative` smooths the sign of dry friction [rad/s or m/s].
-
-        There a joint that friction holds creeps at up to this speed: choose one at which it moves by less than its
-        sensor's noise while it sticks. Simulations along a log know no such speed: joints stick in them.
-        """
-        return tuple(SMOOTHING[u] for u in self._kinds)
-
-    @property
     def longest_step(self) -> float:
         """Longest Runge-Kutta step [s] that follows the system's fastest motion; infinite: found from its period.
 
@@ -456,136 +271,18 @@ class System(metaclass=Declared):
         """
         return math.inf
 
-    @property
-    def _kinds(self) -> tuple[str, ...]:
-        """Unit of each joint: a joint that does not turn slides."""
-        return tuple("rad" if unit == "rad" else "m" for unit in self.state_units[: self.joints])
-
-    @property
-    def load_units(self) -> tuple[str, ...]:
-        """Unit of the load on each joint."""
-        return tuple("N m" if unit == "rad" else "N" for unit in self.state_units[: self.joints])
-
-    @property
-    def per_speed_units(self) -> tuple[str, ...]:
-        """Unit of a load per speed of each joint."""
-        return tuple(f"{load} s/{u}" for load, u in zip(self.load_units, self.state_units, strict=False))
-
-    @property
-    def per_speed_squared_units(self) -> tuple[str, ...]:
-        """Unit of a load per squared speed of each joint."""
-        return tuple(f"{load} s2/{u}2" for load, u in zip(self.load_units, self.state_units, strict=False))
-
     def rollout(self, parameters: Parameters) -> Rollout | None:
         """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""
         return None
 
-    def rolls(self, effect: Effect) -> bool:
+    def rolls(self, effect: RolledEffect) -> bool:
         """Whether :meth:`rollout` can be had together with an effect, if it can be had at all."""
         return True
-
-    def delivery(self, parameters: Parameters) -> Delivery | None:
-        """What actuators deliver, for each command that drives a joint; None where it is the effort itself."""
-        return None
-
-    @property
-    def delivered_scales(self) -> tuple[tuple[float, str], ...]:
-        """Size and unit of what the actuator of each driving command delivers at most, or typically."""
-        driving = self.commands[: len(self.command_joints)]
-        return tuple((max(abs(c.low), abs(c.high)), c.unit) for c in driving)
-
-    def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
-        """Effort that answers the log of one command, before lag and delay.
-
-        Args:
-            index: Which command.
-            value: (n, 1) or (n, L).
-            t: (n,) stamps [s].
-            parameters: Named values, scalar or (L,).
-
-        Returns:
-            (n, L), or (n, 1) where no parameter has lanes.
-        """
-        return value
-
-    def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
-        """Delay, lags and clock of one command; none for a plain system."""
-        zero = torch.zeros((), dtype=torch.float64)
-        return CommandTiming(zero, (), zero)
-
-    def sensor_filter(self, parameters: Parameters) -> Tensor:
-        """Time constant of a first-order filter behind all sensors [s]; 0 for a plain system."""
-        return torch.zeros((), dtype=torch.float64)
-
-    def output_play(self, parameters: Parameters) -> Levels:
-        """Half of the play between each joint and its sensors (J), in its unit; None for none, as in a plain system."""
-        return (None,) * self.joints
-
-    def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
-        """As :meth:`measure` along a log, ``time`` (...) since its first command [s]."""
-        return self.measure(state, parameters)
-
-    def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
-        """Effort that answers a command of its shape, without dynamics: the command itself for a plain system."""
-        return command
-
-    def timing(self, parameters: Parameters) -> Timing:
-        """Delays of command and measurements: zero for a plain system."""
-        zero = torch.zeros((), dtype=torch.float64)
-        return Timing(zero, zero, zero)
-
-    def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
-        """Noise-free measurements (..., N) of a state (..., S), in the order of ``measurements``."""
-        return self.ideal_measurement(state)
-
-    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
-        """As :meth:`measure`, of a state (..., S) with the positions and speeds behind the :meth:`output_play`."""
-        return self.measure(shown, parameters)
-
-    def ideal_measurement(self, state: Tensor) -> Tensor:
-        """What sensors without any error measure (..., N) of a state (..., S): by default the `measured_states`."""
-        shown = self.measured_states
-        if shown == tuple(range(state.shape[-1])):
-            return state
-        return torch.stack([state[..., index] for index in shown], -1)
 
     @property
     def load_scale(self) -> float:
         """Typical load of the last joint, for what is fixed to its tip [N m or N]."""
         return self.load_scales[-1]
-
-    def draw_on(
-        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
-    ) -> None:
-        """Draw the system onto a picture, whatever that shows already: by default a bar for each channel.
-
-        Args:
-            image: uint8 (size, size, 3), RGB, of any size; it may be a part of a larger picture.
-            measurement: (N,) values in the order of ``measurements``.
-            command: Commands now (M,), in their units, to be drawn too.
-        """
-        shown = None if command is None else np.ravel(command)
-        draw_bars(
-            image,
-            [_share(value, c) for value, c in zip(measurement, self.measurements, strict=False)],
-            []
-            if shown is None
-            else [_share(value, c) for value, c in zip(shown, self.commands, strict=False)],
-        )
-
-    def outline(self, angles: np.ndarray) -> Outline | None:
-        """Lines of its links and points of its joints in a plane [m], for figures; None where there are none.
-
-        Args:
-            angles: (J,) joint coordinates [rad or m].
-        """
-        return None
-
-    def draw(self, measurement: np.ndarray, command: np.ndarray | float, size: int = 256) -> np.ndarray:
-        """Picture of the system on an empty background, uint8 (size, size, 3), RGB; see `draw_on`."""
-        image = canvas(size)
-        self.draw_on(image, measurement, command)
-        return image
 
     def default_parameters(self) -> dict[str, Tensor]:
         """Nominal parameters as float64 scalars."""
@@ -602,36 +299,3 @@ class System(metaclass=Declared):
                 return declared
         known = ", ".join(p.name for p in self.parameters)
         raise ParameterError(f'{self.name} has no parameter "{name}"; it has: {known}')
-
-
-def _share(value: float, channel: Channel) -> float:
-    """A value in [-1, 1] for a picture: of the channel's limits, of half a turn, or softly bounded."""
-    if channel.angle or (channel.unit == "rad" and not math.isfinite(channel.high)):
-        return math.remainder(float(value), 2.0 * math.pi) / math.pi
-    largest = max(abs(channel.low), abs(channel.high))
-    return float(value) / largest if math.isfinite(largest) and largest > 0 else math.tanh(float(value))
-
-
-def rk4_step(
-    system: System, state: Tensor, effort: Tensor, dt: Tensor | float, parameters: Parameters
-) -> Tensor:
-    """One step of the classical Runge-Kutta method under a constant effort.
-
-    Args:
-        system: Dynamics.
-        state: (..., S).
-        effort: (..., M), for one joint (...), held over the step.
-        dt: Step [s], scalar or (...).
-        parameters: Named values, each scalar or (...).
-
-    Returns:
-        State (..., S) after ``dt``.
-
-    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.1.
-    """
-    h = dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.ndim > 0 else dt
-    k1 = system.derivative(state, effort, parameters)
-    k2 = system.derivative(state + 0.5 * h * k1, effort, parameters)
-    k3 = system.derivative(state + 0.5 * h * k2, effort, parameters)
-    k4 = system.derivative(state + h * k3, effort, parameters)
-    return state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)

@@ -7,6 +7,8 @@ from typing import Any
 
 import torch
 
+from deepkoco.systems.motion import Motion
+
 SAMPLES = 64
 SLIDES = 0.5  # coordinates of a sliding joint are sampled within this distance of zero [m]
 UNMOVED = 10.0  # where nothing acts at rest: the load for this acceleration [rad/s2 or m/s2]
@@ -21,8 +23,6 @@ def typical_loads(system: Any) -> tuple[float, ...]:
     Args:
         system: A system; joints that take no loads get the largest of the others.
     """
-    from deepkoco.systems.system import Motion
-
     joints, taken = system.joints, system.loaded_joints
     if not taken:
         return (1.0,) * joints

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.dry_friction import DryFriction, Levels
-from deepkoco.systems.system import Acceleration, Channel, InverseInertia, Parameters, System, Timing
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.parameter import Parameters
+from deepkoco.systems.system import System
+from deepkoco.systems.wrapped import WrappedSystem
 
-if TYPE_CHECKING:
-    from deepkoco.systems.joint_memory import JointMemory
 
-
-class WithSpeeds(System):
+class WithSpeeds(WrappedSystem):
     """A system with a further channel for the speed of every joint of which only the position is measured.
 
     Args:
@@ -25,18 +23,8 @@ class WithSpeeds(System):
         rate: Rate at which positions are compared [Hz]: the noise of a speed is that of two of them, times the rate.
     """
 
-    wraps = True
-
     def __init__(self, base: System, rate: float) -> None:
-        self.base = base
-        self.name, self.origin, self.joints, self.parameters = (
-            base.name,
-            base.origin,
-            base.joints,
-            base.parameters,
-        )
-        self.state_names, self.state_units = base.state_names, base.state_units
-        self.dry_friction = base.dry_friction
+        super().__init__(base)
         self.added = missing_speeds(base)
         shown = {
             state: channel for channel, state in zip(base.measurements, base.measured_states, strict=True)
@@ -47,57 +35,8 @@ class WithSpeeds(System):
         )
 
     @property
-    def commands(self) -> tuple[Channel, ...]:
-        return self.base.commands
-
-    @property
-    def command_joints(self) -> tuple[int, ...]:
-        return self.base.command_joints
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        return self.base.joint_names
-
-    @property
     def measured_states(self) -> tuple[int, ...]:
         return (*self.base.measured_states, *(self.joints + joint for joint in self.added))
-
-    def effort_of(self, commands: Tensor) -> Tensor:
-        return self.base.effort_of(commands)
-
-    def accelerations(self, parameters: Parameters) -> Acceleration:
-        return self.base.accelerations(parameters)
-
-    def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        return self.base.free_accelerations(parameters)
-
-    def dry_friction_limits(self, parameters: Parameters) -> Levels:
-        return self.base.dry_friction_limits(parameters)
-
-    def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
-        return self.base.dry_friction_levels(parameters)
-
-    def joint_memory(self, parameters: Parameters) -> JointMemory:
-        return self.base.joint_memory(parameters)
-
-    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        return self.base.inverse_inertia(parameters)
-
-    @property
-    def smoothing_speeds(self) -> tuple[float, ...]:
-        return self.base.smoothing_speeds
-
-    def output_play(self, parameters: Parameters) -> Levels:
-        return self.base.output_play(parameters)
-
-    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
-        return self.base.derivative(state, effort, parameters)
-
-    def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
-        return self.base.actuate(command, parameters)
-
-    def timing(self, parameters: Parameters) -> Timing:
-        return self.base.timing(parameters)
 
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         return torch.cat([self.base.measure(state, parameters), self._speeds(state)], -1)

@@ -9,7 +9,7 @@ from deepkoco.diagnose.verdict.advice import level_advice
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import make_system
-from deepkoco.systems.system import Channel
+from deepkoco.systems.channel import Channel
 
 
 def _windows(command: np.ndarray):

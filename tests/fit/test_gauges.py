@@ -11,8 +11,10 @@ from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges, text_of_gauges
 from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.joint import angle_channel
-from deepkoco.systems.system import Channel, Parameter, System
+from deepkoco.systems.parameter import Parameter
+from deepkoco.systems.system import System
 
 
 class Motor(System):

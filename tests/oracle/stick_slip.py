@@ -11,7 +11,7 @@ from torch import Tensor
 
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import Channel, Motion, Parameter, Parameters, System, make_system
-from deepkoco.systems.system import Acceleration
+from deepkoco.systems.motion import Acceleration
 
 GRAVITY = 9.81  # [m/s2]
 STEP = 2e-4  # [s]

@@ -17,7 +17,7 @@ from deepkoco.cli.command_line import main
 from deepkoco.envs.task_factory import TaskConfig, TaskError, make_task_factory
 from deepkoco.envs.task_files import TASK_FILES
 from deepkoco.systems import ExtendedSystem, make_system
-from deepkoco.systems.extended import save_model
+from deepkoco.systems.model_yaml import save_model
 
 MODULE = Path(__file__).with_name("my_cart.py")
 FEW = [

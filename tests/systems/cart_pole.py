@@ -10,7 +10,10 @@ import torch
 from torch import Tensor
 
 from deepkoco.logs.recording import Recording, Series
-from deepkoco.systems.system import Acceleration, Channel, Motion, Parameter, Parameters, System
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.motion import Acceleration, Motion
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 GRAVITY = 9.81
 CART_MASS, POLE_MASS, LENGTH, CART_VISCOUS, POLE_VISCOUS = 0.6, 0.2, 0.3, 0.5, 0.002

@@ -12,7 +12,7 @@ from torch import Tensor
 from deepkoco.fit.data.per_log_differences import of_log
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.systems import System
-from deepkoco.systems.system import CommandTiming
+from deepkoco.systems.motion import CommandTiming
 
 
 class TooManyLagsError(ValueError):

@@ -27,8 +27,8 @@ from deepkoco.fit.simulate.step import (
 )
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.rollout import RolloutInput
-from deepkoco.systems.system import Motion
 
 
 def trajectories(

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepkoco.systems.dry_friction import DryFriction, Levels, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
-from deepkoco.systems.system import Acceleration, InverseInertia, Motion
+from deepkoco.systems.motion import Acceleration, InverseInertia, Motion
 
 Values = tuple[Tensor, ...]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,6 +60,7 @@ class LogFile:
         row_name: name of a row in messages to the user.
         notes: assumptions of the reader.
         facts: what the file says about the log besides its samples.
+        whole: reads the file again with all its fields; None if all have been read.
     """
 
     path: Path
@@ -70,6 +71,7 @@ class LogFile:
     row_name: str = "message"
     notes: tuple[str, ...] = ()
     facts: dict[str, float | str] = field(default_factory=dict)
+    whole: Callable[[], LogFile] | None = field(default=None, compare=False, repr=False)
 
     @property
     def has_topics(self) -> bool:
@@ -139,10 +141,8 @@ class LogFile:
         """Columns of a topic; messages are read again, because only requested fields have been read."""
         table = self.tables[topic]
         if topic and table.path is None:
-            from deepkoco.logs.formats.open_log import open_log
-
             with suppress(LogError):  # of a file that can only be read in parts
-                table = open_log(self.path).tables.get(topic, table)
+                table = (self if self.whole is None else self.whole()).tables.get(topic, table)
         return [str(name) for name in table.frame.columns]
 
     def _where(self, topic: str, column: str) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from deepkoco.logs.formats.log_file import LogError, LogFile
@@ -110,4 +112,4 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
             topic, reason = next(iter(log.skipped.items()))
             raise LogError(f'{path}: no topic can be read; "{topic}": {reason}')
         raise LogError(f"{path}: contains no data rows")
-    return log
+    return log if wanted is None else replace(log, whole=partial(open_log, path))

@@ -10,8 +10,11 @@ from torch import Tensor
 
 from deepkoco.systems import drawing
 from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.dry_friction import DryFriction, Levels
-from deepkoco.systems.system import Acceleration, Channel, InverseInertia, Parameters, System, Timing
+from deepkoco.systems.motion import Acceleration, InverseInertia, Timing
+from deepkoco.systems.parameter import Parameters
+from deepkoco.systems.system import System
 
 if TYPE_CHECKING:
     from deepkoco.systems.joint_memory import JointMemory

@@ -9,8 +9,11 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.joint import TILT
-from deepkoco.systems.system import Acceleration, Channel, Motion, Parameter, Parameters, System
+from deepkoco.systems.motion import Acceleration, Motion
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 GRAVITY = 9.81  # [m/s2]
 LENGTH_2 = 0.2  # second joint to tip [m]

@@ -10,7 +10,10 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
-from deepkoco.systems.system import Acceleration, Channel, Delivery, Motion, Parameter, Parameters, System
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.motion import Acceleration, Delivery, Motion
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 GRAVITY = 9.81  # [m/s2]
 

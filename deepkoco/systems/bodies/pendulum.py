@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.joint import TILT, JointSystem, TorqueLaw, angle_channel, speed_channel
-from deepkoco.systems.system import Channel, Parameter, Parameters
+from deepkoco.systems.parameter import Parameter, Parameters
 
 GRAVITY = 9.81  # [m/s2]
 # Width of the smoothed sign of the Coulomb term [rad/s]: a sharp sign stalls Runge-Kutta and Gauss-Newton.

@@ -7,8 +7,10 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.joint import JointSystem, TorqueLaw
-from deepkoco.systems.system import Channel, CommandTiming, Parameter, Parameters, Timing
+from deepkoco.systems.motion import CommandTiming, Timing
+from deepkoco.systems.parameter import Parameter, Parameters
 
 GRAVITY = 9.81  # [m/s2]
 MOTOR_POLE = 15.47  # -a_m, of the motors' first-order answer [1/s]

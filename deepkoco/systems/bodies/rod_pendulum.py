@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.joint import TILT, JointSystem, TorqueLaw, angle_channel, speed_channel
-from deepkoco.systems.system import Channel, Parameter, Parameters
+from deepkoco.systems.parameter import Parameter, Parameters
 
 
 class RodPendulum(JointSystem):

@@ -7,9 +7,12 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.joint import TILT, angle_channel, speed_channel
+from deepkoco.systems.motion import Acceleration, Delivery, Motion
+from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.servo import Servo
-from deepkoco.systems.system import Acceleration, Channel, Delivery, Motion, Parameter, Parameters, System
+from deepkoco.systems.system import System
 
 GRAVITY = 9.81  # [m/s2]
 TIP_LENGTH = 0.15  # joint to payload [m]

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.joint import TILT, JointSystem, TorqueLaw, angle_channel, speed_channel
-from deepkoco.systems.system import Channel, Parameter, Parameters
+from deepkoco.systems.parameter import Parameter, Parameters
 
 GRAVITY = 9.81  # [m/s2]
 TIP_LENGTH = 0.5  # axis to tip [m]

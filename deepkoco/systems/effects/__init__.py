@@ -15,7 +15,7 @@ from deepkoco.systems.effects.actuator import (
 )
 from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.systems.effects.disturbance import COGGING, PERIODIC, SPRING
-from deepkoco.systems.effects.effect import Effect, JointState, PlacedEffect, SensorSite, place
+from deepkoco.systems.effects.effect import Effect, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY
 from deepkoco.systems.effects.learned import LEARNED
@@ -23,6 +23,7 @@ from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, Q
 from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
 from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY, STAMP_LEAD
+from deepkoco.systems.joint_state import JointState
 from deepkoco.systems.system import System
 
 # Effects on a command act in this order, those on a measurement likewise.

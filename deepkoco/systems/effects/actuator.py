@@ -8,8 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect, JointState
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.joint_state import JointState
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 LONG = 30.0  # time over which a drift is judged [s]
 FASTEST_RATE = 2000.0  # largest commands per second from which on a limit of the rate shows nowhere [1/s]

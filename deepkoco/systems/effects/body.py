@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from deepkoco.systems.effects.effect import Effect
-from deepkoco.systems.system import Parameter, Parameters, PayloadWay, System
+from deepkoco.systems.motion import PayloadWay
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 
 def _payload(system: System, place: int = 0) -> tuple[Parameter, ...]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect, JointState
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.joint_state import JointState
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 FASTEST = 200.0  # [rad/s]
 MOST_CYCLES = 100.0

@@ -9,8 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect, JointState
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.joint_state import JointState
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 # Stribeck speeds, as multiples of the speed over which the sign of dry friction is smoothed: below that one the
 # friction at standstill cannot be seen.

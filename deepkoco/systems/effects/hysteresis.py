@@ -14,8 +14,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect, JointState, Memory
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.joint_state import JointState, Memory
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 BEND = 0.2  # usual way over which bristles bend, as a time at the joint's smoothing speed [s]
 SETTLED = 0.05  # time over which a joint is taken to have moved with its first speed before a window [s]

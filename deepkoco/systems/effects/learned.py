@@ -13,8 +13,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from deepkoco.systems.effects.effect import Effect, JointState
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.joint_state import JointState
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 REACH = 1.5  # scales, up to which the terms go on; beyond the data they are a guess that must not run away
 SHARP = 0.05  # share of the speed scale over which a sign is smoothed

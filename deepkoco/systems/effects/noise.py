@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from deepkoco.systems.effects.effect import Effect
-from deepkoco.systems.system import Parameter, System
+from deepkoco.systems.parameter import Parameter
+from deepkoco.systems.system import System
 
 
 def _jitter(system: System, _: int = 0) -> tuple[Parameter, ...]:

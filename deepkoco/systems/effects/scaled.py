@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from deepkoco.systems.effects.effect import Effect, parameter_kinds
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 
 def _scaled(system: System, kind: int = 0) -> tuple[Parameter, ...]:

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.effects.effect import Effect, SensorSite
-from deepkoco.systems.system import Parameter, Parameters, System
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
 
 LONG = 30.0  # time over which a drift is judged [s]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from deepkoco.systems.effects.effect import Effect
-from deepkoco.systems.system import Parameter, System
+from deepkoco.systems.parameter import Parameter
+from deepkoco.systems.system import System
 
 LONGEST = 0.3  # [s]
 FASTEST_CLOCK = 5e-3  # relative

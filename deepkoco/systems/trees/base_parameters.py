@@ -19,7 +19,7 @@ import torch
 from scipy.linalg import qr, solve_triangular
 from scipy.signal import savgol_filter
 
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees.tree_system import TreeSystem
 
 LOAD_NOISE = 0.02  # of the load that a sample shows, as a share of the joint's typical load

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees.dynamics import Inertia
 from deepkoco.systems.trees.scalars import Scalar, Triple
 from deepkoco.systems.trees.tree import Tree

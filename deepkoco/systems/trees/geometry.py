@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.system import Parameter, Parameters
+from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.trees.dynamics import Inertia, rotated
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, mul, outward
 from deepkoco.systems.trees.tree import Body, Frame, Joint, OutsideForce, Tree

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import torch
 from torch import Tensor
 
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees.parameters import is_servo, is_speed_servo
 from deepkoco.systems.trees.scalars import Scalar, add, mul, sub
 from deepkoco.systems.trees.tree import Actuator

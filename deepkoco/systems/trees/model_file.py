@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from deepkoco.systems.trees.held_joints import hold_joints
 from deepkoco.systems.trees.inertias import give_inertia, mend_inertias
 from deepkoco.systems.trees.messages import in_one_sentence, massless_body, missing_file
-from deepkoco.systems.trees.mujoco_library import mujoco_library
+from deepkoco.systems.trees.mujoco_library import mujoco_library, warnings_of_mujoco
 from deepkoco.systems.trees.tree import TreeError
 
 MOST_FILES = 1000  # missing files of one model
@@ -43,7 +43,8 @@ def read_spec(path: str | Path, held: Mapping[str, float] | None = None) -> tupl
     """As :func:`read_model`, but the specification (`mujoco.MjSpec`) before it is compiled."""
     path = Path(path)
     _, lacks, notes = _compiled(path, held or {})
-    return _prepared(path, lacks, held or {})[0], notes
+    with warnings_of_mujoco():  # the notes have them
+        return _prepared(path, lacks, held or {})[0], notes
 
 
 @dataclass
@@ -63,6 +64,13 @@ def _compiled(path: Path, held: Mapping[str, float]) -> tuple[Any, _Lacks, tuple
         ElementTree.parse(path)
     except ElementTree.ParseError as error:
         raise TreeError(f"{path}: is no valid XML: {error}") from None
+    with warnings_of_mujoco() as told:
+        model, lacks, notes = _tried(path, held)
+    return model, lacks, (*notes, *(f"MuJoCo says: {each}" for each in dict.fromkeys(told)))
+
+
+def _tried(path: Path, held: Mapping[str, float]) -> tuple[Any, _Lacks, tuple[str, ...]]:
+    """The model as soon as it compiles without what its file lacks."""
     lacks = _Lacks(_not_there(_spec(path), path))
     for _ in range(MOST_FILES):
         # A specification that failed to compile may have changed: each try starts from the file.

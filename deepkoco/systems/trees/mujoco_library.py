@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 Model = Any
@@ -13,3 +15,16 @@ def mujoco_library() -> Any:
     import mujoco
 
     return mujoco
+
+
+@contextmanager
+def warnings_of_mujoco() -> Iterator[list[str]]:
+    """What MuJoCo warns of meanwhile, as a list that grows; else it writes a file into the user's current folder."""
+    mujoco = mujoco_library()
+    told: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(told.append)
+    try:
+        yield told
+    finally:
+        mujoco.set_mju_user_warning(before)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from deepkoco.systems.system import UNREADABLE
+from deepkoco.systems.named_joints import UNREADABLE
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
 
 

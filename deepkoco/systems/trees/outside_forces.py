@@ -14,8 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.systems.motion import Motion
+from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.plain import is_plain
-from deepkoco.systems.system import Motion, Parameters
 from deepkoco.systems.trees.places import body_places
 from deepkoco.systems.trees.scalars import (
     Scalar,

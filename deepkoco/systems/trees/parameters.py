@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepkoco.systems.system import Parameter, Parameters
+from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.trees.dynamics import NONE, Inertia, rotated, shifted
 from deepkoco.systems.trees.geometry import products_of_inertia
 from deepkoco.systems.trees.places import point_along

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.systems.system import Parameter, PayloadWay
+from deepkoco.systems.motion import PayloadWay
+from deepkoco.systems.parameter import Parameter
 from deepkoco.systems.trees.outside_forces import AXES
 from deepkoco.systems.trees.places import body_places, link_line
 from deepkoco.systems.trees.scales import random_poses

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from deepkoco.suggestion import did_you_mean
-from deepkoco.systems.system import Channel, Parameter, ParameterError
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.parameter import Parameter, ParameterError
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
 from deepkoco.yaml_file import YamlFileError, read_yaml
 

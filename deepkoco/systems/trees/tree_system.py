@@ -13,24 +13,23 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.drawn import Outline
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.extended import MemoryEffectError
-from deepkoco.systems.plain import is_plain
-from deepkoco.systems.system import (
+from deepkoco.systems.motion import (
     Acceleration,
-    Channel,
     CommandTiming,
     Delivery,
     InverseInertia,
     Motion,
-    Outline,
-    Parameter,
-    Parameters,
     PayloadWay,
-    System,
     Timing,
 )
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.plain import is_plain
+from deepkoco.systems.system import System
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
@@ -139,7 +138,7 @@ class TreeSystem(System):
         self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        declared = visible_parameters(self, declared_parameters(tree))
+        declared = visible_parameters(self, tree, declared_parameters(tree))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
     @classmethod

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from deepkoco.systems.system import Motion, Parameter
-
-if TYPE_CHECKING:
-    from deepkoco.systems.trees.tree_system import TreeSystem
+from deepkoco.systems.motion import Motion
+from deepkoco.systems.parameter import Parameter
+from deepkoco.systems.system import System
+from deepkoco.systems.trees.tree import Tree
 
 MOTIONS = 16
 IN_TIME = ("time_constant(", "delay(")  # of commands: an acceleration at one instant does not show them
@@ -22,21 +21,28 @@ FAINT = (
 
 
 def visible_parameters(
-    system: TreeSystem, declared: Sequence[Parameter], seed: int = 0
+    system: System, tree: Tree, declared: Sequence[Parameter], seed: int = 0
 ) -> tuple[Parameter, ...]:
-    """Those of the declared parameters that change an acceleration in random motions, and those in time."""
+    """Those of the declared parameters that change an acceleration in random motions, and those in time.
+
+    Args:
+        system: Equations of motion of the tree.
+        tree: Its joints and actuators.
+        declared: Parameters of the system.
+        seed: Of the motions.
+    """
     draw = np.random.default_rng(seed)
     shape = (MOTIONS, 1)
 
     def drawn(size: float) -> torch.Tensor:
         return torch.from_numpy(draw.uniform(-size, size, shape))
 
-    angles = tuple(j.reference + drawn(0.3 if j.slides else 3.0) for j in system.tree.joints)
-    speeds = tuple(drawn(0.5 if j.slides else 3.0) for j in system.tree.joints)
+    angles = tuple(j.reference + drawn(0.3 if j.slides else 3.0) for j in tree.joints)
+    speeds = tuple(drawn(0.5 if j.slides else 3.0) for j in tree.joints)
     sizes = [max(abs(c.low), abs(c.high)) for c in system.commands]
     # Far from the limits of the forces, behind which gains have no say.
     efforts = []
-    for actuator, size in zip(system.tree.actuators, sizes, strict=True):
+    for actuator, size in zip(tree.actuators, sizes, strict=True):
         servo = actuator.bias[1] * actuator.gain[0] < 0.0
         near = -actuator.bias[1] / actuator.gain[0] * actuator.gear * angles[actuator.joint] if servo else 0.0
         efforts.append(near + drawn(1e-3 * size))

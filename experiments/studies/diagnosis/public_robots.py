@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from deepkoco.output.whole_file import whole_file
 from deepkoco.systems.loading import SystemLoadError, load_system
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeSystem
 from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.mujoco_library import mujoco_library

@@ -25,20 +25,14 @@ from deepkoco.diagnose.progress import silent
 from deepkoco.diagnose.report.text import headline
 from deepkoco.logs.recording import Recording, read_log
 from deepkoco.systems import drawing
+from deepkoco.systems.channel import Channel
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.gear_friction import gear_friction_of, gear_friction_parameters
 from deepkoco.systems.joint import angle_channel
+from deepkoco.systems.motion import Acceleration, Delivery, InverseInertia, Motion
+from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.servo import Servo
-from deepkoco.systems.system import (
-    Acceleration,
-    Channel,
-    Delivery,
-    InverseInertia,
-    Motion,
-    Parameter,
-    Parameters,
-    System,
-)
+from deepkoco.systems.system import System
 
 MASS, LENGTH, GRAVITY, VOLTS = 0.49, 0.1, 9.81, 7.3
 # The drive's own reading of its load is this share of the voltage in all eight logs; a turn has 4096 ticks.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees.base_parameters import base_parameters
 from tests.systems.trees.random_trees import columns, random_motions, random_tree
 from tests.systems.trees.test_tree_reading import mjcf, read

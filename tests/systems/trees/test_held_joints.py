@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeError, TreeSystem
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.held_joints import hold_joints

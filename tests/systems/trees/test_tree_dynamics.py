@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeSystem
 from tests.systems.trees.random_trees import columns, mujoco_accelerations, random_motions, random_tree
 

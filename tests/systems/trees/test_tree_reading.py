@@ -8,14 +8,21 @@ import pytest
 import torch
 
 from deepkoco.systems.effects import effects_of
-from deepkoco.systems.system import Motion
+from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeError, TreeSystem
+from deepkoco.systems.trees.model_file import read_model
 
 LINK = '<body name="{name}"><joint name="{joint}" axis="0 1 0"/>{inside}</body>'
 CAPSULE = '<geom type="capsule" size=".02" fromto="0 0 0 0 0 -.3"/>'
 INERTIAL = '<inertial pos="0 0 -.1" mass="1" diaginertia=".01 .01 .01"/>'
 MESH = '<asset><mesh name="shell" file="shell.stl"/></asset>'
 SHELL = '<geom type="mesh" mesh="shell"/>'
+
+MIMIC_OF_A_PLANE = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/>
+<inertia ixx=".01" ixy="0" ixz="0" iyy=".01" iyz="0" izz=".01"/></inertial></link>
+<joint name="table" type="planar"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<mimic joint="other"/></joint>
+</robot>"""
 
 
 def link(inside=CAPSULE, name="arm", joint="hinge"):
@@ -157,6 +164,14 @@ def test_what_has_no_name_gets_one_and_every_effect_can_be_placed(tmp_path):
     assert "top_1" in system.joint_names
     assert any('"top.1"' in note for note in system.notes)
     assert len(effects_of(system)) > 20
+
+
+def test_a_warning_of_mujoco_is_a_note_and_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.urdf").write_text(MIMIC_OF_A_PLANE)
+    _, notes = read_model(tmp_path / "robot.urdf")
+    assert [n for n in notes if "<mimic> on joint 'table' ignored" in n and n.startswith("MuJoCo says: ")]
+    assert [p.name for p in tmp_path.iterdir()] == ["robot.urdf"]
 
 
 def test_notes_say_that_contacts_and_limits_are_not_simulated(tmp_path):

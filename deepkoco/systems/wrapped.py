@@ -1,0 +1,139 @@
+"""A system that stands on another one and passes on what that declares."""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from deepkoco.systems.channel import Channel
+from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.joint_memory import JointMemory
+from deepkoco.systems.motion import Acceleration, InverseInertia, PayloadWay, Timing
+from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.system import System
+
+
+class WrappedSystem(System):
+    """A system of which all that a subclass does not change is the base's.
+
+    Args:
+        base: The system that it stands on.
+    """
+
+    wraps = True
+
+    def __init__(self, base: System) -> None:
+        self.base = base
+        self.name, self.origin, self.notes = base.name, base.origin, base.notes
+        self.joints, self.parameters, self.measurements = base.joints, base.parameters, base.measurements
+        self.state_names, self.state_units = base.state_names, base.state_units
+        self.dry_friction = base.dry_friction
+        self.payload_sites, self.tip = base.payload_sites, base.tip
+        self.force_sites = base.force_sites
+
+    @property
+    def commands(self) -> tuple[Channel, ...]:
+        return self.base.commands
+
+    @property
+    def command_joints(self) -> tuple[int, ...]:
+        return self.base.command_joints
+
+    @property
+    def measured_states(self) -> tuple[int, ...]:
+        return self.base.measured_states
+
+    @property
+    def load_scale(self) -> float:
+        return self.base.load_scale
+
+    @property
+    def load_scales(self) -> tuple[float, ...]:
+        return self.base.load_scales
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.base.joint_names
+
+    @property
+    def loaded_joints(self) -> tuple[int, ...]:
+        return self.base.loaded_joints
+
+    @property
+    def takes_payload(self) -> bool:
+        return self.base.takes_payload
+
+    @property
+    def has_equations(self) -> bool:
+        return self.base.has_equations
+
+    @property
+    def smoothing_speeds(self) -> tuple[float, ...]:
+        return self.base.smoothing_speeds
+
+    @property
+    def longest_step(self) -> float:
+        return self.base.longest_step
+
+    def effort_of(self, commands: Tensor) -> Tensor:
+        return self.base.effort_of(commands)
+
+    def ideal_measurement(self, state: Tensor) -> Tensor:
+        return self.base.ideal_measurement(state)
+
+    def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
+        return self.base.with_payload(mass, parameters)
+
+    def with_payload_at(
+        self, site: str, mass: Tensor, parameters: Parameters, along: Tensor | None = None
+    ) -> Parameters:
+        if along is None:
+            return self.base.with_payload_at(site, mass, parameters)
+        return self.base.with_payload_at(site, mass, parameters, along)
+
+    def payload_way(self, site: str) -> PayloadWay | None:
+        return self.base.payload_way(site)
+
+    def force_parameters(self, site: str) -> tuple[Parameter, ...]:
+        return self.base.force_parameters(site)
+
+    def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
+        return self.base.with_force_at(site, force, parameters)
+
+    def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
+        return self.base.with_length(factor, joint, parameters)
+
+    def draw_on(
+        self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
+    ) -> None:
+        self.base.draw_on(image, measurement, command)
+
+    def accelerations(self, parameters: Parameters) -> Acceleration:
+        return self.base.accelerations(parameters)
+
+    def free_accelerations(self, parameters: Parameters) -> Acceleration:
+        return self.base.free_accelerations(parameters)
+
+    def dry_friction_limits(self, parameters: Parameters) -> Levels:
+        return self.base.dry_friction_limits(parameters)
+
+    def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
+        return self.base.dry_friction_levels(parameters)
+
+    def joint_memory(self, parameters: Parameters) -> JointMemory:
+        return self.base.joint_memory(parameters)
+
+    def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
+        return self.base.inverse_inertia(parameters)
+
+    def output_play(self, parameters: Parameters) -> Levels:
+        return self.base.output_play(parameters)
+
+    def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
+        return self.base.derivative(state, effort, parameters)
+
+    def actuate(self, command: Tensor, parameters: Parameters) -> Tensor:
+        return self.base.actuate(command, parameters)
+
+    def timing(self, parameters: Parameters) -> Timing:
+        return self.base.timing(parameters)
