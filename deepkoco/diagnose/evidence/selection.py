@@ -141,16 +141,13 @@ def rank(
             known = problem.slopes_at(foot, reference.free, state, reference.nuisance)
         else:
             states, costs = problem.fit_states_each(values, reference.state.repeat(len(values), 1, 1))
-        footholds: list[Trial] = []
-        if known is not None or reference.converged:
-            footholds = [
-                trial_of(problem, start, accepted, p.cause, values[k], states[k], reference)
-                for k, p in enumerate(from_given)
-                if bool(torch.isfinite(costs[k]).all())
-            ]
-            footholds = alone(problem, footholds, from_given, known)
-        if known is None:
-            # That the refit has found a minimum of whole windows does not say that each cause does.
+        footholds = [
+            trial_of(problem, start, accepted, p.cause, values[k], states[k], reference)
+            for k, p in enumerate(from_given)
+            if bool(torch.isfinite(costs[k]).all()) and (known is not None or reference.converged)
+        ]
+        footholds = alone(problem, footholds, from_given, known)
+        if known is None:  # even where the refit has found a minimum of whole windows, a cause may not
             footholds += from_halves(problem, start, accepted, from_given, values, reference)
         trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
