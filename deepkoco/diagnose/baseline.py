@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from deepkoco.fit.data.windows import Windows, halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.fine_steps import MOST, fine_steps, with_steps_cut
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
@@ -25,6 +27,7 @@ from deepkoco.systems.effects.learned import is_weight
 
 OPEN = 0.1  # relative standard deviation of a prior from which it leaves a scale open
 FIXED = 1e-4  # and of one that fixes it
+STEP_ROUNDS = 2  # a fit can hide errors of its steps, which the next one shows
 LONG = 75  # iterations of a refit that starts far from its minimum
 FEW_WINDOWS = (
     20  # of a log, or half the number of parameters, that give a fit of many parameters its start values
@@ -218,12 +221,18 @@ def few_windows(windows: Windows, parameters: int) -> np.ndarray:
 
 
 def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
-    """Refit, estimate the noise from the residuals, and refit once more under that noise."""
-    rough = refit(start, windows)
-    windows = with_sharp_noise(windows, rough)
-    problem = FitProblem(start.system, windows)
-    trial = Trial("refit", rough.free, start.prior, rough.values, rough.state, rough.nuisance)
-    return windows, problem.fit_one(trial)
+    """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough."""
+    fit = refit(start, windows)
+    windows = with_sharp_noise(windows, fit)
+    left = MOST
+    for _ in range(STEP_ROUNDS):
+        parts = fine_steps(partial(FitProblem, start.system), windows, fit, left)
+        windows, left = with_steps_cut(windows, parts), left // parts
+        trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
+        fit = FitProblem(start.system, windows).fit_one(trial)
+        if parts == 1:
+            break
+    return windows, fit
 
 
 def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:

@@ -13,6 +13,7 @@ from deepkoco.diagnose.evidence.event_windows import train_on_pushed
 from deepkoco.diagnose.tempered import refit_to_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.fine_steps import with_steps_cut
 
 PATIENCE = 40  # iterations of a refit in which some parameters are kept
 
@@ -84,6 +85,8 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
         start, train, reference = with_floor_as_noise(start, train)
     varies = train.varies if data.held is not None and data.held.varies else {}
     held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
+    if held is not None:
+        held = with_steps_cut(held, round(data.train.step / train.step))
     if held is not None and any(train.stamp_sd):
         # Other logs of the same recorder are taken to have its typical clock.
         usual = float(np.sqrt(np.mean(np.square(train.stamp_sd))))

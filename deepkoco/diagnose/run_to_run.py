@@ -22,6 +22,9 @@ STEPS = 200  # of the search for the most likely run-to-run variances
 SETTLED = 1e-4  # relative change of every variance from which that search ends
 # Share of the prior's information that counts: logs that agree far from it would else seem to differ from run to run.
 VAGUE = 0.01
+# Run-to-run standard deviation that few logs may leave open, over the declared one: a few per cent of a gain. Each
+# parameter is doubted by itself, so its products with others, which the logs know better, become uncertain as well.
+USUAL = 0.1
 NONE = 1e-6  # variance over the declared one, below which there is none
 
 
@@ -89,12 +92,13 @@ class RunToRun:
     def doubted(self) -> np.ndarray:
         """(K, K) diagonal run-to-run covariance, inflated because few logs estimate it poorly.
 
-        The standard deviation is multiplied by the ratio of Student's t to the normal quantile. The inflated variance
-        is capped at the declared variance; a sample variance above it is used without inflation.
+        The standard deviation is multiplied by the ratio of Student's t to the normal quantile, but it is not made
+        larger than ``USUAL`` of the declared one. The declared one says how well a data sheet knows a unit; one unit
+        differs less from itself from day to day. A sample variance above that is used without inflation.
         """
         sure = scipy.stats.t.ppf(0.975, self.degrees) / scipy.stats.norm.ppf(0.975)
         shown = np.diag(self.covariance)
-        return np.diag(np.minimum(sure**2 * shown, np.maximum(shown, self.declared)))
+        return np.diag(np.minimum(sure**2 * shown, np.maximum(shown, USUAL**2 * self.declared)))
 
 
 def variances_between(told: Sequence[LogInformation], prior: Prior, start: np.ndarray) -> np.ndarray:

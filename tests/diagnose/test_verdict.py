@@ -4,12 +4,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+import torch
 
 from deepkoco.diagnose.baseline import Healthy, baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.evidence.selected import Selected
-from deepkoco.diagnose.verdict.verdict import rivalled, verdict_of
+from deepkoco.diagnose.verdict.verdict import rivalled, verdict_of, without_explanation
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
@@ -116,3 +117,33 @@ def test_verdict_is_unknown_for_lost_commands_with_structure_or_pushes(stage):
     assert verdict(stage, [], 2.0, lost=object()) == "unknown"
     assert verdict(stage, ["event"], 1.0, lost=object()) == "unknown"
     assert verdict(stage, ["coulomb"], 1.0, lost=object()) == "cause"
+
+
+def refit_with(stage, chi2, white):
+    """A refit whose residuals have this size, independent from sample to sample or constant."""
+    windows, _, leaving = stage
+    fit = leaving(chi2)
+    if white:
+        drawn = torch.randn(
+            fit.residual.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0)
+        )
+        residual = drawn * windows.valid
+        residual *= (chi2 * windows.samples / residual.square().sum()).sqrt()
+        fit = replace(fit, residual=residual, chi2=float(residual.square().sum()))
+    return fit
+
+
+@pytest.mark.parametrize(
+    ("chi2", "white", "expected"),
+    [(1.0, True, "nothing"), (2.0, True, "unknown"), (1.0, False, "unknown")],
+)
+def test_a_vetoed_explanation_leaves_the_verdict_to_the_refit(stage, chi2, white, expected):
+    windows, start, _ = stage
+    assert without_explanation(refit_with(stage, chi2, white), windows, start, BASE) == expected
+
+
+def test_a_vetoed_explanation_of_a_log_with_a_wrong_unit_is_unknown(stage):
+    windows, start, _ = stage
+    tiny = tuple(replace(c, value=1e-7 * c.value) for c in windows.commands)
+    wrong = replace(windows, commands=tiny)
+    assert without_explanation(refit_with(stage, 1.0, True), wrong, start, BASE) == "unknown"

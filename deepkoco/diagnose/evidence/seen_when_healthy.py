@@ -23,6 +23,7 @@ from deepkoco.diagnose.run_to_run import within_bounds
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.prior import Prior
 
 # A push must be at least twice as strong, four times the fall of chi2, as the strongest that the healthy logs show: one
 # of a few logs is always the one with the largest.
@@ -58,11 +59,12 @@ def consistent_with_healthy(
     told = np.unique(healthy.windows.log) if start.runs is None else sorted(start.runs.log_information)
     logs = [healthy.windows.log == k for k in told]
     # The cause may have been present in one healthy log, because units vary from run to run, or in all of them.
-    asked = [*logs, np.full(len(healthy.windows), True)] if start.runs is not None else logs
     apart = [
         _chi2_between(start, problem, hypotheses, _healthy_estimates(start, healthy, own, hypotheses))
-        for own in asked
+        for own in logs
     ]
+    if start.runs is not None:
+        apart.append(_chi2_together(start, problem, healthy, hypotheses))
     least = np.min(apart, axis=0)
     limits = [float(scipy.stats.chi2.ppf(CONFIDENCE, len(c.cause.free))) for c in hypotheses]
     return [
@@ -150,6 +152,55 @@ def _healthy_estimates(
         )
         for hypothesis, bound, free in zip(hypotheses, fits[::2], fits[1::2], strict=True)
     ]
+
+
+def _chi2_together(
+    start: Baseline, problem: FitProblem, healthy: Healthy, hypotheses: Sequence[Hypothesis]
+) -> list[float]:
+    """Return for every hypothesis by how much other logs fit worse if all healthy logs had the cause as well.
+
+    Then the unit is the one of which all healthy logs tell together, with the cause free in them, and the other logs
+    are of this unit. Healthy logs may know a parameter only in a product with others: a servo's gain times its
+    torque constant. Any value of the gain suits them, but each goes with another torque constant, so a doubled gain
+    of the other logs still shows. The cause and the rest of the unit are therefore taken from one estimate.
+
+    Args:
+        start: The baseline.
+        problem: Windows on which the causes were selected.
+        healthy: The healthy logs, with run-to-run variance.
+        hypotheses: The causes.
+    """
+    assert start.runs is not None
+    everywhere = np.full(len(healthy.windows), True)
+    before, learned, windows, correlation = _healthy_prior(start, healthy, everywhere)
+    usual = FitProblem(start.system, windows)
+    trials = []
+    for cause, _, fit in hypotheses:
+        values = {**healthy.fit.values, **{n: fit.values[n] for n in cause.free}}
+        for at in (values, healthy.fit.values):
+            trials.append(replace(freed(usual, before, (*learned, cause), healthy.fit, at), name=cause.name))
+    fits = usual.fit(trials, PATIENCE, CLOSE)
+    # Windows with parameters of their own for each log have the run-to-run variance already.
+    own = (
+        {}
+        if problem.nuisances.varies
+        else dict(zip(start.prior.names, np.diag(start.runs.doubted), strict=True))
+    )
+    again: list[Trial] = []
+    for (_, beside, fit), *both in zip(hypotheses, fits[::2], fits[1::2], strict=True):
+        unit = min(both, key=lambda f: f.cost)
+        differ = np.diag([own.get(n, 0.0) / correlation for n in unit.free])
+        prior = Prior(unit.free, np.array([unit.values[n] for n in unit.free]), unit.covariance + differ)
+        names = tuple(n for n in fit.free if n in prior.names or any(n in c.free for c in beside))
+        prior = prior.widened(declared(problem, [n for n in names if n not in prior.names]), fit.values)
+        for values in (fit.values, {**fit.values, **{n: unit.values[n] for n in unit.free}}):
+            again.append(Trial(fit.name, names, prior, values, fit.state, fit.nuisance))
+    found = problem.fit(again, PATIENCE, CLOSE)
+    result = []
+    for (_, _, fit), *both in zip(hypotheses, found[::2], found[1::2], strict=True):
+        more = min(f.cost for f in both) - fit.cost
+        result.append(max(more, 0.0) / dispersion(fit, problem.windows).deflation)
+    return result
 
 
 def _healthy_prior(

@@ -135,9 +135,8 @@ def rank(
         from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
         values = [{**reference.values, **before, **p.values} for p in from_given]
-        if not sharing and not reference.converged:
-            footholds = from_halves(problem, start, accepted, from_given, values, reference)
-        else:
+        footholds = []
+        if sharing or reference.converged:
             foot = {**reference.values, **before}
             state, cost = problem.fit_states(foot, reference.state)
             known = problem.slopes_at(foot, reference.free, state, reference.nuisance) if sharing else None
@@ -147,6 +146,8 @@ def rank(
                 if bool(torch.isfinite(cost).all())
             ]
             footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
+        if not sharing:  # even where the refit has found a minimum of whole windows, a cause may not
+            footholds += from_halves(problem, start, accepted, from_given, values, reference)
         trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
         for name, fit in fit_best(problem, footholds, reference, known, worth).items():

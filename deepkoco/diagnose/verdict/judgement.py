@@ -34,7 +34,7 @@ from deepkoco.diagnose.residuals.residuals import (
 from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of, over_classes
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
-from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of
+from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of, without_explanation
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
@@ -89,9 +89,12 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     base, found = explanation.base, explanation.found
     reference, final, seed = base.reference, found.final, request.seed
     floor = base.learned.floor / base.start.floor
-    scattered = scatter_findings(
-        base.start.system, base.train, final, request.detection, base.learned.healthy, floor
-    )
+
+    def scatter(fit: Fit) -> tuple[Finding, ...]:
+        healthy = base.learned.healthy
+        return scatter_findings(base.start.system, base.train, fit, request.detection, healthy, floor)
+
+    scattered = scatter(final)
     left = dispersion(final, base.train)
     without = with_parameters_kept(base, [n for c in found.accepted if is_changed(c) for n in c.free])
     missing = missing_torque(base.problem, without.reference, left.deflation)
@@ -100,6 +103,11 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     white = left.lag_one <= coloured_from(base.train)
     doubts = _doubts(explanation, request.system, missing, left)
     verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
+    if verdict == "unknown" and (found.accepted or found.lost is not None):
+        verdict = without_explanation(reference, base.train, base.start, request.system)
+    withdrawn = verdict == "nothing" and (bool(found.accepted) or found.lost is not None)
+    if withdrawn:
+        doubts, scattered = (), scatter(reference)
     learned = None
     rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train, white)
     if base.start.tempering > 1.0 and verdict == "unknown":
@@ -118,10 +126,10 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     named = _named(explanation, request.system, missing) if verdict in ("cause", "ambiguous") else ()
     if scattered and (verdict != "unknown" or (white and not found.accepted and found.lost is None)):
         # White residuals that are larger than the noise need a noise cause; no other cause is missing.
-        verdict, named = (verdict if found.accepted else "cause"), (*named, *scattered)
-    if verdict == "unknown" and final is not reference:
-        # The causes are not named, so the rest of the report must not use their fit. With "nothing", the fit differs
-        # from the refit by what any healthy machine has.
+        verdict, named = (verdict if verdict == "ambiguous" else "cause"), (*named, *scattered)
+    if (verdict == "unknown" or withdrawn) and final is not reference:
+        # The causes are not named, so the rest of the report must not use their fit. Elsewhere with "nothing", the fit
+        # differs from the refit by what any healthy machine has.
         final, gain, left, without = reference, None, dispersion(reference, base.train), base
         missing = missing_torque(base.problem, reference, left.deflation)
     if verdict == "unknown":

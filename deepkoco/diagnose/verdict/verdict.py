@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, kind_of
@@ -11,13 +12,15 @@ from deepkoco.diagnose.diagnosis import Verdict
 from deepkoco.diagnose.evidence.event_windows import touched
 from deepkoco.diagnose.evidence.flexible import BENDING, FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.forward import MOST_CAUSES
+from deepkoco.diagnose.evidence.sanity_checks import doubts_of_commands
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.gain import Gain
-from deepkoco.diagnose.residuals.residuals import white_limit
+from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, white_limit
 from deepkoco.diagnose.verdict.unknown import carries_over, explained_share
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
+from deepkoco.systems import System
 
 # Limits that apply while structure remains. Real logs contain model error, so no cause explains all of it. A false
 # cause reaches neither limit: the share of the excess chi2 and the reduction of the held-out error.
@@ -91,6 +94,25 @@ def verdict_of(
         families = [f for f in families if f != PARAMETER]
     families = set(families)
     return "ambiguous" if len(families) > 1 else "cause"
+
+
+def without_explanation(
+    reference: Fit, train: Windows, start: Baseline, system: System
+) -> Literal["nothing", "unknown"]:
+    """Return the verdict on a log whose only explanation is vetoed.
+
+    That a pattern of lost commands or a push cannot be trusted says nothing about the log. It is judged as if nothing
+    had been selected, but its residuals must also be white: some structure made the selection possible.
+
+    Args:
+        reference: The refit.
+        train: Training windows.
+        start: The baseline.
+        system: The system as given.
+    """
+    left = reference.chi2 / train.samples > white_limit(train) * start.floor
+    coloured = dispersion(reference, train).lag_one > coloured_from(train) + start.healthy_lag_one
+    return "unknown" if left or coloured or doubts_of_commands(train, system) else "nothing"
 
 
 def only_flexible(found: Selected) -> bool:

@@ -14,6 +14,7 @@ from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.request import FitRequest
 from deepkoco.fit.solve.cma import cma_es
+from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
 
@@ -87,7 +88,9 @@ class LevenbergMarquardt:
         problem = request.problem()
         state, _ = problem.fit_states(first.values, first.state[::2])
         rough = run("whole windows", problem, _trial(request, first.values, state, first.nuisance))
-        request = replace(request, windows=with_sharp_noise(request.windows, rough))
+        windows = with_sharp_noise(request.windows, rough)
+        windows = with_steps_cut(windows, fine_steps(request.problem, windows, rough))
+        request = replace(request, windows=windows)
         last = run(
             "noise known", request.problem(), _trial(request, rough.values, rough.state, rough.nuisance)
         )

@@ -177,7 +177,7 @@ def summary(result: Diagnosis) -> dict:
         "chi2": [result.chi2_before, result.chi2_after],
         "doubts": result.unexplained["doubts"],
         "best": [[c.name, round(c.delta_bic, 1)] for c in result.candidates[:5]],
-        "healthy_effects": result.data["healthy"]["effects"],
+        "healthy_effects": (result.data["healthy"] or {}).get("effects"),
         "refit": {n: e.value for n, e in result.refit.items()},
     }
 

@@ -1,0 +1,65 @@
+"""Choose the integration step by the log: the error of a simulation must be less than what the log can tell.
+
+A step that is stable and follows the fastest motion can still be wrong by more than a fine encoder shows: the instant
+at which a joint turns or comes to rest is found from one mean acceleration for the whole step, and a servo answers each
+new command faster than it moves. In some windows the motion itself makes small errors large. What is left looks like a
+small push or tone, and no value of any parameter removes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from torch import Tensor
+
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit_types import Fit
+from deepkoco.fit.shooting import ShootingProblem
+from deepkoco.fit.solve.dispersion import dispersion
+
+# Squared error over all samples, in variances of the noise: no cause can be named for less than it explains.
+UNSEEN = 24.0
+MOST = 8  # parts of a step
+
+
+def fine_steps(
+    problem_of: Callable[[Windows], ShootingProblem], windows: Windows, fit: Fit, most: int = MOST
+) -> int:
+    """Return into how many parts each integration step must be cut: a power of two.
+
+    The error of a step is estimated by the change that half of it makes. It is compared with the residuals of the fit:
+    where something larger is missing, a fine step shows nothing more. Residuals that finer steps remove are no such
+    reason, so the smaller ones count.
+
+    Args:
+        problem_of: Gives the problem of such windows.
+        windows: The windows.
+        fit: A fit of them; its parameters, initial states and nuisances are simulated.
+        most: Largest number of parts.
+    """
+    parts, before, left = 1, _simulated(problem_of, windows, fit, 1), fit
+    deflation = dispersion(fit, windows).deflation
+    while parts < most:
+        finer = _simulated(problem_of, windows, fit, 2 * parts)
+        left = replace(left, residual=left.residual + before - finer)
+        deflation = min(deflation, dispersion(left, windows).deflation)
+        if not float((finer - before).square().sum()) > UNSEEN * deflation:
+            break
+        parts, before = 2 * parts, finer
+    return parts
+
+
+def with_steps_cut(windows: Windows, parts: int) -> Windows:
+    """Return windows whose integration steps are cut into so many equal parts."""
+    return replace(windows, step=windows.step / parts, steps=windows.steps * parts)
+
+
+def _simulated(
+    problem_of: Callable[[Windows], ShootingProblem], windows: Windows, fit: Fit, parts: int
+) -> Tensor:
+    """Return the simulated measurements (W, N, M) of a fit, in standard deviations of the noise; 0 where padded."""
+    problem = problem_of(with_steps_cut(windows, parts))
+    theta = np.array([[float(fit.values[n]) for n in problem.names]])
+    return problem.predict(theta, fit.state[None], fit.nuisance[None])[0] * problem.weight
