@@ -23,6 +23,7 @@ from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.result import diagnosis_of, insufficient
 from deepkoco.diagnose.verdict.judgement import judge
+from deepkoco.diagnose.weighed import weigh
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
@@ -110,7 +111,7 @@ def diagnose(
 
 def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
-    explanation = explain(request, start, unfitted)
+    explanation = weigh(request, explain(request, start, unfitted))
     judgement = judge(request, explanation)
     result = diagnosis_of(request, explanation, judgement)
     return with_evidence(result, request, explanation.base) if request.evidence else result

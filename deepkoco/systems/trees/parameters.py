@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -53,7 +54,7 @@ def declared_parameters(tree: Tree) -> tuple[Parameter, ...]:
         found += _of_joint(joint)
     for actuator in tree.actuators:
         found += _of_actuator(actuator, tree.joints[actuator.joint])
-    return tuple(found)
+    return tuple(replace(p, guessed=True) for p in found)
 
 
 def is_servo(actuator: Actuator) -> bool:
