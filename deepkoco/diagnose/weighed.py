@@ -10,7 +10,7 @@ more, among those that weigh enough, on a refit that may move the parameters as 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,6 @@ from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor, sample_period
 from deepkoco.diagnose.evidence.priors import declared
-from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.explanation import Explanation, of_mean
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.shadow import answer_of, of_rough_sheet
@@ -33,10 +32,12 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.systems import Parameter
 
 UNKNOWN = "unknown"
 PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's causes are not tried again
-ROUGH = math.log(0.3 / 0.7)  # log prior odds that a data sheet is rough
+FEW = 3.0  # standard deviations of what any unit has of an effect, up to which a fit has a little of it
+ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
 
 
 def weigh(request: DiagnosisRequest, explanation: Explanation) -> Explanation:
@@ -96,8 +97,15 @@ def _selected_again(
     base, found = explanation.base, explanation.found
     deflation = max(dispersion(found.final, base.train).deflation, base.start.least_deflation)
     usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
-    beside = _beside(found, plausible)
-    start = _with_small(usual, beside, found.final, base.problem, deflation)
+    little = {
+        c: sizes
+        for c in dict.fromkeys((*found.accepted, *(m.cause for m in found.minor)))
+        if c not in plausible and (sizes := _usual_sizes(base.start, c, found.final, base.problem))
+    }
+    beside = [c for c, sizes in little.items() if _within(base.start, sizes, found.final)]
+    # What was selected and is more than that stays a rival.
+    plausible = [*plausible, *(c for c in found.accepted if c not in beside and c not in plausible)]
+    start = _with_little(usual, {c: little[c] for c in beside}, deflation)
     values = {**found.final.values, **{n: start.values[n] for n in usual.prior.names}}
     for cause in (*found.accepted, *plausible):
         if cause not in beside:
@@ -115,40 +123,34 @@ def _selected_again(
     selection = Selection(start, base.train, base.held, plausible, APART, request.progress)
     first, named = selection.run(reference, missing_torque(base.problem, reference))
     if not named.accepted:
-        return _nothing(explanation)
+        return _nothing(explanation) if named.minor else explanation
     return of_mean(replace(explanation, base=again, first=first, found=named))
 
 
-def _beside(found: Selected, plausible: Sequence[Cause]) -> list[Cause]:
-    """Return the causes of a selection that are too small to be plausible, if they have sizes only."""
-    names = {c.name for c in plausible}
-    listed = dict.fromkeys((*found.accepted, *(m.cause for m in found.minor)))
+def _usual_sizes(start: Baseline, cause: Cause, fit: Fit, problem: FitProblem) -> list[Parameter]:
+    """Return the sizes of a cause with the standard deviations that any unit has; none if it has more than sizes."""
+    if is_changed(cause) or cause.effect == "event" or not cause.free:
+        return []
+    if set(cause.free) != set(cause.sizes) or not set(cause.free) <= set(fit.free):
+        return []
+    loads = start.system.load_scales
+    load, period = max(loads) if cause.joint is None else loads[cause.joint], sample_period(problem.windows)
     return [
-        c
-        for c in listed
-        if c.name not in names
-        and c.effect != "event"
-        and not is_changed(c)
-        and c.free
-        and set(c.free) == set(c.sizes)
-        and set(c.free) <= set(found.final.free)
+        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(fit.values))))
+        for p in declared(problem, cause.free)
     ]
 
 
-def _with_small(
-    start: Baseline, causes: Sequence[Cause], fit: Fit, problem: FitProblem, deflation: float
-) -> Baseline:
+def _within(start: Baseline, sizes: Sequence[Parameter], fit: Fit) -> bool:
+    """Return whether a fit has no more than a few standard deviations of these sizes."""
+    return all(abs(fit.values[p.name] - start.values[p.name]) <= FEW * p.prior_sd for p in sizes)
+
+
+def _with_little(start: Baseline, causes: Mapping[Cause, Sequence[Parameter]], deflation: float) -> Baseline:
     """Return a baseline with a little of some effects, and a prior that counts as much as the residuals do."""
-    system = start.system
-    period, prior = sample_period(problem.windows), start.prior
-    for cause in causes:
-        load = max(system.load_scales) if cause.joint is None else system.load_scales[cause.joint]
-        own = []
-        for p in declared(problem, cause.free):
-            if p.name not in prior.names:
-                most = cause.tolerance(Healthy(p, load, period, dict(fit.values)))
-                own.append(replace(p, prior_sd=OF_MODEL_FILE * most))
-        prior = prior.widened(own, start.values)
+    prior = start.prior
+    for sizes in causes.values():
+        prior = prior.widened([p for p in sizes if p.name not in prior.names], start.values)
     prior = Prior(prior.names, prior.centre, prior.covariance / deflation)
     effects = tuple(dict.fromkeys((*start.effects, *(c.effect for c in causes))))
     return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE)
