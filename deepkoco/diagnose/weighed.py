@@ -97,14 +97,15 @@ def _selected_again(
     base, found = explanation.base, explanation.found
     deflation = max(dispersion(found.final, base.train).deflation, base.start.least_deflation)
     usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
+    names = {c.name for c in plausible}
     little = {
         c: sizes
         for c in dict.fromkeys((*found.accepted, *(m.cause for m in found.minor)))
-        if c not in plausible and (sizes := _usual_sizes(base.start, c, found.final, base.problem))
+        if c.name not in names and (sizes := _usual_sizes(base.start, c, found.final, base.problem))
     }
     beside = [c for c, sizes in little.items() if _within(base.start, sizes, found.final)]
     # What was selected and is more than that stays a rival.
-    plausible = [*plausible, *(c for c in found.accepted if c not in beside and c not in plausible)]
+    plausible = [*plausible, *(c for c in found.accepted if c not in beside and c.name not in names)]
     start = _with_little(usual, {c: little[c] for c in beside}, deflation)
     values = {**found.final.values, **{n: start.values[n] for n in usual.prior.names}}
     for cause in (*found.accepted, *plausible):
