@@ -113,10 +113,8 @@ def _selected_again(
             own = {n for n in start.values if n.startswith(f"{cause.effect}.")}
             values |= {n: start.values[n] for n in own.union(cause.free)}
     state, _ = base.problem.fit_states(values, found.final.state)
-    names = start.prior.names
-    reference = base.problem.fit(
-        [Trial("refit", names, start.prior, values, state, found.final.nuisance)], LONG
-    )[0]
+    trial = Trial("refit", start.prior.names, start.prior, values, state, found.final.nuisance)
+    reference = base.problem.fit([trial], LONG)[0]
     if reference.diverged:
         return explanation
     again = replace(base, learned=replace(base.learned, prior=usual.prior), start=start, reference=reference)
