@@ -122,7 +122,9 @@ def _selected_again(
     selection = Selection(start, base.train, base.held, plausible, APART, request.progress)
     first, named = selection.run(reference, missing_torque(base.problem, reference))
     if not named.accepted:
-        return _nothing(explanation) if named.minor else explanation
+        # What weighs most is not confirmed. What was selected is no name either where it is no more than usual.
+        small = named.minor or all(c in beside for c in found.accepted)
+        return _nothing(explanation) if small else explanation
     return of_mean(replace(explanation, base=again, first=first, found=named))
 
 

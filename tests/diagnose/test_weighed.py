@@ -24,7 +24,7 @@ from deepkoco.systems.trees.mujoco_library import mujoco_library
 mujoco = mujoco_library()
 
 XML = """<mujoco model="link"><option timestep="0.0005"/><worldbody><body name="link">
-  <joint name="hinge" type="hinge" axis="0 1 0" damping="0.05" frictionloss="0.03" armature="0.002"/>
+  <joint name="hinge" type="hinge" axis="0 1 0" damping="0.05" armature="0.002"/>
   <inertial pos="0.15 0 0" mass="0.8" diaginertia="0.0001 0.006 0.006"/></body></worldbody>
   <actuator><motor name="motor" joint="hinge" ctrlrange="-2 2"/></actuator></mujoco>"""
 
@@ -71,11 +71,11 @@ def test_priors_of_a_model_file_are_guessed_until_someone_states_them(path, tmp_
     own = tmp_path / "link.xml"
     own.write_text(XML)
     own.with_name("link.parameters.yaml").write_text(
-        "parameters:\n  damping(hinge): {prior_sd: 0.01}\n  frictionloss(hinge): {value: 0.02}\n"
+        "parameters:\n  damping(hinge): {prior_sd: 0.01}\n  armature(hinge): {value: 0.003}\n"
     )
     known = {p.name: p.guessed for p in load_system(own).parameters}
     assert not known["damping(hinge)"]
-    assert known["frictionloss(hinge)"]
+    assert known["armature(hinge)"]
 
 
 def test_guessed_priors_become_those_of_units_of_one_make(path):
