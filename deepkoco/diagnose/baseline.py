@@ -70,6 +70,7 @@ class Baseline:
         runs: Run-to-run variance of these logs; None for fewer than two.
         tempering: Factor by which its prior is narrower, as a variance, than it was declared; see
             :mod:`deepkoco.diagnose.tempered`.
+        roughness: Times the tolerances of causes that any unit has; see :mod:`deepkoco.diagnose.weighed`.
     """
 
     system: ExtendedSystem
@@ -83,6 +84,7 @@ class Baseline:
     healthy: Healthy | None = None
     runs: RunToRun | None = None
     tempering: float = 1.0
+    roughness: float = 1.0
 
     @property
     def least_deflation(self) -> float:

@@ -24,6 +24,7 @@ from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.result import diagnosis_of, insufficient
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.judgement import judge
+from deepkoco.diagnose.weighed import weigh
 from deepkoco.diagnose.window_choice import followed_length
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -123,7 +124,7 @@ def diagnose(
 
 def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
-    explanation = explain(request, start, unfitted)
+    explanation = weigh(request, explain(request, start, unfitted))
     judgement = judge(request, explanation)
     weighed = request.evidence and request.limit.allows("probabilities of the causes")
     result = diagnosis_of(request, explanation, judgement)

@@ -56,14 +56,14 @@ def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str
         asked = more and (not tested or request.limit.allows("what the healthy logs say of the causes"))
         causes = selection.consistent_with_healthy(found) if asked else []
         if not causes:
-            return _of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
+            return of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
         more -= 1
         progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
         joined = (*joined, *(c.name for c in causes if c.name not in joined))
         learned = extended(base.start, causes)
 
 
-def _of_mean(explanation: Explanation) -> Explanation:
+def of_mean(explanation: Explanation) -> Explanation:
     """Give the mean parameters of these logs, not those of all logs of the unit; reports and models show the former."""
     base, found = explanation.base, explanation.found
     reference = base.problem.recentred(base.reference)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.causes import is_changed
+from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, describe_data
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding, Moved
 from deepkoco.diagnose.evidence.selection import DETECTION
@@ -209,7 +209,7 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
     base, load, given = explanation.base, judgement.load, request.system
     start, final = base.start, judgement.final
     had = tuple(e.name for e in given.effects) if isinstance(given, ExtendedSystem) else ()
-    named = () if final is base.reference else explanation.found.accepted
+    named = () if final is base.reference else (*explanation.found.accepted, *_usual(explanation))
     found = tuple(c.effect for c in named if c.effect != "event" and not is_changed(c))
     if load is not None:
         final, found = base.problem.recentred(load.fit), (*found, *load.effects)
@@ -221,6 +221,13 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
         if "." not in p.name or p.name.split(".")[0] in effects
     }
     return ExtendedSystem(given.base if isinstance(given, ExtendedSystem) else given, effects, kept)
+
+
+def _usual(explanation: Explanation) -> tuple[Cause, ...]:
+    """Return causes of the final fit of which there is no more than any unit has, where nothing is named."""
+    found = explanation.found
+    inside = [m.cause for m in found.minor if set(m.cause.free) <= set(found.final.free)]
+    return tuple(inside) if found.usual else ()
 
 
 def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estimate]:

@@ -26,6 +26,7 @@ class Parameter:
         high: Largest admissible value.
         prior_sd: Standard deviation of the prior around ``value``, in ``unit``.
         description: One phrase with the symbol of the equation.
+        guessed: Whether nobody stated ``prior_sd`` for this machine: it is what parameters of this kind may be off by.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Parameter:
     high: float
     prior_sd: float
     description: str
+    guessed: bool = False
 
     def __post_init__(self) -> None:
         if not (self.low <= self.value <= self.high):

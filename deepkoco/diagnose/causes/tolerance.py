@@ -22,6 +22,12 @@ LEAD_SHARE = (
     0.5  # of the sample period, by which commands may act before their stamps: nothing acts before it is sent
 )
 SAMPLE_SHARE = 0.01  # of the sample period, by which stamps are early or late
+# Times those tolerances of a machine of which only a model file is known: 0.5 % of the load.
+OF_MODEL_FILE = 10.0
+USUAL, USUAL_FRICTION = (
+    0.02,
+    0.1,
+)  # standard deviations by which units of one make differ, in shares of a parameter
 
 
 class Healthy(NamedTuple):
@@ -49,8 +55,22 @@ def share_of_usual(healthy: Healthy) -> float:
 
 
 def of_data_sheet(healthy: Healthy) -> float:
-    """Return the declared standard deviation of a parameter of the machine itself."""
-    return healthy.parameter.prior_sd
+    """Return the declared standard deviation of a parameter of the machine itself; of a guessed one, the usual."""
+    return usual_sd(healthy.parameter) if healthy.parameter.guessed else healthy.parameter.prior_sd
+
+
+def usual_sd(parameter: Parameter) -> float:
+    """Return the standard deviation by which units of one make differ in a parameter.
+
+    It is 2 % of a parameter and 10 % of a friction. A parameter that is 0 has a tenth of its declared one.
+    """
+    rubs = (
+        "friction" in f"{parameter.name} {parameter.description}"
+        or "s/rad" in parameter.unit
+        or "s/m" in parameter.unit
+    )
+    share = USUAL_FRICTION if rubs else USUAL
+    return share * abs(parameter.value) if parameter.value else 0.1 * parameter.prior_sd
 
 
 def of_clock(healthy: Healthy) -> float:

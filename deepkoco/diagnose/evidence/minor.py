@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.tolerance import Healthy
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.fit.data.windows import Windows
@@ -56,7 +56,8 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
         i = fit.free.index(parameter.name)
         reach = 1.96 * float(np.sqrt(max(fit.covariance[i, i], 0.0) * deflation))
         away = abs(fit.values[parameter.name] - start.values[parameter.name])
-        if not away + reach <= cause.tolerance(Healthy(parameter, load, period, dict(fit.values))):
+        most = cause.tolerance(Healthy(parameter, load, period, dict(fit.values)))
+        if not away + reach <= (most if is_changed(cause) else start.roughness * most):
             return False
     return True
 

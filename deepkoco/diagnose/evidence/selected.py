@@ -33,6 +33,7 @@ class Selected:
         lost: Lost commands; None where none are accepted.
         charge: Charge of the BIC for the lost commands.
         minor: Significant causes that are not named, because there is too little of them.
+        usual: Whether what is left is no more than any unit has, by the evidence.
     """
 
     final: Fit
@@ -42,6 +43,7 @@ class Selected:
     lost: Finding | None = None
     charge: float = 0.0
     minor: tuple[Minor, ...] = ()
+    usual: bool = False
 
 
 def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:

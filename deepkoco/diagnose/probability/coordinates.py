@@ -14,6 +14,7 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.parameter import widened
+from deepkoco.diagnose.causes.tolerance import usual_sd
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.fit.fit import FitProblem
@@ -24,7 +25,6 @@ WIDE = 0.5  # Cauchy scale of a change, in declared standard deviations of an ef
 CHANGED = 0.2  # and of a parameter of the system, in standard deviations of its wide prior
 TOLERANCE = 1e-3  # what any unit has of an effect, in Cauchy scales: 0.01 % of the load for dry friction
 LOOSER = 50.0  # times that beside healthy logs, which tell how much this unit has
-RUNS, FRICTION_RUNS = 0.02, 0.1  # usual standard deviations from log to log, in shares of a parameter
 FREE_SHAPE = 10  # values of a shape that a log tells apart
 SHAPES = (
     "frequency",
@@ -196,9 +196,9 @@ def is_shape(name: str) -> bool:
     return name in Push.NAMES[1:] or name.rsplit(".", 1)[-1] in SHAPES
 
 
-def tolerances(catalogue: Catalogue, beside_healthy: bool) -> tuple[np.ndarray, np.ndarray]:
+def tolerances(catalogue: Catalogue, loose: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the columns of which any unit has a little, besides its own parameters, and their standard deviations."""
-    share = TOLERANCE * (LOOSER if beside_healthy else 1.0)
+    share = TOLERANCE * (LOOSER if loose else 1.0)
     own = len(catalogue.base)
     inside = [k for k, c in enumerate(catalogue.coordinates) if k >= own and c.tolerated]
     return np.array(inside, dtype=int), np.array([share * catalogue.coordinates[k].wide for k in inside])
@@ -210,14 +210,5 @@ def spreads(problem: FitProblem, catalogue: Catalogue, inside: np.ndarray) -> np
     They are 2 % of a parameter and 10 % of a friction. A parameter that is 0 has a tenth of its declared standard
     deviation, and a tolerated change the tolerance of a unit without healthy logs.
     """
-    own = []
-    for name in catalogue.base:
-        parameter = problem.system.parameter(name)
-        rubs = (
-            "friction" in f"{name} {parameter.description}"
-            or "s/rad" in parameter.unit
-            or "s/m" in parameter.unit
-        )
-        share = FRICTION_RUNS if rubs else RUNS
-        own.append(share * abs(parameter.value) if parameter.value else 0.1 * parameter.prior_sd)
+    own = [usual_sd(problem.system.parameter(name)) for name in catalogue.base]
     return np.array([*own, *(TOLERANCE * catalogue.coordinates[k].wide for k in inside)])

@@ -11,6 +11,7 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline, refit_sharply
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed
+from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.priors import strained
 from deepkoco.diagnose.evidence.screening import SAME
@@ -62,19 +63,31 @@ def with_evidence(result: Diagnosis, request: DiagnosisRequest, base: Refitted) 
     """
     request.progress("probabilities of causes")
     began = time.process_time()
-    healthy = base.learned.healthy
-    causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
     try:
-        if healthy is None:
-            answer = probabilities(base.problem, base.reference, base.start, causes)
-        else:
-            windows, reference = refit_sharply(healthy.before, request.data.train)
-            problem = FitProblem(healthy.before.system, windows)
-            unit = learned_unit(healthy, causes)
-            answer = probabilities(problem, reference, healthy.before, causes, unit)
+        answer = answer_of(request, base)
     except (DivergedError, np.linalg.LinAlgError) as error:
         return replace(result, evidence={"failed": str(error)})
     return replace(result, evidence=replace(answer, seconds=time.process_time() - began).to_json())
+
+
+def answer_of(request: DiagnosisRequest, base: Refitted) -> Answer:
+    """Return the probabilities of causes for the logs of a diagnosis.
+
+    Args:
+        request: Its question.
+        base: Its refitted baseline.
+
+    Raises:
+        DivergedError: The simulation diverges.
+        LinAlgError: The logs tell nothing of a parameter.
+    """
+    healthy = base.learned.healthy
+    causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
+    if healthy is None:
+        return probabilities(base.problem, base.reference, base.start, causes)
+    windows, reference = refit_sharply(healthy.before, request.data.train)
+    problem = FitProblem(healthy.before.system, windows)
+    return probabilities(problem, reference, healthy.before, causes, learned_unit(healthy, causes))
 
 
 def probabilities(
@@ -94,6 +107,8 @@ def probabilities(
         unit: What healthy logs say; None without any.
     """
     began = time.process_time()
+    if unit is None and guessed(start):
+        start = with_usual_spread(start)
     points = [linearised(problem, reference, start, causes, unit)]
     if strained(problem, start, reference):
         # A strong cause drags the refit away. From the system as given, the columns are those of the true parameters.
@@ -111,8 +126,32 @@ def probabilities(
     return Answer.of(found, tried, time.process_time() - began)
 
 
+def of_rough_sheet(problem: FitProblem, reference: Fit, start: Baseline, causes: Sequence[Cause]) -> float:
+    """Return the log weight of "nothing" if parameters are no better known than their declared priors say.
+
+    It compares with the explanations of :func:`probabilities`, in which guessed priors are those of units of one make.
+
+    Args:
+        problem: The windows to explain.
+        reference: The refitted system.
+        start: The system as given, with the priors of its parameters.
+        causes: The catalogue, of which any unit has a little.
+    """
+    point = linearised(problem, reference, start, causes, None, alone=True)
+    starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in point.scored]
+    refits = refined(problem, point.fixed, [r for r in starts if not r.explanation.unknown])
+    return max(
+        weighed(problem, point.fixed, r, point.causes).log_weight for r in refits if r.sums is not None
+    )
+
+
 def linearised(
-    problem: FitProblem, origin: Fit, start: Baseline, causes: Sequence[Cause], healthy: HealthyUnit | None
+    problem: FitProblem,
+    origin: Fit,
+    start: Baseline,
+    causes: Sequence[Cause],
+    healthy: HealthyUnit | None,
+    alone: bool = False,
 ) -> Point:
     """Linearise at one point and score all explanations there.
 
@@ -122,6 +161,7 @@ def linearised(
         start: The system as given.
         causes: The catalogue.
         healthy: What healthy logs say; None without any.
+        alone: Whether nothing and unknown are the only explanations.
     """
     missing = missing_torque(problem, origin)
     chi2 = origin.chi2 / problem.windows.samples
@@ -134,11 +174,13 @@ def linearised(
     smooth, sudden = of_motion(problem, responses, missing, ranges), in_time(responses, problem.system.joints)
     weights = smooth.shape[2]
     smooth = np.concatenate([smooth, zeros_of(problem)], axis=2)
-    inside, sd = tolerances(listed, False)
+    # A model file leaves out what a bench-tested model has, so a unit has more of every effect.
+    loose = guessed(start)
+    inside, sd = tolerances(listed, loose)
     unit: UnitPrior
     if healthy is None:
         declared = declared_of(start, listed.base)
-        unit = DeclaredUnit(declared, sd, weights, Amplitudes.grid(False), ranges)
+        unit = DeclaredUnit(declared, sd, weights, Amplitudes.grid(loose), ranges)
     else:
         unit, inside = healthy, _in_order(listed, healthy)
     unit = WithZeros(unit, problem.zeros.spread)
@@ -154,7 +196,7 @@ def linearised(
         np.zeros(count),
     )
     tried = len({i.cause.name for i in listed.items})
-    return Point(fixed, search(linear, listed.items, tried), tried)
+    return Point(fixed, search(linear, () if alone else listed.items, tried), tried)
 
 
 def _without_doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray) -> Catalogue:

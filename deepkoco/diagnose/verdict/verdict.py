@@ -56,7 +56,7 @@ def verdict_of(
     after, causes = found.final, found.accepted
     left = after.chi2 / train.samples > white_limit(train) * start.floor
     if not causes and found.lost is None:
-        return "unknown" if left else "nothing"
+        return "unknown" if left and not found.usual else "nothing"
     # Without held-out windows, the fit must explain nearly all of the excess chi2.
     most = MIN_EXPLAINED if start.healthy is None and gain is not None else MIN_EXPLAINED_STRICT
     pushes = sum(c.effect == "event" for c in causes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
@@ -66,12 +67,12 @@ def declared_parameters(tree: Tree, moved: Sequence[float]) -> tuple[Parameter, 
     rotor, fading = (UNKNOWN_ROTOR, FADING) if tree.without_actuators else (ROTOR, 0.0)
     found: list[Parameter] = []
     for body in tree.bodies:
-        found += _of_body(body)
+        found += _by_kind(_of_body(body))
     for index, joint in enumerate(tree.joints):
         untold = _Untold(rotor, fading, moved[index]) if index in driven else None
         found += _of_joint(joint, untold)
     for actuator in tree.actuators:
-        found += _of_actuator(actuator, tree.joints[actuator.joint])
+        found += _by_kind(_of_actuator(actuator, tree.joints[actuator.joint]))
     return tuple(found)
 
 
@@ -228,7 +229,10 @@ def _of_body(body: Body) -> list[Parameter]:
 
 
 class _Untold(NamedTuple):
-    """What the drive of a joint may have that its model does not tell; see `ROTOR` and `FADING`."""
+    """What the drive of a joint may have that its model does not tell; see `ROTOR` and `FADING`.
+
+    No data sheet says how far units of one make differ in it, so such a prior does not count as guessed.
+    """
 
     rotor: float
     fading: float
@@ -245,20 +249,27 @@ def _of_joint(joint: Joint, untold: _Untold | None) -> list[Parameter]:
     for kind, of, text in listed:
         if (value := float(getattr(joint, kind))) > 0.0:
             least = untold.fading * untold.inertia if untold and kind == "damping" else 0.0
-            found.append(_loss(f"{kind}({name})", value, of, kind, text, least))
+            of_kind = _loss(f"{kind}({name})", value, of, kind, text, least)
+            found += _by_kind([of_kind]) if least < of_kind.prior_sd else [of_kind]
     text = f"I_r, inertia of the rotor of {name} behind its gear"
     if joint.armature == 0.0 and untold:
         sd, high = untold.rotor * untold.inertia, LARGEST_ROTOR * untold.inertia
         found.append(Parameter(f"armature({name})", 0.0, inertia, 0.0, high, sd, text))
     elif joint.armature > 0.0:
-        found.append(_positive(f"armature({name})", joint.armature, inertia, "armature", text))
+        found += _by_kind([_positive(f"armature({name})", joint.armature, inertia, "armature", text)])
     if joint.stiffness != 0.0:
         text = f"k, stiffness of the spring of {name}"
-        found.append(_positive(f"stiffness({name})", joint.stiffness, f"{load}/{unit}", "stiffness", text))
+        spring = [_positive(f"stiffness({name})", joint.stiffness, f"{load}/{unit}", "stiffness", text)]
         sd = PRIORS["springref"] * (0.1 if joint.slides else 1.0)
         at, text = joint.springref, f"q_s, {name} where its spring rests"
-        found.append(Parameter(f"springref({name})", at, unit, at - 20.0 * sd, at + 20.0 * sd, sd, text))
+        spring.append(Parameter(f"springref({name})", at, unit, at - 20.0 * sd, at + 20.0 * sd, sd, text))
+        found += _by_kind(spring)
     return found
+
+
+def _by_kind(parameters: Sequence[Parameter]) -> list[Parameter]:
+    """Parameters whose value the model states, and whose prior is that of their kind."""
+    return [replace(p, guessed=True) for p in parameters]
 
 
 def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:

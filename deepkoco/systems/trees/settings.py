@@ -139,9 +139,8 @@ class TreeSettings:
                 value = own.get("value", p.value)
                 low, high = own.get("low", min(p.low, value)), own.get("high", max(p.high, value))
                 try:
-                    result[name] = replace(
-                        p, value=value, low=low, high=high, prior_sd=own.get("prior_sd", p.prior_sd)
-                    )
+                    sd, guessed = own.get("prior_sd", p.prior_sd), p.guessed and "prior_sd" not in own
+                    result[name] = replace(p, value=value, low=low, high=high, prior_sd=sd, guessed=guessed)
                 except ParameterError as error:
                     raise self._error(str(error)) from None
         return tuple(result.values())

@@ -1,0 +1,159 @@
+"""An explanation of a unit of a model file: its causes compete with a data sheet that is as good as usual.
+
+The refit may move every parameter within its declared prior, and causes are selected on top of it. Where that prior is
+a guess, a hidden cause can disappear in the refit, and a small error of the model that is left is selected instead. So
+explanations are weighed against each other with parameters and small effects as any unit has them
+(:mod:`deepkoco.diagnose.probability`). Where nothing weighs most, nothing is named. Else the causes are selected once
+more, among those that weigh enough, on a refit that may move the parameters as far as units of one make differ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import LONG, Baseline
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed
+from deepkoco.diagnose.causes.tolerance import OF_MODEL_FILE, Healthy
+from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
+from deepkoco.diagnose.evidence.classes import APART
+from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.minor import Minor, sample_period
+from deepkoco.diagnose.evidence.priors import declared
+from deepkoco.diagnose.explanation import Explanation, of_mean
+from deepkoco.diagnose.probability.answer import Answer
+from deepkoco.diagnose.probability.shadow import answer_of, of_rough_sheet
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.lazy_batch import MANY
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.systems import Parameter
+
+UNKNOWN = "unknown"
+PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's causes are not tried again
+FEW = 3.0  # standard deviations of what any unit has of an effect, up to which a fit has a little of it
+ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
+
+
+def weigh(request: DiagnosisRequest, explanation: Explanation) -> Explanation:
+    """Return the explanation that weighs most for a unit of a model file; other explanations stay as they are.
+
+    Args:
+        request: The logs.
+        explanation: Causes that were selected on the refit.
+    """
+    base, found = explanation.base, explanation.found
+    many = len(base.reference.free) + base.train.state.shape[1] >= MANY
+    if many or base.start.tempering > 1.0 or found.lost is not None or not guessed(base.start):
+        return explanation
+    if not request.limit.allows("weighing the data sheet"):
+        return explanation
+    request.progress("weighing the data sheet")
+    causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
+    try:
+        answer = answer_of(request, base)
+        best = answer.explanations[0]
+        if base.learned.healthy is None:
+            rough = of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH
+            if rough > best.log_weight:
+                return explanation
+    except (DivergedError, np.linalg.LinAlgError):
+        return explanation
+    if UNKNOWN in best.causes:
+        return explanation
+    if not best.causes:
+        return _nothing(explanation)
+    return _selected_again(request, explanation, _plausible(answer, causes))
+
+
+def _plausible(answer: Answer, causes: Sequence[Cause]) -> list[Cause]:
+    """Return the causes of the simplest explanation that weighs nearly as much as the best, and of those instead of it.
+
+    What others add to all of its causes is small: it does without that.
+    """
+    least = answer.explanations[0].log_weight - PLAUSIBLE
+    close = [e.causes for e in answer.explanations if e.log_weight > least and e.causes]
+    core = min(close, key=len)
+    names = {name for e in close if e == core or not set(e).issuperset(core) for name in e}
+    return [c for c in causes if c.name in names]
+
+
+def _nothing(explanation: Explanation) -> Explanation:
+    """Return the explanation without names; its fit keeps the little of its causes that any unit has."""
+    found = explanation.found
+    deflation = dispersion(found.final, explanation.base.train).deflation
+    small = tuple(Minor(c, found.final, None, deflation) for c in found.accepted)
+    plain = replace(found, accepted=(), steps=(), minor=(*found.minor, *small), usual=True)
+    return replace(explanation, found=plain)
+
+
+def _selected_again(
+    request: DiagnosisRequest, explanation: Explanation, plausible: Sequence[Cause]
+) -> Explanation:
+    """Select among some causes, on a refit with parameters and other small effects as any unit has them."""
+    base, found = explanation.base, explanation.found
+    deflation = max(dispersion(found.final, base.train).deflation, base.start.least_deflation)
+    usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
+    names = {c.name for c in plausible}
+    little = {
+        c: sizes
+        for c in dict.fromkeys((*found.accepted, *(m.cause for m in found.minor)))
+        if c.name not in names and (sizes := _usual_sizes(base.start, c, found.final, base.problem))
+    }
+    beside = [c for c, sizes in little.items() if _within(base.start, sizes, found.final)]
+    # What was selected and is more than that stays a rival.
+    plausible = [*plausible, *(c for c in found.accepted if c not in beside and c.name not in names)]
+    start = _with_little(usual, {c: little[c] for c in beside}, deflation)
+    values = {**found.final.values, **{n: start.values[n] for n in usual.prior.names}}
+    for cause in (*found.accepted, *plausible):
+        if cause not in beside:
+            own = {n for n in start.values if n.startswith(f"{cause.effect}.")}
+            values |= {n: start.values[n] for n in own.union(cause.free)}
+    state, _ = base.problem.fit_states(values, found.final.state)
+    trial = Trial("refit", start.prior.names, start.prior, values, state, found.final.nuisance)
+    reference = base.problem.fit([trial], LONG)[0]
+    if reference.diverged:
+        return explanation
+    again = replace(base, learned=replace(base.learned, prior=usual.prior), start=start, reference=reference)
+    # The weights have paid for the choice among all causes.
+    selection = Selection(start, base.train, base.held, plausible, APART, request.progress)
+    first, named = selection.run(reference, missing_torque(base.problem, reference))
+    if not named.accepted:
+        # What weighs most is not confirmed. What was selected is no name either where it is no more than usual.
+        small = named.minor or all(c in beside for c in found.accepted)
+        return _nothing(explanation) if small else explanation
+    return of_mean(replace(explanation, base=again, first=first, found=named))
+
+
+def _usual_sizes(start: Baseline, cause: Cause, fit: Fit, problem: FitProblem) -> list[Parameter]:
+    """Return the sizes of a cause with the standard deviations that any unit has; none if it has more than sizes."""
+    if is_changed(cause) or cause.effect == "event" or not cause.free:
+        return []
+    if set(cause.free) != set(cause.sizes) or not set(cause.free) <= set(fit.free):
+        return []
+    loads = start.system.load_scales
+    load, period = max(loads) if cause.joint is None else loads[cause.joint], sample_period(problem.windows)
+    return [
+        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(fit.values))))
+        for p in declared(problem, cause.free)
+    ]
+
+
+def _within(start: Baseline, sizes: Sequence[Parameter], fit: Fit) -> bool:
+    """Return whether a fit has no more than a few standard deviations of these sizes."""
+    return all(abs(fit.values[p.name] - start.values[p.name]) <= FEW * p.prior_sd for p in sizes)
+
+
+def _with_little(start: Baseline, causes: Mapping[Cause, Sequence[Parameter]], deflation: float) -> Baseline:
+    """Return a baseline with a little of some effects, and a prior that counts as much as the residuals do."""
+    prior = start.prior
+    for sizes in causes.values():
+        prior = prior.widened([p for p in sizes if p.name not in prior.names], start.values)
+    prior = Prior(prior.names, prior.centre, prior.covariance / deflation)
+    effects = tuple(dict.fromkeys((*start.effects, *(c.effect for c in causes))))
+    return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE)

@@ -1,0 +1,135 @@
+"""A unit of a model file: a hidden cause is not taken up by the priors, and what any unit has is not named."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.causes.parameter import CHANGED
+from deepkoco.diagnose.causes.tolerance import Healthy, usual_sd
+from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
+from deepkoco.diagnose.probability.answer import Answer, Weighed
+from deepkoco.diagnose.weighed import _plausible
+from deepkoco.fit import cut_windows
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems import Parameter, load_system, make_system
+from deepkoco.systems.trees.mujoco_library import mujoco_library
+
+mujoco = mujoco_library()
+
+XML = """<mujoco model="link"><option timestep="0.0005"/><worldbody><body name="link">
+  <joint name="hinge" type="hinge" axis="0 1 0" damping="0.05" armature="0.002"/>
+  <inertial pos="0.15 0 0" mass="0.8" diaginertia="0.0001 0.006 0.006"/></body></worldbody>
+  <actuator><motor name="motor" joint="hinge" ctrlrange="-2 2"/></actuator></mujoco>"""
+
+
+def log_of(damping=0.0, seconds=14.0, rate=100.0, seed=5):
+    """A log of MuJoCo's own motion: every unit is 1 % heavier and lags 1 ms; ``damping`` [N m s/rad] is hidden."""
+    model = mujoco.MjModel.from_xml_string(XML)
+    model.body_mass[1] *= 1.01
+    model.dof_damping[0] += damping
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    steps, force, sent, shown = round(1.0 / (rate * model.opt.timestep)), 0.0, [], []
+    keep = math.exp(-model.opt.timestep / 1e-3)
+    for i in range(round(seconds * rate)):
+        if i % 30 == 0:
+            wanted = float(rng.uniform(-1.6, 1.6))
+        sent.append(wanted)
+        shown.append(data.qpos[0] + 2e-4 * rng.standard_normal())
+        for _ in range(steps):
+            force = wanted + (force - wanted) * keep
+            data.ctrl[0] = force
+            mujoco.mj_step(model, data)
+    t = np.arange(len(sent)) / rate
+    return Recording(
+        {
+            "motor": Series(t, np.array(sent), "N m", "command"),
+            "q_hinge": Series(t, np.array(shown), "rad", "measurement"),
+        },
+        None,
+        None,
+        {},
+    )
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    file = tmp_path_factory.mktemp("robot") / "link.xml"
+    file.write_text(XML)
+    return file
+
+
+def test_priors_of_a_model_file_are_guessed_until_someone_states_them(path, tmp_path):
+    assert all(p.guessed for p in load_system(path).parameters)
+    assert not any(p.guessed for p in make_system("rod_pendulum").parameters)
+    own = tmp_path / "link.xml"
+    own.write_text(XML)
+    own.with_name("link.parameters.yaml").write_text(
+        "parameters:\n  damping(hinge): {prior_sd: 0.01}\n  armature(hinge): {value: 0.003}\n"
+    )
+    known = {p.name: p.guessed for p in load_system(own).parameters}
+    assert not known["damping(hinge)"]
+    assert known["armature(hinge)"]
+
+
+def test_guessed_priors_become_those_of_units_of_one_make(path):
+    system = load_system(path)
+    windows = cut_windows([log_of(seconds=6.0)], system, 1.0)
+    start = with_gauges_fixed(baseline_from(system, windows), windows)
+    usual = with_usual_spread(start)
+    sd = dict(zip(usual.prior.names, np.sqrt(usual.prior.covariance.diagonal()), strict=True))
+    assert sd["mass(link)"] == pytest.approx(0.02 * 0.8)
+    assert sd["damping(hinge)"] == pytest.approx(0.1 * 0.05)
+    assert usual.gauges == ()
+    assert guessed(start)
+    bench = baseline_from(make_system("rod_pendulum"), windows.take(np.zeros(len(windows), dtype=bool)))
+    assert not guessed(bench)
+    assert np.array_equal(with_usual_spread(bench).prior.covariance, bench.prior.covariance)
+
+
+@given(st.floats(0.01, 10.0), st.floats(0.01, 2.0))
+def test_a_changed_parameter_is_tolerated_within_what_is_known_of_it(value, share):
+    stated = Parameter("mass", value, "kg", 0.0, 100.0, share * value, "m")
+    assert CHANGED.tolerance(Healthy(stated, 1.0, 0.01, {})) == stated.prior_sd
+    guess = replace(stated, guessed=True)
+    assert CHANGED.tolerance(Healthy(guess, 1.0, 0.01, {})) == usual_sd(guess) == pytest.approx(0.02 * value)
+
+
+def answer(*weights):
+    """Explanations with their log weights, best first."""
+    found = [Weighed(causes, weight, True, (0.0, 0.0), {}) for causes, weight in weights]
+    return Answer.of(found, len(found), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("weights", "names"),
+    [
+        # What others add to the simplest one is no rival of it.
+        ([(("coulomb", "gain"), 0.0), (("coulomb", "lag"), -1.0), (("coulomb",), -2.0)], {"coulomb"}),
+        # What stands in its place is.
+        ([(("coulomb",), 0.0), (("gain",), -2.0), (("lag",), -20.0)], {"coulomb", "gain"}),
+        # Without a simpler one that weighs nearly as much, both causes are needed.
+        ([(("coulomb", "gain"), 0.0), (("coulomb",), -50.0), ((), -1.0)], {"coulomb", "gain"}),
+    ],
+)
+def test_plausible_causes(weights, names):
+    causes = list(catalogue(make_system("rod_pendulum")).values())
+    assert {c.name for c in _plausible(answer(*weights), causes)} == names
+
+
+@pytest.mark.study
+def test_damping_within_its_guessed_prior_is_named_and_what_any_unit_has_is_not(path):
+    system = load_system(path)
+    healthy = diagnose([log_of()], system)
+    assert (healthy.verdict, healthy.causes) == ("nothing", ())
+    # One and a half standard deviations of the guessed prior of servos' and joints' dampings: the refit takes it up.
+    worn = diagnose([log_of(damping=0.04)], system)
+    assert worn.verdict == "cause"
+    assert {"viscous", "changed(damping(hinge))"} & set(worn.causes[0].members)
+    assert worn.causes[0].parameters["viscous.change"].value == pytest.approx(0.04, rel=0.15)
