@@ -57,6 +57,7 @@ def whole(tmp_path_factory) -> pd.DataFrame:
     return run(tmp_path_factory.mktemp("distracted") / "whole", *KINDS[0])
 
 
+@pytest.mark.study
 def test_a_resumed_run_on_states_is_the_uninterrupted_one(whole, tmp_path):
     resumed = run(tmp_path / "stopped", *KINDS[0], stopped=True)
     pd.testing.assert_frame_equal(whole, resumed, check_exact=True)

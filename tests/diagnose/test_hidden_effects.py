@@ -39,7 +39,7 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("cause", studied(HIDDEN, ("actuation_delay", "coulomb")))
+@pytest.mark.parametrize("cause", studied(HIDDEN, ("coulomb",)))
 def test_hidden_effect_is_found(cause):
     system, excitation, hidden = HIDDEN[cause]
     seed = 40 + list(HIDDEN).index(cause)

@@ -36,7 +36,7 @@ from deepkoco.systems.trees.kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "446141e3d2526836"
+COMPILED_WITH = "32ff66942caa213c"
 
 # Loads of effects that the loop knows; from STRIBECK on they are levels of dry friction.
 VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION = range(8)
