@@ -60,7 +60,7 @@ def search(linear: Linearisation, items: Sequence[Item], causes: int) -> list[Sc
     gains = np.full((len(changes), len(items)), -np.inf)
     for a, own in enumerate(changes):
         if own is not None:
-            gains[a] = linear.freed(own, sets).log_gain
+            gains[a] = _sound(linear.freed(own, sets).log_gain)
     for k, item in enumerate(items):
         found.append(_scored(linear, changes, Explanation((item,)), healthy + gains[:, k], causes))
         found.append(_scored(linear, changes, Explanation((item,), True), unknown + gains[:, k], causes))
@@ -89,13 +89,18 @@ def _several(linear, changes, group, healthy, points, causes) -> list[Scored]:
         sets = np.array(sets_of(part))
         priors = np.array([log_prior(e, causes) for e in part])
         freed = [linear.freed(changes[a], sets) for a in points]
-        scores = np.stack([healthy[a] + f.log_gain for a, f in zip(points, freed, strict=True)])
+        scores = np.stack([healthy[a] + _sound(f.log_gain) for a, f in zip(points, freed, strict=True)])
         weight = log_sum(scores) + priors
         for k in np.argsort(-weight)[:200]:
             a = int(scores[:, k].argmax())
             mode = freed[a].mode[k][: len(part[k].columns)]
             found.append(Scored(part[k], float(weight[k]), points[a], mode))
     return found
+
+
+def _sound(gain: np.ndarray) -> np.ndarray:
+    """A gain that overflows, far from where a simulation is linear, says nothing for a cause."""
+    return np.where(np.isfinite(gain), gain, -np.inf)
 
 
 def _scored(linear, changes, explanation, scores, causes) -> Scored:

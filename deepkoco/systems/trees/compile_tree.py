@@ -283,6 +283,11 @@ def _left_out(model: Model, names: Names, last: dict[int, int]) -> list[str]:
     tendons = [names.tendons[t] for t in range(model.ntendon) if model.tendon_limited[t]]
     if tendons:
         notes.append(f"limits of tendons are not simulated: {', '.join(tendons)}")
+    if not model.nu:
+        notes.append(
+            "the file has no drives: a load acts on each joint, and the inertia of a rotor and damping are estimated "
+            "from logs, with wide priors"
+        )
     if model.opt.density or model.opt.viscosity:
         notes.append("the drag of the medium (density, viscosity) is not simulated")
     return notes

@@ -247,8 +247,8 @@ def _of_joint(joint: Joint, untold: _Untold | None) -> list[Parameter]:
         ("frictionloss", load, f"Fc, dry friction of {name}"),
     )
     for kind, of, text in listed:
-        if (value := float(getattr(joint, kind))) > 0.0:
-            least = untold.fading * untold.inertia if untold and kind == "damping" else 0.0
+        least = untold.fading * untold.inertia if untold and kind == "damping" else 0.0
+        if (value := float(getattr(joint, kind))) > 0.0 or least > 0.0:
             of_kind = _loss(f"{kind}({name})", value, of, kind, text, least)
             found += _by_kind([of_kind]) if least < of_kind.prior_sd else [of_kind]
     text = f"I_r, inertia of the rotor of {name} behind its gear"

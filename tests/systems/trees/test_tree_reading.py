@@ -180,7 +180,20 @@ def test_notes_say_that_contacts_and_limits_are_not_simulated(tmp_path):
     assert any("contacts are not simulated" in note for note in system.notes)
     assert any("limits of joints are not simulated: hinge" in note for note in system.notes)
     silent = read(tmp_path, mjcf(link(CAPSULE.replace("<geom", '<geom contype="0" conaffinity="0"'))))
-    assert silent.notes == ()
+    assert [note.split(":")[0] for note in silent.notes] == ["the file has no drives"]
+
+
+def test_a_drive_that_a_file_cannot_describe_has_a_rotor_and_damping_with_wide_priors(tmp_path):
+    told = {p.name: p for p in read(tmp_path, urdf(), "robot.urdf").parameters}
+    moved = 1.0 * 0.1**2 + 0.01  # of a body of 1 kg, 0.1 m from its axis
+    for name in ("armature(hinge)", "damping(hinge)"):
+        assert told[name].value == told[name].low == 0.0
+        assert told[name].prior_sd >= moved
+        assert not told[name].guessed
+    arm = mjcf(link(), '<actuator><motor joint="hinge"/></actuator>')
+    stated = {p.name: p for p in read(tmp_path, arm).parameters}
+    assert 0.0 < stated["armature(hinge)"].prior_sd < 0.1 * moved
+    assert "damping(hinge)" not in stated
 
 
 def test_two_actuators_of_one_joint_add_up_and_the_second_comes_last(tmp_path):
