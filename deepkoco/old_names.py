@@ -137,7 +137,12 @@ MOVED_NAMES = {
         ("deepkoco.systems.extended", name): "deepkoco.systems.model_yaml"
         for name in ("ModelFileError", "load_model", "save_model")
     },
-    **{("deepkoco.systems.system", name): "deepkoco.systems.motion" for name in ("CommandTiming", "Timing")},
+    **{
+        ("deepkoco.systems.system", name): "deepkoco.systems.motion"
+        for name in ("CommandTiming", "Delivery", "Timing")
+    },
+    ("deepkoco.systems.system", "Outline"): "deepkoco.systems.drawn",
+    **{("deepkoco.systems.system", n): "deepkoco.systems.named_joints" for n in ("SMOOTHING", "UNREADABLE")},
     ("deepkoco.systems.system", "rk4_step"): "deepkoco.systems.runge_kutta",
 }
 

@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--evidence",
         action="store_true",
-        help="add the probability of each cause to report.json; it decides nothing yet, and doubles the time",
+        help="add the probability of each cause to report.json; it changes no verdict, and doubles the time",
     )
 
 

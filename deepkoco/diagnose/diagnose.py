@@ -69,7 +69,7 @@ def diagnose(
         baseline: Result of :func:`learn_baseline` for healthy logs, instead of ``healthy``; several diagnoses can
             share it. None learns it from ``healthy``.
         progress: Called with the name of each step; ``print``, for example.
-        evidence: Whether :mod:`deepkoco.diagnose.probability` answers too. It doubles the time and decides nothing.
+        evidence: Whether :mod:`deepkoco.diagnose.probability` answers too. It doubles the time and changes no verdict.
         time_limit: Time [s] after which no further step begins; the result is the best answer so far, and its
             ``left_out`` lists the steps that are missing. Only then the result depends on the speed of the machine. The
             first ranking of the causes is always made. None makes every step.

@@ -164,7 +164,7 @@ class Diagnosis:
         final: Baseline parameters of `model`, with intervals; a parameter kept as given has an interval of width 0.
         moved: Where nothing is missing: parameters far from their given values with which the simulation explains the
             log.
-        evidence: Answer of the method of probabilities, which decides nothing; None where it did not run.
+        evidence: Answer of the method of probabilities, which changes no verdict; None where it did not run.
         time_limit: Time that was allowed [s]; None for no limit.
         left_out: Steps that were not made because this time was over.
     """

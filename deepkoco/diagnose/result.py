@@ -156,10 +156,10 @@ def _unidentified(base: Refitted) -> tuple[Direction, ...]:
     if base.train.varies:
         # The mean of these logs has the prior of one log; the information of the data is the rest.
         prior = base.learned.prior
-        order = [reference.free.index(n) for n in prior.names]
-        known = scaled_inverse(reference.covariance[np.ix_(order, order)]) - prior.precision(prior.names)
-        back = np.argsort(order)
-        reference = replace(reference, information=known[np.ix_(back, back)])
+        names = tuple(n for n in reference.free if n in prior.names)
+        index = [reference.free.index(n) for n in names]
+        known = scaled_inverse(reference.covariance[np.ix_(index, index)]) - prior.precision(names)
+        reference = replace(reference, free=names, information=known)
     return unidentified(reference, prior)
 
 

@@ -77,7 +77,8 @@ def _plausible(answer: Answer, causes: Sequence[Cause]) -> list[Cause]:
     What others add to all of its causes is small: it does without that.
     """
     least = answer.explanations[0].log_weight - PLAUSIBLE
-    close = [e.causes for e in answer.explanations if e.log_weight > least and e.causes]
+    listed = [e for e in answer.explanations if e.causes and UNKNOWN not in e.causes]
+    close = [e.causes for e in listed if e.log_weight > least]
     core = min(close, key=len)
     names = {name for e in close if e == core or not set(e).issuperset(core) for name in e}
     return [c for c in causes if c.name in names]
@@ -119,9 +120,11 @@ def _selected_again(
     reference = base.problem.fit([trial], LONG)[0]
     if reference.diverged:
         return explanation
-    again = replace(base, learned=replace(base.learned, prior=usual.prior), start=start, reference=reference)
+    # With healthy logs, the prior of one log stays theirs.
+    learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
+    again = replace(base, learned=learned, start=start, reference=reference)
     # The weights have paid for the choice among all causes.
-    selection = Selection(start, base.train, base.held, plausible, APART, request.progress)
+    selection = Selection(start, base.train, base.held, plausible, APART, request.progress, request.limit)
     first, named = selection.run(reference, missing_torque(base.problem, reference))
     if not named.accepted:
         # What weighs most is not confirmed. What was selected is no name either where it is no more than usual.

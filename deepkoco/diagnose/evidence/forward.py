@@ -153,7 +153,7 @@ class Selection:
         """Return the ranking of the catalogue on top of a fit with these causes."""
         self.progress(f"fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = self._hints(self.problem, fit, missing_torque(self.problem, fit))
-        return rank(self.problem, self.start, fit, accepted, hints, self.causes)
+        return rank(self.problem, self.start, fit, accepted, hints, self.causes, self.limit)
 
     def _minor(
         self,
@@ -403,7 +403,7 @@ class Selection:
         if untried and at_bound(problem, best.cause, best.fit):
             # The estimate stops at its bound. The reason may be a wrong unit, which is not tried for so small a chi2.
             hints = Hints(hints.system, hints.windows, hints.missing, np.inf)
-            again = rank(problem, start, ranking.reference, accepted, hints, self.causes)
+            again = rank(problem, start, ranking.reference, accepted, hints, self.causes, self.limit)
             if not again.best.cause.free:
                 return self._refined(problem, again, accepted, hints)
         return ranking

@@ -1,5 +1,5 @@
 """Probabilities of causes from one likelihood with model error, one hierarchical prior and one evidence.
 
-`docs/diagnose_probability.md` has the mathematics. The diagnosis runs this method beside its own and reports the answer
-under `evidence`; it decides nothing yet.
+`docs/diagnose_probability.md` has the mathematics. The diagnosis weighs the explanations of model files by this method
+(`diagnose/weighed.py`), and on request reports its answer under `evidence`.
 """

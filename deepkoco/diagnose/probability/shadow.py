@@ -123,6 +123,8 @@ def probabilities(
         refits = refined(problem, point.fixed, starts)
         found += [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
     tried = sum(len(p.scored) for p in points)
+    if not found:
+        raise DivergedError("no explanation has a simulation that stays finite")
     return Answer.of(found, tried, time.process_time() - began)
 
 
@@ -136,13 +138,17 @@ def of_rough_sheet(problem: FitProblem, reference: Fit, start: Baseline, causes:
         reference: The refitted system.
         start: The system as given, with the priors of its parameters.
         causes: The catalogue, of which any unit has a little.
+
+    Raises:
+        DivergedError: No refit stays finite.
     """
     point = linearised(problem, reference, start, causes, None, alone=True)
     starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in point.scored]
     refits = refined(problem, point.fixed, [r for r in starts if not r.explanation.unknown])
-    return max(
-        weighed(problem, point.fixed, r, point.causes).log_weight for r in refits if r.sums is not None
-    )
+    sound = [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
+    if not sound:
+        raise DivergedError("no simulation with the declared priors stays finite")
+    return max(s.log_weight for s in sound)
 
 
 def linearised(

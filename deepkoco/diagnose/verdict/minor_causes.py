@@ -29,6 +29,11 @@ def minor_causes(found: Selected) -> list[dict[str, Any]]:
 
 
 def _why(name: str, share: float | None, found: Selected) -> str:
+    if found.usual:
+        return (
+            f"{name} is significant beside the refit, but parameters and small effects as any unit has them weigh more "
+            "as an explanation, so it is not named."
+        )
     if share is None or not found.accepted:
         return f"{name} is significant, but no larger than on any healthy machine, so it is not named."
     first = found.accepted[0].name

@@ -39,8 +39,10 @@ def fine_steps(
         fit: A fit of them; its parameters, initial states and nuisances are simulated.
         most: Largest number of parts.
     """
-    parts, before, left = 1, _simulated(problem_of, windows, fit, 1), fit
-    deflation = dispersion(fit, windows).deflation
+    parts, before = 1, _simulated(problem_of, windows, fit, 1)
+    # The fit may be of other noise than these windows have.
+    left = replace(fit, residual=windows.value * problem_of(windows).weight - before)
+    deflation = dispersion(left, windows).deflation
     while parts < most:
         finer = _simulated(problem_of, windows, fit, 2 * parts)
         left = replace(left, residual=left.residual + before - finer)

@@ -46,7 +46,19 @@ SPREAD = 0.03  # largest relative error of a mass
 FRICTION = (0.03, 0.1)  # dry friction, over the load of the joint in this motion
 DELAY = (0.01, 0.03)  # [s]
 AMPLITUDE = 0.25  # of each of three sines [rad]
-COLUMNS = ("robot", "hidden", "joint", "size", "verdict", "named", "value", "low", "high", "chi2", "seconds")
+COLUMNS: tuple[str, ...] = (
+    "robot",
+    "hidden",
+    "joint",
+    "size",
+    "verdict",
+    "named",
+    "value",
+    "low",
+    "high",
+    "chi2",
+    "seconds",
+)
 MUJOCO = mujoco_library()
 
 
@@ -181,7 +193,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cases", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args(arguments)
-    table, rows = args.out / "public_arms.csv", []
+    table = args.out / "public_arms.csv"
+    rows: list[dict[str, Any]] = []
     if table.is_file():
         with table.open(newline="") as file:
             rows = list(csv.DictReader(file))
