@@ -111,18 +111,18 @@ def record(case: Case, path: Path, arm: TreeSystem) -> tuple[Recording, float]:
         joint.armature, joint.damping, joint.limited = rotor[k], [damping[k], 0.0, 0.0], False
         spec.add_actuator(name=name, target=name, trntype=MUJOCO.mjtTrn.mjTRN_JOINT)
     spec.option.timestep, spec.option.integrator = STEP, MUJOCO.mjtIntegrator.mjINT_IMPLICITFAST
-    bare = _moved(spec, arm, rng.bit_generator.state, 0)
+    late = [0] * len(names)
+    bare = _moved(spec, arm, rng.bit_generator.state, late)
     size = 0.0
     j = names.index(case.joint)
     if case.hidden == "coulomb":
         size = float(rng.uniform(*FRICTION)) * float(np.abs(bare[2][:, j]).max())
         spec.joint(case.joint).frictionloss = size
         spec.joint(case.joint).solref_friction = [4.0 * STEP, 1.0]  # as stiff as the step allows: it sticks
-    ticks = 0
     if case.hidden == "actuation_delay":
-        ticks = round(float(rng.uniform(*DELAY)) / STEP)
-        size = ticks * STEP
-    t, state, torque = _moved(spec, arm, rng.bit_generator.state, ticks, j)
+        late[j] = round(float(rng.uniform(*DELAY)) / STEP)
+        size = late[j] * STEP
+    t, state, torque = _moved(spec, arm, rng.bit_generator.state, late)
     noise = np.concatenate([np.full(len(names), 2e-4), np.full(len(names), 5e-3)])
     state = state + noise * rng.standard_normal(state.shape)
     channels = {c.name: Series(t, state[:, i], c.unit, "measurement") for i, c in enumerate(arm.measurements)}
@@ -131,9 +131,9 @@ def record(case: Case, path: Path, arm: TreeSystem) -> tuple[Recording, float]:
 
 
 def _moved(
-    spec: Any, arm: TreeSystem, generator: Any, late: int, delayed: int = 0
+    spec: Any, arm: TreeSystem, generator: Any, late: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stamps (n,), states (n, 4) and torques (n, 2) under a controller; one torque acts some steps late."""
+    """Stamps (n,), states (n, 4) and torques (n, 2) under a controller; each torque acts some steps late."""
     rng = np.random.default_rng()
     rng.bit_generator.state = generator
     model = spec.compile()
@@ -150,13 +150,13 @@ def _moved(
     steps = round(1.0 / (RATE * STEP))
     t = np.arange(round(SECONDS * RATE)) / RATE
     state, torque = np.zeros((len(t), 2 * count)), np.zeros((len(t), count))
-    sent = np.zeros((len(t) * steps + late, count))
+    sent = np.zeros((len(t) * steps + max(late), count))
     for k, now in enumerate(t):
         goal = middle + AMPLITUDE * np.sin(np.array([1.3, 2.9, 5.1]) * now + phase).sum(-1)
         torque[k] = stiffness * (goal - data.qpos) - 0.14 * stiffness * data.qvel + data.qfrc_bias
         state[k] = np.concatenate([data.qpos, data.qvel])
-        sent[k * steps : (k + 1) * steps] = torque[k]
-        sent[k * steps + late : (k + 1) * steps + late, delayed] = torque[k, delayed]
+        for j, wait in enumerate(late):
+            sent[k * steps + wait : (k + 1) * steps + wait, j] = torque[k, j]
         for step in range(steps):
             data.ctrl[:] = sent[k * steps + step]
             MUJOCO.mj_step(model, data)
