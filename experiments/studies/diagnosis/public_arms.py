@@ -109,6 +109,7 @@ def record(case: Case, path: Path, arm: TreeSystem) -> tuple[Recording, float]:
     for k, name in enumerate(names):
         joint = spec.joint(name)
         joint.armature, joint.damping, joint.limited = rotor[k], [damping[k], 0.0, 0.0], False
+        joint.solref_friction = [4.0 * STEP, 1.0]  # as stiff as the step allows: a joint at rest sticks
         spec.add_actuator(name=name, target=name, trntype=MUJOCO.mjtTrn.mjTRN_JOINT)
     spec.option.timestep, spec.option.integrator = STEP, MUJOCO.mjtIntegrator.mjINT_IMPLICITFAST
     late = [0] * len(names)
@@ -117,8 +118,7 @@ def record(case: Case, path: Path, arm: TreeSystem) -> tuple[Recording, float]:
     j = names.index(case.joint)
     if case.hidden == "coulomb":
         size = float(rng.uniform(*FRICTION)) * float(np.abs(bare[2][:, j]).max())
-        spec.joint(case.joint).frictionloss = size
-        spec.joint(case.joint).solref_friction = [4.0 * STEP, 1.0]  # as stiff as the step allows: it sticks
+        spec.joint(case.joint).frictionloss += size
     if case.hidden == "actuation_delay":
         late[j] = round(float(rng.uniform(*DELAY)) / STEP)
         size = late[j] * STEP
