@@ -147,7 +147,11 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
         return search.run(fit, nothing)
     # Most searches find nothing that may be named, so what they find is searched again without what is kept.
     found = search.run(fit, nothing, kept=True)
-    return None if found is None else search.run(found.fit, [shown.lost for shown in found.logs])
+    if (
+        found is None or found.total >= fit.cost
+    ):  # a pattern that explains less than it is charged is named nowhere
+        return None
+    return search.run(found.fit, [shown.lost for shown in found.logs])
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -19,9 +19,11 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
-SHARED = 30  # sets of parameters from which all are first fitted with the same slopes of the initial states
-FITTED = 4  # of these sets are then fitted with slopes of their own
+FITTED = 4  # sets of parameters that are fitted in each round
 MOST = 3  # parameters that are named
+# Times the fall of chi2 that a set may lack: slopes at the refit do not hold as far as to the values given.
+CLEARLY = 10.0
+LOOSE = 1e-6  # information about each parameter beside that of the log, in its prior standard deviations
 FAR = 2.0  # standard deviations of the prior from which a moved parameter is news
 
 
@@ -46,7 +48,10 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     deflation = max(spread.deflation, start.least_deflation)
     # Chance alone lowers chi2 by one for each further parameter.
     enough = refit.chi2 + deflation * (DETECTION + len(refit.free))
-    names = [n for n in start.prior.names if "." not in n]
+    names = [n for n in refit.free if "." not in n]
+    least = _rises(start, refit, list(itertools.combinations(names, min(MOST, len(names))))).min()
+    if least > CLEARLY * (enough - refit.chi2):
+        return ()
     chosen: list[str] = []
     try:
         best = problem.evaluate(start.values, "as given", refit.state)
@@ -56,6 +61,7 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
         if len(chosen) == MOST:
             return ()
         sets = [(*chosen, n) for n in names if n not in chosen]
+        sets = [sets[k] for k in np.argsort(_rises(start, refit, sets))[:FITTED]]
         fits = _fits(problem, start, best, refit, sets)
         if not fits:
             return ()
@@ -69,6 +75,27 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
         return ()
     # A change within a data sheet's standard deviation is no news.
     return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen if abs(change[n]) >= sd[n])
+
+
+def _rises(start: Baseline, refit: Fit, sets: Sequence[tuple[str, ...]]) -> np.ndarray:
+    """Return the rise of chi2 (K,) from the refit, by its slopes, if only the parameters of each set may move.
+
+    A file that states nothing about its drives has many parameters that must move, and then no few explain the log.
+
+    Args:
+        start: The baseline, with the values given.
+        refit: Refit of all parameters.
+        sets: K sets of equally many of its parameters.
+    """
+    # The declared spread only keeps combinations that the log does not tell from being undefined.
+    spread = np.array([start.system.parameter(n).prior_sd for n in refit.free])
+    known = refit.information * np.outer(spread, spread) + LOOSE * np.eye(len(spread))
+    change = np.array([start.values[n] - refit.values[n] for n in refit.free]) / spread
+    slope = known @ change
+    own = np.array([[refit.free.index(n) for n in names] for names in sets])
+    inside = known[own[:, :, None], own[:, None, :]]
+    regained = np.einsum("ki,ki->k", slope[own], np.linalg.solve(inside, slope[own][..., None])[..., 0])
+    return change @ slope - regained
 
 
 def _moved(
@@ -126,13 +153,4 @@ def _fits(
         trials.append(
             Trial(",".join(names), names, Prior.of(declared), values, refit.state, refit.nuisance, names)
         )
-    if len(trials) > SHARED:
-        # The slopes of the refit show which few are worth a fit of their own.
-        known = problem.slopes_at(refit.values, (), refit.state, refit.nuisance)
-        rough = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
-        best_first = sorted(range(len(rough)), key=lambda k: rough[k].chi2)[:FITTED]
-        trials = [
-            replace(trials[k], values=rough[k].values, state=rough[k].state, nuisance=rough[k].nuisance)
-            for k in best_first
-        ]
     return [fit for fit in problem.fit(trials, ITERATIONS, CLOSE) if not fit.diverged]
