@@ -46,6 +46,7 @@ SPREAD = 0.03  # largest relative error of a mass
 FRICTION = (0.03, 0.1)  # dry friction, over the load of the joint in this motion
 DELAY = (0.01, 0.03)  # [s]
 AMPLITUDE = 0.25  # of each of three sines [rad]
+NOISE = (2e-4, 5e-3)  # of angles [rad] and speeds [rad/s]
 COLUMNS: tuple[str, ...] = (
     "robot",
     "hidden",
@@ -123,7 +124,7 @@ def record(case: Case, path: Path, arm: TreeSystem) -> tuple[Recording, float]:
         late[j] = round(float(rng.uniform(*DELAY)) / STEP)
         size = late[j] * STEP
     t, state, torque = _moved(spec, arm, rng.bit_generator.state, late)
-    noise = np.concatenate([np.full(len(names), 2e-4), np.full(len(names), 5e-3)])
+    noise = np.repeat(NOISE, len(names))
     state = state + noise * rng.standard_normal(state.shape)
     channels = {c.name: Series(t, state[:, i], c.unit, "measurement") for i, c in enumerate(arm.measurements)}
     channels |= {c.name: Series(t, torque[:, i], c.unit, "command") for i, c in enumerate(arm.commands)}
