@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.evidence.back_to_prior import back_to_prior
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
@@ -56,6 +57,9 @@ def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str
         asked = more and (not tested or request.limit.allows("what the healthy logs say of the causes"))
         causes = selection.consistent_with_healthy(found) if asked else []
         if not causes:
+            if found.accepted:
+                final = back_to_prior(found.acting, base.start, found.accepted, found.final)
+                found = replace(found, final=final)
             return of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
         more -= 1
         progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
