@@ -66,6 +66,21 @@ class Selection(SelectionTask):
         found = self._with_losses_in_class(plain) if found is None else found
         return first, self.without_tolerated(replace(found, minor=forward.minor))
 
+    def repeated(self, found: Selected, reference: Fit) -> Selected:
+        """Compare the causes of a selection on other windows again, and eliminate causes.
+
+        Args:
+            found: The selection; its fit is one of this task's windows.
+            reference: Refit of the baseline to these windows.
+        """
+        self.before, self.cost = reference.chi2, reference.cost
+        for _ in range(MAX_ROUNDS):
+            kept = self._kept(reconsidered(self, found, 1))
+            if kept.accepted == found.accepted:
+                break
+            found = kept
+        return self.without_tolerated(kept)
+
     def consistent_with_healthy(self, found: Selected) -> list[Cause]:
         """Return the accepted causes and members of their classes that may have been present in the healthy logs."""
         hypotheses = hypotheses_of(found)
