@@ -90,7 +90,7 @@ def _from_winner(
     ended = fit.converged or fit.diverged
     lately = fit.history[len(fit.history) // 2 :]
     if not ended and missing < (lately[0] - lately[-1]) * (PATIENCE - PACE) / max(len(lately) - 1, 1):
-        trial = replace(trial, values=fit.values, state=fit.state, nuisance=fit.nuisance)
+        trial = trial.from_fit(fit)
         fit = problem.fit([trial], PATIENCE - PACE, close)[0]
     return with_better_fit(other, fit, ranking.deflation)
 
@@ -283,7 +283,7 @@ def settled(
         if won > 0.0:
             fit, trial = (
                 found,
-                replace(trial, values=found.values, state=found.state, nuisance=found.nuisance),
+                trial.from_fit(found),
             )
         if won < CLOSE:
             break
