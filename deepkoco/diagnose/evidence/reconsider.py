@@ -48,7 +48,7 @@ def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Select
         # cause; only its time and size are fitted again.
         rivals = [cause] if cause.effect == "event" else lasting
         ranking = rank(problem, start, less, others, hints, rivals, task.limit)
-        ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
+        ranking = front_settled(problem, start, others, with_fit(problem, start, ranking, cause, final))
         ranking, members = classed(problem, start, ranking, others, task.held)
         steps[k] = (ranking, members)
         if ranking.best.cause.name != cause.name:
@@ -68,7 +68,7 @@ def alone(task: SelectionTask, kept: Selected, first: Ranking) -> Selected:
     start, problem, (cause,) = task.start, kept.acting, kept.accepted
     pushed = cause.effect == "event"
     rivals = [c for c in first.candidates if not pushed and c.cause.effect != "event"]
-    ranking = with_fit(problem, replace(first, candidates=tuple(rivals)), cause, kept.final)
+    ranking = with_fit(problem, start, replace(first, candidates=tuple(rivals)), cause, kept.final)
     ranking = front_settled(problem, start, (), ranking)
     ranking, members = classed(problem, start, ranking, (), task.held)
     best = ranking.best

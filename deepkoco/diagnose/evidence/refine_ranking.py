@@ -19,7 +19,7 @@ from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
-from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
+from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, white_limit
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
@@ -244,11 +244,14 @@ def _size_charge(problem: FitProblem, candidate: Candidate) -> float:
     return charge
 
 
-def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> Ranking:
+def with_fit(problem: FitProblem, start: Baseline, ranking: Ranking, cause: Cause, fit: Fit) -> Ranking:
     """Return a ranking in which a cause has this fit, if it had none or a worse one.
+
+    Where the fit is better than all that made the ranking, its residuals are the noise by which everything counts.
 
     Args:
         problem: The windows.
+        start: The baseline.
         ranking: The ranking.
         cause: The cause.
         fit: Its fit, on top of the ranking's reference.
@@ -256,11 +259,24 @@ def with_fit(problem: FitProblem, ranking: Ranking, cause: Cause, fit: Fit) -> R
     own = next((c for c in ranking.candidates if c.cause.name == cause.name), None)
     if own is not None and own.fit is not ranking.reference and own.fit.cost <= fit.cost:
         return ranking
-    ratio = ranking.reference.cost - fit.cost
-    charge = penalty(cause, ranking.samples, SLOTS * len(problem.windows))
-    mine = Candidate(cause, fit, ratio, ratio / ranking.deflation - charge)
+    lowest = min([ranking.reference.cost, *(c.fit.cost for c in ranking.candidates)])
+    if fit.cost < lowest:
+        spread = dispersion(fit, problem.windows)
+        ranking = replace(
+            ranking,
+            dispersion=spread,
+            deflation=max(spread.deflation, start.least_deflation),
+            samples=problem.windows.samples / spread.correlation,
+        )
+    mine = Candidate(cause, fit, ranking.reference.cost - fit.cost, 0.0)
     others = [c for c in ranking.candidates if c is not own]
-    return replace(ranking, candidates=tuple(sorted([*others, mine], key=lambda c: -c.delta_bic)))
+
+    def scored(candidate: Candidate) -> Candidate:
+        charge = penalty(candidate.cause, ranking.samples, SLOTS * len(problem.windows))
+        return replace(candidate, delta_bic=candidate.likelihood_ratio / ranking.deflation - charge)
+
+    candidates = sorted(map(scored, [*others, mine]), key=lambda c: -c.delta_bic)
+    return replace(ranking, candidates=tuple(candidates))
 
 
 def _pulled_back(problem: FitProblem, start: Baseline, candidate: Candidate) -> bool:

@@ -167,6 +167,8 @@ def _named(explanation: Explanation, system: System, missing: Sequence[MissingTo
     places = SLOTS * len(base.train)
     prior, healthy, given = base.learned.prior, base.learned.healthy is not None, base.start.values
     spread = np.sqrt(prior.covariance.diagonal())
+    # Of the fit that is reported: a ranking may have been made of others.
+    deflation = max(dispersion(found.final, found.acting.windows).deflation, base.start.least_deflation)
     priors = {n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)}
     result = []
     for k, (ranking, members) in enumerate(found.steps):
@@ -177,8 +179,8 @@ def _named(explanation: Explanation, system: System, missing: Sequence[MissingTo
         evidence = evidence_for(best.cause, best, ranking, motion, own, places)
         if not is_changed(best.cause):
             evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)
-        named = finding(base.problem, best, ranking, members, evidence, given)
-        same = same_parameter(found.acting, best.cause, found.final, given, ranking.deflation)
+        named = finding(base.problem, best, replace(ranking, deflation=deflation), members, evidence, given)
+        same = same_parameter(found.acting, best.cause, found.final, given, deflation)
         wide = over_classes(named.parameters, found.acting, found.accepted, found.steps, k)
         result.append(replace(named, same_as=same, parameters=wide))
     return (*result, *([found.lost] if found.lost else []))
