@@ -29,7 +29,7 @@ from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
-from deepkoco.fit.solve.robust import with_doubt
+from deepkoco.fit.solve.robust import undoubted, with_doubt
 from deepkoco.fit.solve.scale_search import search_scales
 
 FAR_OFF = (
@@ -120,7 +120,7 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     windows = with_doubt(windows, problem.fit_one(Trial("sizes", (), Prior.empty(), fit.values, state), 1))
     problem = FitProblem(declared.system, windows)
     fit = problem.fit_one(_from(start, replace(fit, state=state)), 2 * ITERATIONS)
-    if fit.chi2 / windows.samples <= LARGE_MISFIT:
+    if float(undoubted(windows, fit).square().sum()) / windows.samples <= LARGE_MISFIT:
         # Little is left that the parameters could imitate; the usual refit frees all of them.
         return None
     windows = with_doubt(with_sharp_noise(windows, fit), fit)

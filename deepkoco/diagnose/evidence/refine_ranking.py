@@ -132,7 +132,10 @@ def classed(
     two, the mechanism leads the class. The farther the parameter is from its given value, the more evidence it needs.
     """
     simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
-    left = ranking.best.fit.chi2 / problem.windows.samples > white_limit(problem.windows) * start.floor
+    left = (
+        ranking.best.fit.chi2 / problem.windows.samples
+        > white_limit(problem.windows, start.correlation) * start.floor
+    )
     if simple and left:
         first = min(simple, key=lambda c: (c.cause.size, -c.delta_bic))
         ranking = replace(ranking, candidates=(first, *(c for c in ranking.candidates if c is not first)))

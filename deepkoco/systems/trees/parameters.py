@@ -302,7 +302,9 @@ def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
             Parameter(f"bias({name})", b0, force, -50.0 * size, 50.0 * size, PRIORS["bias"] * size, text)
         )
     if b2 != 0.0:
-        damping = _positive(f"kv({name})", -b2, f"{force}/({rate})", "kv", f"k_v, damping of the servo {name}")
+        damping = _positive(
+            f"kv({name})", -b2, f"{force}/({rate})", "kv", f"k_v, damping of the servo {name}"
+        )
         found.append(replace(damping, low=0.0) if b2 < 0.0 else damping)
     return found + _lag(actuator)
 
