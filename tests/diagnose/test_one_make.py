@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.causes.cause import Hint
 from deepkoco.diagnose.evidence.far_parameters import far_names
 from deepkoco.diagnose.one_make import covariance_of, groups_of
+from deepkoco.systems import make_system
 from tests.fit.test_scale_search import stiff
 
 __all__ = ["stiff"]
@@ -51,3 +54,18 @@ def test_far_is_what_is_two_declared_deviations_off_with_its_whole_interval(star
     )
     assert far_names(start, fit, 1.0) == [names[0]]
     assert far_names(start, fit, 1e4) == []
+
+
+def rate_limits(system, fastest):
+    cause = next(c for n, c in catalogue(system).items() if n.startswith("rate_limit") and c.joint == 0)
+    hint = Hint(system, 0, np.array([0.0, 1.0]), np.array([-fastest, 0.1]), (), 10.0, 1.0, ())
+    return [limit for place in cause.starts(hint) for limit in place.values()]
+
+
+def test_a_limited_goal_is_searched_for_where_the_joint_was_fastest(stiff):
+    assert {0.3, 0.4, 0.5} <= {round(limit, 6) for limit in rate_limits(stiff[0], 0.5)}
+
+
+def test_the_rate_of_a_torque_has_nothing_to_do_with_the_speed():
+    arm = make_system("two_link_arm")
+    assert rate_limits(arm, 0.5) == rate_limits(arm, 5.0)
