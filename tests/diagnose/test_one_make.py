@@ -1,6 +1,7 @@
 """Servos of one make share how far they are from the model, and differ from each other as units do."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def test_a_servo_that_a_settled_fit_has_far_from_the_others_leaves_the_group(sta
 
 def test_far_is_what_is_two_declared_deviations_off_with_its_whole_interval(start):
     names = NAMES[:2]
-    fit = SimpleNamespace(
+    fit: Any = SimpleNamespace(
         values={**start.values, names[0]: 20.0, names[1]: 20.0},
         free=names,
         covariance=np.diag([10.0**2, 400.0**2]),
@@ -58,7 +59,7 @@ def test_far_is_what_is_two_declared_deviations_off_with_its_whole_interval(star
 
 def rate_limits(system, fastest):
     cause = next(c for n, c in catalogue(system).items() if n.startswith("rate_limit") and c.joint == 0)
-    hint = Hint(system, 0, np.array([0.0, 1.0]), np.array([-fastest, 0.1]), (), 10.0, 1.0, ())
+    hint = Hint(system, 0, np.array([0.0, 1.0]), np.array([-fastest, 0.1]), (), 10.0, 1.0, None)
     return [limit for place in cause.starts(hint) for limit in place.values()]
 
 

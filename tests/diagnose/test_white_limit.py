@@ -1,6 +1,7 @@
 """The limit of noise: chi2 per sample varies more where residuals are correlated."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ SAMPLES, SHARE = 1500, 0.9
 
 def test_limit_is_so_many_deviations_of_chi2_of_correlated_noise():
     white = np.random.default_rng(20000).standard_normal((4000, SAMPLES + 200))
-    noise = lfilter([np.sqrt(1.0 - SHARE**2)], [1.0, -SHARE], white, axis=1)[:, 200:]
+    noise = np.asarray(lfilter([np.sqrt(1.0 - SHARE**2)], [1.0, -SHARE], white, axis=1))[:, 200:]
     spread = np.square(noise).mean(1).std()
-    windows = SimpleNamespace(
+    windows: Any = SimpleNamespace(
         samples=SAMPLES,
         valid=torch.ones(1, 1, SAMPLES, dtype=torch.bool),
         noise=(SimpleNamespace(relative_sd=0.0),),

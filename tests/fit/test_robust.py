@@ -1,5 +1,7 @@
 """Weights of windows that are much worse than the others."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -25,7 +27,9 @@ def test_weights_belong_to_the_most_likely_typical_error():
     error, count = rng.chisquare(5, 30) / 5 * 3.0, np.full(30, 5.0)
     error[4] *= 300.0
     weight, typical = weights(error, count)
-    best = minimize_scalar(lambda x: t_misfit(np.exp(x), error, count), bounds=(-5.0, 8.0), method="bounded")
+    best: Any = minimize_scalar(
+        lambda x: t_misfit(np.exp(x), error, count), bounds=(-5.0, 8.0), method="bounded"
+    )
     assert typical == pytest.approx(np.exp(best.x), rel=1e-3)
     assert weight[4] < 0.05
     np.testing.assert_allclose(weight, (DEGREES + count) / (DEGREES + count * error / typical), rtol=1e-4)
