@@ -21,7 +21,7 @@ import torch
 
 from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
-from deepkoco.diagnose.one_make import covariance_of
+from deepkoco.diagnose.one_make import covariance_of, groups_of
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -80,7 +80,7 @@ def tempered_to(
 
 
 def told(start: Baseline, fit: Fit) -> tuple[str, ...]:
-    """Return the parameters of which a log tells more than a small share of what the prior does.
+    """Return the parameters of which a log tells more than a small share of what the prior does, by groups of one make.
 
     Args:
         start: The baseline, with a tempered prior.
@@ -88,7 +88,11 @@ def told(start: Baseline, fit: Fit) -> tuple[str, ...]:
     """
     variance = start.prior.covariance.diagonal()
     share = np.array([fit.information[k, k] for k in map(fit.free.index, start.prior.names)]) * variance
-    return tuple(n for n, s in zip(start.prior.names, share, strict=True) if s > TOLD)
+    known = share > TOLD
+    for group in groups_of(start, start.prior.names):
+        # What a log tells of one servo it tells of the others of its make.
+        known[group] = known[group].any()
+    return tuple(n for n, yes in zip(start.prior.names, known, strict=True) if yes)
 
 
 def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit] | None:
