@@ -11,6 +11,7 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.causes.cause import Hint
 from deepkoco.diagnose.evidence.far_parameters import far_names
 from deepkoco.diagnose.one_make import covariance_of, groups_of
+from deepkoco.diagnose.tempered import told
 from deepkoco.systems import make_system
 from tests.fit.test_scale_search import stiff
 
@@ -70,3 +71,10 @@ def test_a_limited_goal_is_searched_for_where_the_joint_was_fastest(stiff):
 def test_the_rate_of_a_torque_has_nothing_to_do_with_the_speed():
     arm = make_system("two_link_arm")
     assert rate_limits(arm, 0.5) == rate_limits(arm, 5.0)
+
+
+def test_what_a_log_tells_of_one_servo_keeps_the_others_of_its_make_free(start):
+    told_of = dict.fromkeys(start.prior.names, 0.0) | {NAMES[0]: 1e6}
+    information = np.diag([told_of[n] for n in start.prior.names])
+    fit: Any = SimpleNamespace(information=information, free=start.prior.names)
+    assert set(told(start, fit)) == set(NAMES[:2])
