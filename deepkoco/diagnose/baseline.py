@@ -11,7 +11,8 @@ import torch
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.run_to_run import RunToRun
-from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.fit.data.halves import halved
+from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.evidence.back_to_prior import back_to_prior
+from deepkoco.diagnose.evidence.far_parameters import with_far_parameters
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
@@ -53,6 +54,9 @@ def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str
             base.start, base.train, base.data.held, request.causes, request.detection, progress, request.limit
         )
         first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
+        if base.start.tempering > 1.0 and request.limit.allows("parameters that the refit moved far"):
+            progress("parameters that the refit moved far")
+            found = with_far_parameters(base.start, found)
         tested = base.start.healthy is not None and found.accepted
         asked = more and (not tested or request.limit.allows("what the healthy logs say of the causes"))
         causes = selection.consistent_with_healthy(found) if asked else []

@@ -13,7 +13,8 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere
 from deepkoco.diagnose.refitted import Refitted
-from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.fit.data.halves import halved
+from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import ExtendedSystem

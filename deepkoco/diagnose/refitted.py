@@ -16,6 +16,7 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.fine_steps import with_steps_cut
 
 PATIENCE = 40  # iterations of a refit in which some parameters are kept
+ROUGHLY = 12  # the same where they are far off, so that it can only be bad
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ def with_parameters_kept(base: Refitted, names: Sequence[str]) -> Refitted:
     values = {**refit.values, **{n: base.start.values[n] for n in names}}
     state, _ = problem.fit_states(values, refit.state)
     free = tuple(n for n in refit.free if n not in names)
-    fit = problem.fit([Trial("refit", free, base.start.prior, values, state, refit.nuisance)], PATIENCE)[0]
+    most = PATIENCE if base.start.tempering == 1.0 else ROUGHLY
+    fit = problem.fit([Trial("refit", free, base.start.prior, values, state, refit.nuisance)], most)[0]
     return base if fit.diverged else replace(base, reference=problem.recentred(fit))
 
 

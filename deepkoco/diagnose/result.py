@@ -122,7 +122,7 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     """Return what remains in the residuals, what the data cannot tell apart, and what was not fitted."""
     base, final, left = explanation.base, judgement.final, judgement.left
     train = base.train
-    limit, alike = white_limit(train) * base.start.floor, coloured_from(train)
+    limit, alike = white_limit(train, base.start.correlation) * base.start.floor, coloured_from(train)
     refitted = final is base.reference
     remaining = judgement.missing if refitted else missing_torque(explanation.found.acting, final)
     learned = judgement.learned

@@ -6,6 +6,8 @@ its prior, and a link of 0.1 kg becomes one of 1 kg. Scores are divided by this 
 :func:`.dispersion`) after the fit. Here the prior is multiplied by it before, which is the same likelihood. A parameter
 that is far from its value as given even so has a prior as wide as its distance, like the parameter of a cause.
 
+A few windows in which something else happens (the arm touches a table) count less: see :mod:`..fit.solve.robust`.
+
 What the log still tells less of than the prior needs no slopes: such parameters keep their values as given.
 """
 
@@ -19,12 +21,15 @@ import torch
 
 from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
-from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.diagnose.one_make import covariance_of, groups_of
+from deepkoco.fit.data.halves import halved
+from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
+from deepkoco.fit.solve.robust import undoubted, with_doubt
 from deepkoco.fit.solve.scale_search import search_scales
 
 FAR_OFF = (
@@ -56,7 +61,9 @@ def refit_to_windows(start: Baseline, windows: Windows) -> tuple[Baseline, Windo
     return start, *refit_sharply(start, windows)
 
 
-def tempered_to(declared: Baseline, names: tuple[str, ...], fit: Fit, windows: Windows) -> Baseline:
+def tempered_to(
+    declared: Baseline, names: tuple[str, ...], fit: Fit, windows: Windows, settled: bool = True
+) -> Baseline:
     """Return a baseline whose prior counts as much as a fit's residuals let the data count.
 
     Args:
@@ -64,17 +71,16 @@ def tempered_to(declared: Baseline, names: tuple[str, ...], fit: Fit, windows: W
         names: Parameters that it frees.
         fit: A fit of them.
         windows: The windows of this fit.
+        settled: Whether the fit was made under such a prior.
     """
     factor = dispersion(fit, windows).deflation
-    index = [declared.prior.names.index(n) for n in names]
-    centre, variance = declared.prior.centre[index], declared.prior.covariance.diagonal()[index]
-    away = np.array([fit.values[n] for n in names]) - centre
-    prior = Prior(names, centre, np.diag(np.maximum(variance, away**2) / factor))
+    centre = declared.prior.centre[[declared.prior.names.index(n) for n in names]]
+    prior = Prior(names, centre, covariance_of(declared, names, fit.values, settled) / factor)
     return replace(declared, prior=prior, tempering=factor)
 
 
 def told(start: Baseline, fit: Fit) -> tuple[str, ...]:
-    """Return the parameters of which a log tells more than a small share of what the prior does.
+    """Return the parameters of which a log tells more than a small share of what the prior does, by groups of one make.
 
     Args:
         start: The baseline, with a tempered prior.
@@ -82,7 +88,11 @@ def told(start: Baseline, fit: Fit) -> tuple[str, ...]:
     """
     variance = start.prior.covariance.diagonal()
     share = np.array([fit.information[k, k] for k in map(fit.free.index, start.prior.names)]) * variance
-    return tuple(n for n, s in zip(start.prior.names, share, strict=True) if s > TOLD)
+    known = share > TOLD
+    for group in groups_of(start, start.prior.names):
+        # What a log tells of one servo it tells of the others of its make.
+        known[group] = known[group].any()
+    return tuple(n for n, yes in zip(start.prior.names, known, strict=True) if yes)
 
 
 def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit] | None:
@@ -100,21 +110,24 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     short, names = FitProblem(declared.system, halves), declared.prior.names
     state, _ = short.fit_states(values, halves.state)
     fit = short.fit_one(Trial("sizes", (), Prior.empty(), values, state), 1)
-    for _ in range(STAGES):
-        start = tempered_to(declared, names, fit, halves)
+    for stage in range(STAGES):
+        halves = with_doubt(halves, fit)
+        short = FitProblem(declared.system, halves)
+        start = tempered_to(declared, names, fit, halves, stage > 0)
         fit = short.fit_one(_from(start, fit), ITERATIONS)
         names = told(tempered_to(declared, names, fit, halves), fit)
+    start = tempered_to(declared, names, fit, halves)
     problem = FitProblem(declared.system, windows)
     guess = windows.state.clone()
     guess[torch.from_numpy(few)] = fit.state[::2]
     state, _ = problem.fit_states(fit.values, guess)
-    fit = replace(fit, state=state)
-    start = tempered_to(declared, names, fit, halves)
-    fit = problem.fit_one(_from(start, fit), 2 * ITERATIONS)
-    if fit.chi2 / windows.samples <= LARGE_MISFIT:
+    windows = with_doubt(windows, problem.fit_one(Trial("sizes", (), Prior.empty(), fit.values, state), 1))
+    problem = FitProblem(declared.system, windows)
+    fit = problem.fit_one(_from(start, replace(fit, state=state)), 2 * ITERATIONS)
+    if float(undoubted(windows, fit).square().sum()) / windows.samples <= LARGE_MISFIT:
         # Little is left that the parameters could imitate; the usual refit frees all of them.
         return None
-    windows = with_sharp_noise(windows, fit)
+    windows = with_doubt(with_sharp_noise(windows, fit), fit)
     problem = FitProblem(declared.system, windows)
     start = tempered_to(declared, names, fit, windows)
     return start, windows, problem.fit_one(_from(start, fit))

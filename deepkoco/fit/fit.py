@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.data.windows import Windows, halved
+from deepkoco.fit.data.halves import halved
+from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem, channel_delays
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying

@@ -81,7 +81,7 @@ def test_doubts_of_bending_are_raised_where_flexible_causes_leave_more_than_nois
     start = baseline_from(BASE, windows)
     null = FitProblem(start.system, windows).evaluate(start.values)
     known, lost = catalogue(BASE), SimpleNamespace(name="lost_commands")
-    below, above = (residuals_like(windows, null, white_limit(windows, sd)) for sd in (1.9, 2.1))
+    below, above = (residuals_like(windows, null, white_limit(windows, deviations=sd)) for sd in (1.9, 2.1))
     coloured = residuals_like(windows, null, 1.0, 0.2)
     healthy = Healthy((), windows, start, (), coloured)
     for names, missing in ((["event", "coulomb"], None), (["coulomb"], lost), ([], lost)):

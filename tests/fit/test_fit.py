@@ -17,7 +17,7 @@ from deepkoco.fit import (
     unidentified,
     window_length,
 )
-from deepkoco.fit.data.windows import halved
+from deepkoco.fit.data.halves import halved
 from deepkoco.fit.simulate.push import Push
 from deepkoco.logs.recording import LogError, Recording, Series
 from deepkoco.systems import ExtendedSystem, make_system

@@ -90,7 +90,13 @@ BACKLASH = Cause(
 
 def _rate_limit_starts(hint: Hint) -> list[dict[str, float]]:
     # Time in which the effort goes from zero to the largest command. No gradient shows a limit that limits nothing.
-    return [{"limit": _largest(hint) / seconds} for seconds in (0.01, 0.03, 0.1, 0.3)]
+    starts = [{"limit": _largest(hint) / seconds} for seconds in (0.01, 0.03, 0.1, 0.3)]
+    # A goal of the position that moves at a limited speed lets its joint move no faster.
+    system, fastest = hint.system, float(np.abs(hint.omega).max(initial=0.0))
+    units = {c.unit for c, j in zip(system.commands, system.command_joints, strict=False) if j == hint.joint}
+    if fastest > 0.0 and system.state_units[hint.joint] in units:
+        starts += [{"limit": share * fastest} for share in (0.6, 0.8, 1.0)]
+    return starts
 
 
 RATE_LIMIT = Cause(

@@ -55,7 +55,7 @@ def width(problem: FitProblem, start: Baseline, ranking: Ranking) -> float:
     of its values, only as many are independent as the slots of one window. With a mean square m of it (in noise
     variances) and n independent samples, a difference of BIC varies (1 + m n / slots) / (1 + m) times as much.
     """
-    left = ranking.dispersion.chi2_per_sample - white_limit(problem.windows) * start.floor
+    left = ranking.dispersion.chi2_per_sample - white_limit(problem.windows, start.correlation) * start.floor
     if left <= 0.0:
         return APART
     repeats = max(ranking.samples / (SLOTS * start.system.joints), 1.0)

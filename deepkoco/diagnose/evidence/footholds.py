@@ -12,7 +12,7 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.screening import StartPoint
-from deepkoco.fit.data.windows import halved
+from deepkoco.fit.data.halves import halved
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 

@@ -135,7 +135,10 @@ def classed(
     Among parameters, the one leads whose change its declared uncertainty makes most likely.
     """
     simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
-    left = ranking.best.fit.chi2 / problem.windows.samples > white_limit(problem.windows) * start.floor
+    left = (
+        ranking.best.fit.chi2 / problem.windows.samples
+        > white_limit(problem.windows, start.correlation) * start.floor
+    )
     if simple and left:
         first = min(simple, key=lambda c: (c.cause.size, -c.delta_bic))
         ranking = replace(ranking, candidates=(first, *(c for c in ranking.candidates if c is not first)))

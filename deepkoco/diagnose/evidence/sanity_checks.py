@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import CAUSES, Cause
+from deepkoco.diagnose.causes import CAUSES, Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding
 from deepkoco.diagnose.residuals.friction_curve import friction_curve, pushes
 from deepkoco.diagnose.residuals.residuals import MissingTorque
@@ -32,7 +32,7 @@ def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
     Args:
         problem: Training windows.
         cause: The cause; an event has no bounds of its own and gives an empty result.
-        fit: Fit with it. A bound that is the null value does not count.
+        fit: Fit with it. A bound that is the null value does not count, and neither does a loss that is gone.
     """
     if cause.effect == "event":
         return ()
@@ -42,6 +42,8 @@ def at_bound(problem: FitProblem, cause: Cause, fit: Fit) -> tuple[str, ...]:
         low, high, value = float(problem.low[j]), float(problem.high[j]), fit.values[name]
         near = EDGE * (high - low)
         if name.rpartition(".")[2] in SHAPES or abs(value - nulls[j]) <= near:
+            continue
+        if is_changed(cause) and value <= near and low == 0.0:
             continue
         if value <= low + near or value >= high - near:
             found.append(name)

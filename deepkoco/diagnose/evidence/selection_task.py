@@ -51,7 +51,9 @@ class SelectionTask:
 
     def left(self, fit: Fit) -> bool:
         """Return whether a fit leaves more than noise."""
-        return fit.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
+        return (
+            fit.chi2 / self.train.samples > white_limit(self.train, self.start.correlation) * self.start.floor
+        )
 
     def tolerated(self, found: Selected) -> list[Cause]:
         """Return the selected causes of which there is no more than any healthy machine has."""

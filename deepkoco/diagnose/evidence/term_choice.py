@@ -90,7 +90,7 @@ def choose_terms(
         chains.append(_Chain((first,), fit, (before,)))
         for _ in range(LOOK):
             chains[-1] = _grown(task, chains[-1])
-        if chains[-1].error <= start.floor * white_limit(others):
+        if chains[-1].error <= start.floor * white_limit(others, start.correlation):
             break  # only noise is left
     if not chains:
         return (), (before,)

@@ -43,11 +43,14 @@ def coloured_from(windows: Windows, deviations: float = MAX_CORRELATION_SD) -> f
     return deviations / math.sqrt(windows.samples)
 
 
-def white_limit(windows: Windows, deviations: float = MAX_CHI2_SD) -> float:
+def white_limit(windows: Windows, correlation: float = 1.0, deviations: float = MAX_CHI2_SD) -> float:
     """Return the chi2 per sample above which residuals contain more than noise.
 
     Args:
         windows: The windows.
+        correlation: Samples per independent sample of the residuals of this unit when nothing is wrong, at least 1.
+            The mean square of correlated residuals varies more: by sum(rho_k^2) as a variance (Bartlett), which is
+            (c^2 + 1) / (2 c) where the autocorrelation rho_k falls by a constant share.
         deviations: The limit in standard deviations of chi2 per sample, including the uncertainty of the noise itself.
     """
     samples = windows.samples
@@ -55,7 +58,8 @@ def white_limit(windows: Windows, deviations: float = MAX_CHI2_SD) -> float:
     noise = sum(
         (2.0 * n / samples * s.relative_sd) ** 2 for n, s in zip(per_channel, windows.noise, strict=True)
     )
-    return 1.0 + deviations * math.sqrt(2.0 / samples + noise)
+    repeats = (correlation**2 + 1.0) / (2.0 * correlation)
+    return 1.0 + deviations * math.sqrt(2.0 * repeats / samples + noise)
 
 
 @dataclass(frozen=True)

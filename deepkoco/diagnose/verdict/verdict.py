@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import CAUSES, kind_of
+from deepkoco.diagnose.causes import CAUSES, is_changed, kind_of
 from deepkoco.diagnose.causes.parameter import FAMILY as PARAMETER
 from deepkoco.diagnose.diagnosis import Verdict
 from deepkoco.diagnose.evidence.event_windows import touched
@@ -54,7 +54,7 @@ def verdict_of(
         doubts: Reasons for naming no cause, one sentence each.
     """
     after, causes = found.final, found.accepted
-    left = after.chi2 / train.samples > white_limit(train) * start.floor
+    left = after.chi2 / train.samples > white_limit(train, start.correlation) * start.floor
     if not causes and found.lost is None:
         return "unknown" if left and not found.usual else "nothing"
     # Without held-out windows, the fit must explain nearly all of the excess chi2.
@@ -71,7 +71,8 @@ def verdict_of(
     if found.lost is not None or not lasting:
         gain = None  # pushes and lost commands do not repeat in the held-out windows
     if left:
-        if len(causes) >= MOST_CAUSES * start.system.joints:
+        searched = [c for c in causes if start.tempering == 1.0 or not is_changed(c)]
+        if len(searched) >= MOST_CAUSES * start.system.joints:
             return "unknown"  # the search limit is reached at each joint, and structure still remains
         share = explained_share(before, after, train, start.floor)
         worth = 1.0 if gain is None else gain.reduction
@@ -110,7 +111,7 @@ def without_explanation(
         start: The baseline.
         system: The system as given.
     """
-    left = reference.chi2 / train.samples > white_limit(train) * start.floor
+    left = reference.chi2 / train.samples > white_limit(train, start.correlation) * start.floor
     coloured = dispersion(reference, train).lag_one > coloured_from(train) + start.healthy_lag_one
     return "unknown" if left or coloured or doubts_of_commands(train, system) else "nothing"
 
@@ -137,7 +138,7 @@ def rivalled(found: Selected, start: Baseline, train: Windows, white: bool) -> b
     more = chi2 - start.floor * train.samples > FURTHER
     if only_flexible(found) or (more and not white and _bends(found)):
         return True
-    return more and chi2 <= white_limit(train) * start.floor * train.samples
+    return more and chi2 <= white_limit(train, start.correlation) * start.floor * train.samples
 
 
 def _bends(found: Selected) -> bool:

@@ -72,6 +72,7 @@ class Windows:
         known: Known differences of each log; empty if there are none.
         varies: Parameter -> standard deviation between logs, in its unit; empty if all logs share their parameters.
         stamp_sd: Standard deviation of each log's time stamps [s]; empty where all stamps are exact.
+        doubt: (W, N) factor of the noise of a channel in a window, at least 1; None for 1. See :mod:`..solve.robust`.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -89,6 +90,7 @@ class Windows:
     known: Known = ()
     varies: Mapping[str, float] = field(default_factory=dict)
     stamp_sd: tuple[float, ...] = ()
+    doubt: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -107,9 +109,11 @@ class Windows:
     def sample_sd(self) -> Tensor:
         """(W, N, M) noise of every sample in its channel's unit: sqrt(r^2 + (rate sigma_t)^2); at least (1, N, 1).
 
-        A stamp that is wrong by dt shows the value of another time, so the error is the channel's rate times dt.
+        A stamp that is wrong by dt shows the value of another time, so the error is the channel's rate times dt. The
+        doubt about a window multiplies r.
         """
         sd = torch.tensor([n.sd for n in self.noise], dtype=torch.float64)[None, :, None]
+        sd = sd if self.doubt is None else sd * self.doubt[..., None]
         if not any(self.stamp_sd):
             return sd
         stamps = torch.tensor(self.stamp_sd, dtype=torch.float64)[torch.from_numpy(self.log)]
@@ -129,6 +133,7 @@ class Windows:
             valid=self.valid[pick],
             state=self.state[pick],
             rests=self.rests[index],
+            doubt=None if self.doubt is None else self.doubt[pick],
         )
 
     def with_value(self, value: Tensor) -> Windows:
@@ -217,7 +222,7 @@ def cut_windows(
             value[w, c, : len(stamps)] = values
             valid[w, c, : len(stamps)] = True
     shows = system.measured_states
-    state = np.array([_first_state(t[w], value[w], valid[w], shows, system.joints) for w in range(len(rows))])
+    state = np.array([first_state(t[w], value[w], valid[w], shows, system.joints) for w in range(len(rows))])
     state = state.reshape(-1, 2 * system.joints)
     return Windows(
         tuple(commands),
@@ -269,35 +274,6 @@ def regular_period(t: np.ndarray) -> float | None:
     typical = float(np.median(gaps))
     even = np.abs(gaps - typical) <= EVEN * typical
     return float(gaps[even].mean()) if typical > 0.0 and even.mean() >= MOSTLY else None
-
-
-def halved(windows: Windows) -> Windows:
-    """Split each window into two halves; the first half of window w has the index 2 w."""
-    steps = max(windows.steps // 2, 1)
-    half, joints = 0.5 * windows.length, windows.state.shape[1] // 2
-    parts = []
-    for w in range(len(windows)):
-        for k in (0, 1):
-            inside = windows.valid[w] & (windows.t[w] >= k * half) & (windows.t[w] < (k + 1) * half)
-            t = torch.where(inside, windows.t[w] - k * half, 0.0)
-            # Samples of the other half follow as padding.
-            order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
-            pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
-            t, value, valid = (x.numpy() for x in pick)
-            parts.append((*pick, _first_state(t, value, valid, windows.shows, joints)))
-    size = int(max((part[2].sum(-1).max() for part in parts), default=0))
-    return replace(
-        windows,
-        log=np.repeat(windows.log, 2),
-        t0=(windows.t0[:, None] + half * np.arange(2)).ravel(),
-        step=half / steps,
-        steps=steps,
-        t=torch.stack([part[0][:, :size] for part in parts]),
-        value=torch.stack([part[1][:, :size] for part in parts]),
-        valid=torch.stack([part[2][:, :size] for part in parts]),
-        state=torch.from_numpy(np.array([part[3] for part in parts])),
-        rests=np.repeat(windows.rests, 2),
-    )
 
 
 def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[Noise, ...]:
@@ -427,7 +403,7 @@ def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple
     return t[first:last], value[first:last]
 
 
-def _first_state(
+def first_state(
     t: np.ndarray, value: np.ndarray, valid: np.ndarray, shows: tuple[int, ...], joints: int
 ) -> np.ndarray:
     """First guess of positions and speeds at the window's start: parabolas through the first samples."""

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from deepkoco.fit.data.windows import halved
+from deepkoco.fit.data.halves import halved
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.request import FitRequest

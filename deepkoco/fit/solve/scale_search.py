@@ -124,12 +124,16 @@ def _sweep(
 
 
 def _costs(problem: ShootingProblem, lanes: np.ndarray, state: Tensor) -> np.ndarray:
-    """Return chi2 (L, N) of each set of parameters in each channel; infinite where the simulation diverges."""
+    """Return the cost (L, N) of each set of parameters in each channel; infinite where the simulation diverges.
+
+    It is the squared mean over windows of the root of chi2, times their number: two bad windows do not decide.
+    """
     result = []
     for at in range(0, len(lanes), LANES):
         some = lanes[at : at + LANES]
         nuisance = problem.nuisances.none()[None].expand(len(some), -1)
         predicted = problem.predict(some, state[None].expand(len(some), -1, -1), nuisance)
-        result.append(((problem.windows.value - predicted) * problem.weight).square().sum((1, 3)).numpy())
+        chi2 = ((problem.windows.value - predicted) * problem.weight).square().sum(3)
+        result.append((chi2.sqrt().sum(1).square() / chi2.shape[1]).numpy())
     costs = np.concatenate(result)
     return np.where(np.isfinite(costs), costs, np.inf)

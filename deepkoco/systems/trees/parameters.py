@@ -44,6 +44,9 @@ LEAST_SHARE, LARGEST_SHARE = (
     0.02,
     50.0,
 )  # bounds of quantities that are positive, as shares of the model's value
+# The same of a servo's stiffness: simulators make a goal of the position act as stiffly as their step allows, so the
+# value given often says no more than "stiff".
+LEAST_STIFFNESS = 1e-3
 # Prior standard deviation of a rotor that a model leaves out [inertia that its joint moves at least]. An MJCF file
 # could say it; a URDF file cannot, and behind a gear a rotor often outweighs its arm.
 ROTOR, UNKNOWN_ROTOR = 0.02, 2.0
@@ -195,7 +198,7 @@ def _product(a: Matrix, b: Matrix) -> Matrix:
 
 def _positive(name: str, value: float, unit: str, kind: str, text: str) -> Parameter:
     size = abs(value)
-    low, high = LEAST_SHARE * size, LARGEST_SHARE * size
+    low, high = (LEAST_STIFFNESS if kind == "kp" else LEAST_SHARE) * size, LARGEST_SHARE * size
     bounds = (low, high) if value > 0.0 else (-high, -low)
     return Parameter(name, value, unit, *bounds, PRIORS[kind] * size, text)
 
@@ -299,9 +302,10 @@ def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
             Parameter(f"bias({name})", b0, force, -50.0 * size, 50.0 * size, PRIORS["bias"] * size, text)
         )
     if b2 != 0.0:
-        found.append(
-            _positive(f"kv({name})", -b2, f"{force}/({rate})", "kv", f"k_v, damping of the servo {name}")
+        damping = _positive(
+            f"kv({name})", -b2, f"{force}/({rate})", "kv", f"k_v, damping of the servo {name}"
         )
+        found.append(replace(damping, low=0.0) if b2 < 0.0 else damping)
     return found + _lag(actuator)
 
 

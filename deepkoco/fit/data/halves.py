@@ -1,0 +1,40 @@
+"""Windows of half the length: the cost of a shorter window has fewer minima."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from deepkoco.fit.data.windows import Windows, first_state
+
+
+def halved(windows: Windows) -> Windows:
+    """Split each window into two halves; the first half of window w has the index 2 w."""
+    steps = max(windows.steps // 2, 1)
+    half, joints = 0.5 * windows.length, windows.state.shape[1] // 2
+    parts = []
+    for w in range(len(windows)):
+        for k in (0, 1):
+            inside = windows.valid[w] & (windows.t[w] >= k * half) & (windows.t[w] < (k + 1) * half)
+            t = torch.where(inside, windows.t[w] - k * half, 0.0)
+            # Samples of the other half follow as padding.
+            order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
+            pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
+            t, value, valid = (x.numpy() for x in pick)
+            parts.append((*pick, first_state(t, value, valid, windows.shows, joints)))
+    size = int(max((part[2].sum(-1).max() for part in parts), default=0))
+    return replace(
+        windows,
+        log=np.repeat(windows.log, 2),
+        t0=(windows.t0[:, None] + half * np.arange(2)).ravel(),
+        step=half / steps,
+        steps=steps,
+        t=torch.stack([part[0][:, :size] for part in parts]),
+        value=torch.stack([part[1][:, :size] for part in parts]),
+        valid=torch.stack([part[2][:, :size] for part in parts]),
+        state=torch.from_numpy(np.array([part[3] for part in parts])),
+        rests=np.repeat(windows.rests, 2),
+        doubt=None if windows.doubt is None else windows.doubt.repeat_interleave(2, 0),
+    )
