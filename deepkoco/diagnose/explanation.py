@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.healthy import extended
+from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.refitted import Refitted, refit_to_logs
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
@@ -27,6 +29,7 @@ class Explanation:
         found: The selected causes.
         joined: Names of the causes that joined the baseline because the healthy logs are consistent with them.
         unfitted: What could not be fitted, in words.
+        weights: Probabilities of explanations with which it was decided; None where none were asked.
     """
 
     base: Refitted
@@ -34,17 +37,21 @@ class Explanation:
     found: Selected
     joined: tuple[str, ...]
     unfitted: tuple[str, ...]
+    weights: Answer | None = None
 
 
-def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str] = ()) -> Explanation:
+def explain(
+    request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str] = (), joined: tuple[str, ...] = ()
+) -> Explanation:
     """Refit a baseline, select causes, and repeat while these are consistent with the healthy logs.
 
     Args:
         request: The logs, and the causes to try.
         learned: The baseline, as given or as learned from healthy logs.
         unfitted: What could not be fitted so far, in words.
+        joined: Names of causes that joined the baseline before.
     """
-    progress, joined, more = request.progress, (), MOST_EXTENSIONS
+    progress, more = request.progress, MOST_EXTENSIONS
     while True:
         progress("refit of the simulation as given")
         base = refit_to_logs(learned, request.data)
@@ -52,15 +59,30 @@ def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str
             base.start, base.train, base.data.held, request.causes, request.detection, progress, request.limit
         )
         first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
-        tested = base.start.healthy is not None and found.accepted
-        asked = more and (not tested or request.limit.allows("what the healthy logs say of the causes"))
-        causes = selection.consistent_with_healthy(found) if asked else []
+        causes = seen_before(request, selection, found) if more else []
         if not causes:
             return of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
         more -= 1
-        progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
         joined = (*joined, *(c.name for c in causes if c.name not in joined))
         learned = extended(base.start, causes)
+
+
+def seen_before(request: DiagnosisRequest, selection: Selection, found: Selected) -> list[Cause]:
+    """Return selected causes that may have been present in the healthy logs; none without such logs, or without time.
+
+    Args:
+        request: The question.
+        selection: It selected the causes.
+        found: The causes.
+    """
+    if selection.start.healthy is None or not found.accepted:
+        return []
+    if not request.limit.allows("what the healthy logs say of the causes"):
+        return []
+    causes = selection.consistent_with_healthy(found)
+    if causes:
+        request.progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
+    return causes
 
 
 def of_mean(explanation: Explanation) -> Explanation:

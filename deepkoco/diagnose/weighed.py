@@ -5,6 +5,8 @@ a guess, a hidden cause can disappear in the refit, and a small error of the mod
 explanations are weighed against each other with parameters and small effects as any unit has them
 (:mod:`deepkoco.diagnose.probability`). Where nothing weighs most, nothing is named. Else the causes are selected once
 more, among those that weigh enough, on a refit that may move the parameters as far as units of one make differ.
+Lost commands are no explanation that is weighed, because their pattern has hundreds of free positions. Where they were
+selected, they have to be found again on that refit.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor, sample_period
 from deepkoco.diagnose.evidence.priors import declared
-from deepkoco.diagnose.explanation import Explanation, of_mean
+from deepkoco.diagnose.evidence.selection import DETECTION
+from deepkoco.diagnose.explanation import MOST_EXTENSIONS, Explanation, explain, of_mean, seen_before
+from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.shadow import answer_of, of_rough_sheet
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -40,16 +44,17 @@ FEW = 3.0  # standard deviations of what any unit has of an effect, up to which 
 ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
 
 
-def weigh(request: DiagnosisRequest, explanation: Explanation) -> Explanation:
+def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_EXTENSIONS) -> Explanation:
     """Return the explanation that weighs most for a unit of a model file; other explanations stay as they are.
 
     Args:
         request: The logs.
         explanation: Causes that were selected on the refit.
+        more: Times that causes may still join the baseline because the healthy logs are consistent with them.
     """
     base, found = explanation.base, explanation.found
     many = len(base.reference.free) + base.train.state.shape[1] >= MANY
-    if many or base.start.tempering > 1.0 or found.lost is not None or not guessed(base.start):
+    if many or base.start.tempering > 1.0 or not guessed(base.start):
         return explanation
     if not request.limit.allows("weighing the data sheet"):
         return explanation
@@ -57,7 +62,7 @@ def weigh(request: DiagnosisRequest, explanation: Explanation) -> Explanation:
     causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
     try:
         answer = answer_of(request, base)
-        best = answer.explanations[0]
+        explanation, best = replace(explanation, weights=answer), answer.explanations[0]
         if base.learned.healthy is None:
             rough = of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH
             if rough > best.log_weight:
@@ -66,9 +71,12 @@ def weigh(request: DiagnosisRequest, explanation: Explanation) -> Explanation:
         return explanation
     if UNKNOWN in best.causes:
         return explanation
-    if not best.causes:
+    if not best.causes and found.lost is None:
         return _nothing(explanation)
-    return _selected_again(request, explanation, _plausible(answer, causes))
+    plausible = _plausible(answer, causes) if best.causes else []
+    if found.lost is not None:
+        plausible += [c for c in causes if c.traced]
+    return _selected_again(request, explanation, plausible, more)
 
 
 def _plausible(answer: Answer, causes: Sequence[Cause]) -> list[Cause]:
@@ -94,19 +102,20 @@ def _nothing(explanation: Explanation) -> Explanation:
 
 
 def _selected_again(
-    request: DiagnosisRequest, explanation: Explanation, plausible: Sequence[Cause]
+    request: DiagnosisRequest, explanation: Explanation, plausible: Sequence[Cause], more: int
 ) -> Explanation:
     """Select among some causes, on a refit with parameters and other small effects as any unit has them."""
     base, found = explanation.base, explanation.found
     deflation = max(dispersion(found.final, base.train).deflation, base.start.least_deflation)
     usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
     names = {c.name for c in plausible}
+    selected = {**{m.cause: m.fit for m in found.minor}, **dict.fromkeys(found.accepted, found.final)}
     little = {
         c: sizes
-        for c in dict.fromkeys((*found.accepted, *(m.cause for m in found.minor)))
-        if c.name not in names and (sizes := _usual_sizes(base.start, c, found.final, base.problem))
+        for c, fit in selected.items()
+        if c.name not in names and (sizes := _usual_sizes(base.start, c, fit, base.problem))
     }
-    beside = [c for c, sizes in little.items() if _within(base.start, sizes, found.final)]
+    beside = [c for c, sizes in little.items() if _within(base.start, sizes, selected[c])]
     # What was selected and is more than that stays a rival.
     plausible = [*plausible, *(c for c in found.accepted if c not in beside and c.name not in names)]
     start = _with_little(usual, {c: little[c] for c in beside}, deflation)
@@ -115,6 +124,7 @@ def _selected_again(
         if cause not in beside:
             own = {n for n in start.values if n.startswith(f"{cause.effect}.")}
             values |= {n: start.values[n] for n in own.union(cause.free)}
+    values |= {n: selected[c].values[n] for c in beside for n in c.free}
     state, _ = base.problem.fit_states(values, found.final.state)
     trial = Trial("refit", start.prior.names, start.prior, values, state, found.final.nuisance)
     reference = base.problem.fit([trial], LONG)[0]
@@ -123,14 +133,25 @@ def _selected_again(
     # With healthy logs, the prior of one log stays theirs.
     learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
     again = replace(base, learned=learned, start=start, reference=reference)
-    # The weights have paid for the choice among all causes.
-    selection = Selection(start, base.train, base.held, plausible, APART, request.progress, request.limit)
+    # The weights have paid for the choice among all causes, but not for that of a pattern of lost commands.
+    wanted = max(request.detection - DETECTION + APART, 0.0)
+    selection = Selection(
+        start, base.train, base.held, plausible, wanted, request.progress, request.limit, request.detection
+    )
     first, named = selection.run(reference, missing_torque(base.problem, reference))
-    if not named.accepted:
+    chosen = of_mean(replace(explanation, base=again, first=first, found=named))
+    if named.lost is None and not named.accepted:
         # What weighs most is not confirmed. What was selected is no name either where it is no more than usual.
-        small = named.minor or all(c in beside for c in found.accepted)
-        return _nothing(explanation) if small else explanation
-    return of_mean(replace(explanation, base=again, first=first, found=named))
+        small = {*(c.name for c in beside), *(m.cause.name for m in named.minor)}
+        if any(c.name not in small for c in found.accepted):
+            return explanation
+        return _nothing(explanation if found.lost is None else chosen)
+    seen = seen_before(request, selection, named) if more else []
+    if not seen:
+        return chosen
+    joined = (*explanation.joined, *(c.name for c in seen if c.name not in explanation.joined))
+    learned = extended(base.start, seen)
+    return weigh(request, explain(request, learned, explanation.unfitted, joined), more - 1)
 
 
 def _usual_sizes(start: Baseline, cause: Cause, fit: Fit, problem: FitProblem) -> list[Parameter]:
@@ -157,6 +178,8 @@ def _with_little(start: Baseline, causes: Mapping[Cause, Sequence[Parameter]], d
     prior = start.prior
     for sizes in causes.values():
         prior = prior.widened([p for p in sizes if p.name not in prior.names], start.values)
-    prior = Prior(prior.names, prior.centre, prior.covariance / deflation)
+    # A learned prior has been divided by the correlation of the healthy residuals before.
+    narrowing = max(deflation / start.correlation, 1.0)
+    prior = Prior(prior.names, prior.centre, prior.covariance / narrowing)
     effects = tuple(dict.fromkeys((*start.effects, *(c.effect for c in causes))))
-    return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE)
+    return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE, narrowing=narrowing)

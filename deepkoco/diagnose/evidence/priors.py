@@ -55,4 +55,4 @@ def freed(
 def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
     """Return whether a fit is far from its prior, as with a strong cause or a wrong unit."""
     away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
-    return away > FAR * start.correlation * start.tempering
+    return away > FAR * start.correlation * start.tempering * start.narrowing

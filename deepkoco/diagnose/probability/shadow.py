@@ -36,6 +36,7 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 
 REFITTED = 20  # explanations that are refitted at each point of linearisation
 BEHIND = 12.0  # nats behind the best from which an explanation is not refitted
+RIVALS = 8  # single causes that are refitted beside those
 
 
 @dataclass(frozen=True)
@@ -53,14 +54,19 @@ class Point:
     causes: int
 
 
-def with_evidence(result: Diagnosis, request: DiagnosisRequest, base: Refitted) -> Diagnosis:
+def with_evidence(
+    result: Diagnosis, request: DiagnosisRequest, base: Refitted, known: Answer | None = None
+) -> Diagnosis:
     """Return a diagnosis with the answer of this method; its own answer stays as it is.
 
     Args:
         result: The diagnosis.
         request: Its question.
         base: Its refitted baseline.
+        known: The answer, if the diagnosis asked for it already.
     """
+    if known is not None:
+        return replace(result, evidence=known.to_json())
     request.progress("probabilities of causes")
     began = time.process_time()
     try:
@@ -119,9 +125,10 @@ def probabilities(
             points.append(linearised(problem, as_given, start, causes, unit))
     found: list[Weighed] = []
     for point in points:
-        starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in _promising(point.scored)]
-        refits = refined(problem, point.fixed, starts)
-        found += [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
+        promising = _promising(point.scored)
+        refits = _refitted(problem, point, promising)
+        more = _as_promising(point.scored, promising, refits)
+        found += [*refits, *(_refitted(problem, point, more) if more else [])]
     tried = sum(len(p.scored) for p in points)
     if not found:
         raise DivergedError("no explanation has a simulation that stays finite")
@@ -223,6 +230,32 @@ def _without_doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray
                 continue
         kept.append(item)
     return replace(listed, items=tuple(kept))
+
+
+def _refitted(problem: FitProblem, point: Point, scored: Sequence[Scored]) -> list[Weighed]:
+    """Refit explanations from a point of linearisation; return those whose simulations stay finite."""
+    starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in scored]
+    refits = refined(problem, point.fixed, starts)
+    return [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
+
+
+def _as_promising(
+    scored: Sequence[Scored], refitted: Sequence[Scored], found: Sequence[Weighed]
+) -> list[Scored]:
+    """Return single causes that are behind by less than the scores at a point of linearisation are wrong.
+
+    A score is wrong by what a refit adds to it. Far from the point where a simulation is linear, that is a hundred nats
+    between causes that do nearly the same, such as a delay and a filter.
+    """
+    score = {s.explanation.causes: s.log_weight for s in reversed(refitted)}
+    wrong = max((e.log_weight - score[e.causes] for e in found if e.causes in score), default=0.0)
+    chosen: dict[tuple[str, ...], Scored] = {}
+    for s in scored:
+        single = len(s.explanation.items) == 1 and not s.explanation.unknown
+        near = s.log_weight > scored[0].log_weight - BEHIND - max(wrong, 0.0)
+        if single and near and s.explanation.causes not in score and len(chosen) < RIVALS:
+            chosen.setdefault(s.explanation.causes, s)
+    return list(chosen.values())
 
 
 def _in_order(listed: Catalogue, healthy: HealthyUnit) -> np.ndarray:
