@@ -18,6 +18,7 @@ from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import explain
 from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -95,15 +96,25 @@ def diagnose(
             )
         check_learned(baseline, base)
     with one_thread():
-        if window is not None:
-            length = window
-        else:
-            # Healthy logs show what the unit does, and their baseline follows it.
-            known = baseline is not None or healthy
-            length = window_length(base) if known else followed_length(recordings, base)
+        usual = window_length(base) if window is None else window
+        # Healthy logs show what the unit does, and their baseline follows it.
+        known = window is not None or baseline is not None or healthy
+        length = usual if known else followed_length(recordings, base)
         data = cut_data(recordings, holdout, base, length)
         request = DiagnosisRequest(
-            recordings, base, data, length, seed, detection, causes, progress, began, evidence, limit
+            recordings,
+            base,
+            data,
+            length,
+            seed,
+            detection,
+            causes,
+            progress,
+            began,
+            evidence,
+            limit,
+            holdout,
+            usual,
         )
         if len(data.train) < MIN_TRAINING_WINDOWS:
             return insufficient(request)
@@ -125,6 +136,7 @@ def diagnose(
 def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
     explanation = weigh(request, explain(request, start, unfitted))
+    request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)
     weighed = request.evidence and request.limit.allows("probabilities of the causes")
     result = diagnosis_of(request, explanation, judgement)

@@ -29,6 +29,8 @@ class DiagnosisRequest:
         began: When the diagnosis began, by ``time.perf_counter`` [s].
         evidence: Whether the method of probabilities answers too.
         limit: Asked before every step that an answer can do without; it remembers those that it refused.
+        holdout: Logs that are never fitted.
+        usual: Length [s] that the windows have where the simulation as given follows the logs; no window is longer.
     """
 
     recordings: Sequence[Recording]
@@ -42,3 +44,5 @@ class DiagnosisRequest:
     began: float
     evidence: bool = False
     limit: TimeLimit = field(default_factory=TimeLimit)
+    holdout: Sequence[Recording] = ()
+    usual: float = 0.0

@@ -9,11 +9,11 @@ Source: Bock, Recent advances in parameter identification (1983), on the length 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline import Baseline, baseline_from
 from deepkoco.fit.data.windows import Windows, cut_windows, estimate_channels, moving, window_length
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording
@@ -41,7 +41,8 @@ def followed_length(recordings: Sequence[Recording], system: System) -> float:
         windows = windows.take(moving(windows)) if len(windows) else windows
         if len(windows) == 0 or int(windows.valid.sum(-1).max(0).values.min()) < SHORTEST:
             break
-        left = _left_out(windows, system)
+        start = baseline_from(system, windows)
+        left = left_out(windows, start, start.values)
         if left <= FOLLOWS:
             return share * usual
         if left < least:
@@ -49,12 +50,17 @@ def followed_length(recordings: Sequence[Recording], system: System) -> float:
     return best
 
 
-def _left_out(windows: Windows, system: System) -> float:
-    """Median over windows of the squared error, as a share of the motion, with fitted initial states."""
+def left_out(windows: Windows, start: Baseline, values: Mapping[str, float]) -> float:
+    """Return the median over windows of the squared error, as a share of the motion, with fitted initial states.
+
+    Args:
+        windows: Windows; an even choice of them is simulated.
+        start: Baseline of the system.
+        values: Values of all parameters.
+    """
     some = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
-    start = baseline_from(system, some)
     problem = FitProblem(start.system, some)
-    _, cost = problem.fit_states(start.values, some.state)
+    _, cost = problem.fit_states(values, some.state)
     value, valid = some.value, some.valid
     mean = (value * valid).sum(-1, keepdim=True) / valid.sum(-1, keepdim=True).clamp_min(1)
     motion = ((value - mean) * problem.weight).square().sum((1, 2))

@@ -8,6 +8,7 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.reconsider import reconsidered
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import FURTHER, rank
 from deepkoco.diagnose.residuals.residuals import missing_torque
@@ -104,12 +105,12 @@ def looked_at_again(system, hidden, excitation, seed, first, wrong, known):
     selection = Selection(start, windows, None, [catalogued[n] for n in known], 24.0)
     steps, accepted, fit = [], [], reference
     for name in (first, wrong):
-        hints = selection._hints(problem, fit, missing_torque(problem, fit))
+        hints = selection.hints(problem, fit, missing_torque(problem, fit))
         ranking = rank(problem, start, fit, accepted, hints, [catalogued[name]])
         steps.append((ranking, (name,)))
         accepted.append(ranking.best.cause)
         fit = ranking.best.fit
-    return fit, selection._reconsidered(Selected(fit, tuple(accepted), tuple(steps), problem))
+    return fit, reconsidered(selection, Selected(fit, tuple(accepted), tuple(steps), problem))
 
 
 @pytest.mark.study
@@ -158,7 +159,7 @@ def test_pruned_ranks_the_last_cause_again_without_those_that_are_removed():
     log = hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 225, 8.0)
     problem, start, causes, fit, reference = fitted(log, ["coulomb", "cogging"])
     selection = Selection(start, problem.windows, None, causes, 24.0)
-    hints = selection._hints(problem, reference, missing_torque(problem, reference))
+    hints = selection.hints(problem, reference, missing_torque(problem, reference))
     first = rank(problem, start, reference, (), hints, causes)
     steps = [(first, ("coulomb", "cogging")), (first, ())]
     found = selection._pruned(Selected(fit, tuple(causes), tuple(steps), problem))

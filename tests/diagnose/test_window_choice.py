@@ -79,7 +79,9 @@ def test_windows_are_as_short_as_a_simulation_that_runs_away_needs(urdf):
 @pytest.mark.study
 @pytest.mark.timeout(900)
 def test_friction_of_an_arm_is_named_though_its_file_says_nothing_of_its_drives(urdf):
-    found = diagnose([record(urdf, 20.0, 0.1, 1.0, 2.0)], load_system(str(urdf)))
+    arm = load_system(str(urdf))
+    found = diagnose([record(urdf, 20.0, 0.1, 1.0, 2.0)], arm)
+    assert found.window_s == pytest.approx(window_length(arm))
     assert [cause.name for cause in found.causes] == ["coulomb(elbow)"]
     size = found.causes[0].parameters["coulomb(elbow).torque"]
     assert size.low <= 2.0 <= size.high

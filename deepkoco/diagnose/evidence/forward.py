@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
@@ -17,14 +15,14 @@ from deepkoco.diagnose.evidence.elimination import (
     PUSHES,
     carried,
     eliminated,
-    without,
     without_kinds,
 )
 from deepkoco.diagnose.evidence.joint_by_joint import select_by_joint
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE, Minor, tolerated
-from deepkoco.diagnose.evidence.priors import prior_with, strained
+from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
-from deepkoco.diagnose.evidence.refine_ranking import classed, front_settled, with_fit
+from deepkoco.diagnose.evidence.reconsider import alone, reconsidered
+from deepkoco.diagnose.evidence.refine_ranking import classed, front_settled
 from deepkoco.diagnose.evidence.sanity_checks import at_bound
 from deepkoco.diagnose.evidence.seen_when_healthy import (
     consistent_with_healthy,
@@ -32,62 +30,32 @@ from deepkoco.diagnose.evidence.seen_when_healthy import (
     hypotheses_of,
 )
 from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic
-from deepkoco.diagnose.evidence.selection import FURTHER, PATIENCE, rank, without_events_first
+from deepkoco.diagnose.evidence.selection import FURTHER, rank, without_events_first
+from deepkoco.diagnose.evidence.selection_task import SelectionTask
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.lost_commands.report import best_losses, instead_of_push
-from deepkoco.diagnose.progress import Progress, in_company_of, silent
+from deepkoco.diagnose.progress import in_company_of
 from deepkoco.diagnose.residuals.residuals import (
     MissingTorque,
     coloured_from,
     dispersion,
     missing_torque,
-    white_limit,
 )
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
-from deepkoco.diagnose.time_limit import TimeLimit
-from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
-from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
 
 MOST_CAUSES = 3
 MAX_ROUNDS = 3  # of comparing each cause again and eliminating causes
 MOST_TOLERATED = 2  # causes within their tolerance that a fit contains beside others
 
 
-class Selection:
-    """Selection of causes on top of a refitted baseline.
-
-    Args:
-        start: The baseline.
-        train: Training windows.
-        held: Held-out windows; a cause that raises their error is removed.
-        causes: Causes to try; None tries the whole catalogue.
-        detection: Fall of the BIC from which a first cause is accepted.
-        progress: Called with the name of each step.
-        limit: Asked before every step but the first ranking; None allows all.
-    """
-
-    def __init__(
-        self,
-        start: Baseline,
-        train: Windows,
-        held: Windows | None,
-        causes: Sequence[Cause] | None,
-        detection: float,
-        progress: Progress = silent,
-        limit: TimeLimit | None = None,
-    ) -> None:
-        self.progress, self.limit = progress, TimeLimit() if limit is None else limit
-        self.start, self.train, self.held = start, train, held
-        self.causes, self.detection = causes, detection
-        self.problem = FitProblem(start.system, train)
-        self.before = self.cost = math.inf  # chi2 of the refit; its cost, with the penalty of the prior
-        self.usual_pushes: set[str] = set()  # pushes that are no stronger than those of healthy logs
+class Selection(SelectionTask):
+    """Selection of causes on top of a refitted baseline."""
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
         """Return the first ranking (over the whole catalogue) and the selection."""
         self.before, self.cost = reference.chi2, reference.cost
-        hints = self._hints(self.problem, reference, missing)
+        hints = self.hints(self.problem, reference, missing)
         self.progress("fitting every cause")
         first = rank(self.problem, self.start, reference, (), hints, self.causes, self.limit)
         nothing = Selected(reference, (), (), self.problem)
@@ -96,7 +64,22 @@ class Selection:
         plain = self._pruned(forward)
         found = self._with_losses(nothing, forward, plain)
         found = self._with_losses_in_class(plain) if found is None else found
-        return first, self._without_tolerated(replace(found, minor=forward.minor))
+        return first, self.without_tolerated(replace(found, minor=forward.minor))
+
+    def repeated(self, found: Selected, reference: Fit) -> Selected:
+        """Compare the causes of a selection on other windows again, and eliminate causes.
+
+        Args:
+            found: The selection; its fit is one of this task's windows.
+            reference: Refit of the baseline to these windows.
+        """
+        self.before, self.cost = reference.chi2, reference.cost
+        for _ in range(MAX_ROUNDS):
+            kept = self._kept(reconsidered(self, found, 1))
+            if kept.accepted == found.accepted:
+                break
+            found = kept
+        return self.without_tolerated(kept)
 
     def consistent_with_healthy(self, found: Selected) -> list[Cause]:
         """Return the accepted causes and members of their classes that may have been present in the healthy logs."""
@@ -120,7 +103,7 @@ class Selection:
                 if not self.limit.allows(f"a further cause{in_company_of(names)}"):
                     break
                 self.progress(f"fitting every cause{in_company_of(names)}")
-                hints = self._hints(problem, final, missing_torque(problem, final))
+                hints = self.hints(problem, final, missing_torque(problem, final))
                 worth = 0.0 if len(accepted) == len(healthy) else LEAST_SHARE * (self.cost - final.cost)
                 ranking = rank(problem, start, final, accepted, hints, self.causes, self.limit, worth)
             wanted = FURTHER if accepted or so_far.lost else self.detection
@@ -129,7 +112,7 @@ class Selection:
             above = [c for c in ranking.candidates if c.delta_bic > wanted and c.fit is not ranking.reference]
             small = [self._minor(problem, ranking, c, healthy, accepted) for c in above]
             least = next((m for m in small if m is not None), None)
-            if least is not None and all(small) and (least.share is not None or not self._left(final)):
+            if least is not None and all(small) and (least.share is not None or not self.left(final)):
                 minor = (*minor, least)
                 break
             if least is not None and least.share is None and least.cause is ranking.best.cause:
@@ -152,7 +135,7 @@ class Selection:
     def _ranked(self, fit: Fit, accepted: Sequence[Cause]) -> Ranking:
         """Return the ranking of the catalogue on top of a fit with these causes."""
         self.progress(f"fitting every cause{in_company_of(c.name for c in accepted)}")
-        hints = self._hints(self.problem, fit, missing_torque(self.problem, fit))
+        hints = self.hints(self.problem, fit, missing_torque(self.problem, fit))
         return rank(self.problem, self.start, fit, accepted, hints, self.causes, self.limit)
 
     def _minor(
@@ -183,48 +166,18 @@ class Selection:
         (self.usual_pushes.add if usual else self.usual_pushes.discard)(cause.name)
         return usual
 
-    def _left(self, fit: Fit) -> bool:
-        """Return whether a fit leaves more than noise."""
-        return fit.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
-
-    def _tolerated(self, found: Selected) -> list[Cause]:
-        """Return the selected causes of which there is no more than any healthy machine has."""
-        deflation = self._deflation(found.final)
-        return [
-            c
-            for c in found.accepted
-            if c.name in self.usual_pushes or tolerated(found.acting, self.start, c, found.final, deflation)
-        ]
-
-    def _deflation(self, fit: Fit) -> float:
-        return max(dispersion(fit, self.train).deflation, self.start.least_deflation)
-
-    def _without_tolerated(self, found: Selected) -> Selected:
-        """Take the causes within their tolerance out of the selection; the fit still contains them."""
-        small = self._tolerated(found)
-        if not small:
-            return found
-        deflation = self._deflation(found.final)
-        kept = [(c, s) for c, s in zip(found.accepted, found.steps, strict=True) if c not in small]
-        return replace(
-            found,
-            accepted=tuple(c for c, _ in kept),
-            steps=tuple(s for _, s in kept),
-            minor=(*found.minor, *(Minor(c, found.final, None, deflation) for c in small)),
-        )
-
     def _pruned(self, found: Selected) -> Selected:
         """Compare each cause again and eliminate causes, until nothing changes or the rounds are used up."""
         first = found.steps[0][0] if found.steps and found.lost is None else None
         for _ in range(MAX_ROUNDS):
-            kept = self._kept(self._reconsidered(found))
+            kept = self._kept(reconsidered(self, found))
             if kept.accepted == found.accepted:
                 return kept
             if len(kept.accepted) == 1:
                 # Its ranking and class were those beside causes that are removed now.
-                return self._reconsidered(kept, 1) if first is None else self._alone(kept, first)
+                return reconsidered(self, kept, 1) if first is None else alone(self, kept, first)
             found = kept
-        return self._reconsidered(found)
+        return reconsidered(self, found)
 
     def _kept(self, found: Selected) -> Selected:
         # A single cause stays, and the verdict tests it. Together with lost commands it can be removed here, because
@@ -242,7 +195,7 @@ class Selection:
             least,
             LEAST_SHARE,
             self.cost,
-            self._tolerated(found),
+            self.tolerated(found),
             done := {},
         )
         if self.held is not None and len(self.held) > 0:
@@ -265,56 +218,6 @@ class Selection:
         gives_little = less.chi2 - fit.chi2 < most * (self.before - fit.chi2)
         return (rest, less) if gives_little else (kept, fit)
 
-    def _reconsidered(self, found: Selected, least: int = 2) -> Selected:
-        """Compare each of several causes with all lasting causes again, with the other accepted causes in the model.
-
-        The best cause while the others were missing need not be the best together with them. The class of a cause
-        also depends on the residuals that the others leave.
-
-        Args:
-            found: The selection.
-            least: Number of causes from which they are compared again.
-        """
-        if len(found.accepted) < least or self.start.tempering > 1.0:
-            return found
-        start, problem = self.start, found.acting
-        accepted, steps, final = list(found.accepted), list(found.steps), found.final
-        everything = catalogue(start.system.base).values() if self.causes is None else self.causes
-        lasting = [c for c in everything if c.effect != "event"]
-        healthy, near = self._tolerated(found), TOLERANCE * dispersion(final, self.train).correlation
-        for k, cause in enumerate(accepted):
-            others = [*accepted[:k], *accepted[k + 1 :]]
-            # The last cause has competed already beside the same others, unless they fit otherwise by now.
-            again = steps[k][0].compared(lasting, others) and found.lost is None
-            again = again and found.final.cost - final.cost < self._deflation(final)
-            if again or cause in healthy or not self.limit.allows(f"comparing {cause.name} again"):
-                continue
-            self.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
-            less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE, near)
-            hints = self._hints(problem, less, missing_torque(problem, less))
-            # A push can improve any window that a missing cause fits badly. It therefore competes with no other
-            # cause; only its time and size are fitted again.
-            rivals = [cause] if cause.effect == "event" else lasting
-            ranking = rank(problem, start, less, others, hints, rivals, self.limit)
-            ranking = front_settled(problem, start, others, with_fit(problem, ranking, cause, final))
-            ranking, members = classed(problem, start, ranking, others, self.held)
-            steps[k] = (ranking, members)
-            if ranking.best.cause.name != cause.name:
-                accepted[k] = ranking.best.cause
-            final = ranking.best.fit
-        return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
-
-    def _alone(self, kept: Selected, first: Ranking) -> Selected:
-        """Compare the only cause that is kept with all lasting causes in the ranking in which none was accepted."""
-        start, problem, (cause,) = self.start, kept.acting, kept.accepted
-        pushed = cause.effect == "event"
-        rivals = [c for c in first.candidates if not pushed and c.cause.effect != "event"]
-        ranking = with_fit(problem, replace(first, candidates=tuple(rivals)), cause, kept.final)
-        ranking = front_settled(problem, start, (), ranking)
-        ranking, members = classed(problem, start, ranking, (), self.held)
-        best = ranking.best
-        return replace(kept, final=best.fit, accepted=(best.cause,), steps=((ranking, members),))
-
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
         """Accept lost commands and further causes if they explain clearly more than causes alone; else return None.
 
@@ -328,10 +231,10 @@ class Selection:
         causes = self._loss_causes()
         # While structure remains, no lost commands are named (see `verdict_of`), so they are not searched for where
         # a simulation of many parameters leaves much of it.
-        if not causes or (self.start.tempering > 1.0 and self._left(plain.final)):
+        if not causes or (self.start.tempering > 1.0 and self.left(plain.final)):
             return None
         best = self._with_searched_losses(plain, causes)
-        left = self._left(plain.final)
+        left = self.left(plain.final)
         if best is None and not left and plain.accepted:
             return None
         prefixes = [nothing] if plain.accepted else []
@@ -407,7 +310,3 @@ class Selection:
             if not again.best.cause.free:
                 return self._refined(problem, again, accepted, hints)
         return ranking
-
-    def _hints(self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
-        far = strained(problem, self.start, fit)
-        return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples, far)

@@ -1,0 +1,86 @@
+"""What a selection of causes is asked, and what each of its steps uses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.minor import Minor, tolerated
+from deepkoco.diagnose.evidence.priors import strained
+from deepkoco.diagnose.evidence.selected import Selected
+from deepkoco.diagnose.evidence.start_values import Hints
+from deepkoco.diagnose.progress import Progress, silent
+from deepkoco.diagnose.residuals.residuals import MissingTorque, dispersion, white_limit
+from deepkoco.diagnose.time_limit import TimeLimit
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem
+
+
+class SelectionTask:
+    """A refitted baseline, its windows, and the causes to select among.
+
+    Args:
+        start: The baseline.
+        train: Training windows.
+        held: Held-out windows; a cause that raises their error is removed.
+        causes: Causes to try; None tries the whole catalogue.
+        detection: Fall of the BIC from which a first cause is accepted.
+        progress: Called with the name of each step.
+        limit: Asked before every step but the first ranking; None allows all.
+    """
+
+    def __init__(
+        self,
+        start: Baseline,
+        train: Windows,
+        held: Windows | None,
+        causes: Sequence[Cause] | None,
+        detection: float,
+        progress: Progress = silent,
+        limit: TimeLimit | None = None,
+    ) -> None:
+        self.progress, self.limit = progress, TimeLimit() if limit is None else limit
+        self.start, self.train, self.held = start, train, held
+        self.causes, self.detection = causes, detection
+        self.problem = FitProblem(start.system, train)
+        self.before = self.cost = math.inf  # chi2 of the refit; its cost, with the penalty of the prior
+        self.usual_pushes: set[str] = set()  # pushes that are no stronger than those of healthy logs
+
+    def left(self, fit: Fit) -> bool:
+        """Return whether a fit leaves more than noise."""
+        return fit.chi2 / self.train.samples > white_limit(self.train) * self.start.floor
+
+    def tolerated(self, found: Selected) -> list[Cause]:
+        """Return the selected causes of which there is no more than any healthy machine has."""
+        deflation = self.deflation(found.final)
+        return [
+            c
+            for c in found.accepted
+            if c.name in self.usual_pushes or tolerated(found.acting, self.start, c, found.final, deflation)
+        ]
+
+    def deflation(self, fit: Fit) -> float:
+        """Return how much less correlated residuals tell than independent ones; at least as with healthy logs."""
+        return max(dispersion(fit, self.train).deflation, self.start.least_deflation)
+
+    def without_tolerated(self, found: Selected) -> Selected:
+        """Take the causes within their tolerance out of the selection; the fit still contains them."""
+        small = self.tolerated(found)
+        if not small:
+            return found
+        deflation = self.deflation(found.final)
+        kept = [(c, s) for c, s in zip(found.accepted, found.steps, strict=True) if c not in small]
+        return replace(
+            found,
+            accepted=tuple(c for c, _ in kept),
+            steps=tuple(s for _, s in kept),
+            minor=(*found.minor, *(Minor(c, found.final, None, deflation) for c in small)),
+        )
+
+    def hints(self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
+        """Return the data from which causes choose their start values beside a fit."""
+        far = strained(problem, self.start, fit)
+        return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples, far)

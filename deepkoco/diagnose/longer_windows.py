@@ -1,0 +1,109 @@
+"""Repeat the last fits on windows of the usual length, where the causes were selected on shorter ones.
+
+Short windows find a cause where the simulation as given leaves the motion (:mod:`deepkoco.diagnose.window_choice`).
+They tell less of everything that adds up: a force of 1 N moves a car of 95 kg by 3 mm in 0.75 s, and by 12 mm in 1.5 s.
+With its causes, the simulation mostly follows its logs for longer. Then the causes compete with those of their classes
+again, and the parameters are fitted, in windows of the usual length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from deepkoco.diagnose.baseline import LONG, STEP_ROUNDS
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data
+from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.explanation import Explanation, of_mean
+from deepkoco.diagnose.refitted import Refitted
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.window_choice import FOLLOWS, left_out
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.prior import Prior
+
+
+def on_longer_windows(
+    request: DiagnosisRequest, explanation: Explanation
+) -> tuple[DiagnosisRequest, Explanation]:
+    """Return the request and its explanation on longer windows; as they are where the simulation follows none.
+
+    Args:
+        request: The logs, and the windows in which the causes were selected.
+        explanation: The selected causes.
+    """
+    base, found = explanation.base, explanation.found
+    followed = request.length >= request.usual or not found.accepted
+    # A push or lost commands belong to their windows. Of a large model error, longer windows only show more.
+    pushed = found.lost is not None or any(c.effect == "event" for c in found.accepted)
+    if followed or pushed or base.start.tempering > 1.0:
+        return request, explanation
+    length = request.usual
+    while length > request.length:
+        data = _cut_like(base, cut_data(request.recordings, request.holdout, request.system, length))
+        if (
+            len(data.train) >= MIN_TRAINING_WINDOWS
+            and left_out(data.train, base.start, found.final.values) <= FOLLOWS
+        ):
+            if not request.limit.allows(f"fits on windows of {length:g} s"):
+                break
+            request.progress(f"the causes again, on windows of {length:g} s")
+            again = _fitted_again(replace(request, data=data, length=length), explanation)
+            if again is not None:
+                return replace(request, data=again.base.data, length=length), again
+        length *= 0.5
+    return request, explanation
+
+
+def _cut_like(base: Refitted, data: Data) -> Data:
+    """Return windows with the noise, the stamps and the fineness of the steps that were found on shorter ones."""
+    train = base.train
+    parts = round(data.train.step / train.step) if len(data.train) else 1
+    like = {"noise": train.noise, "stamp_sd": train.stamp_sd, "varies": train.varies}
+    held = None
+    if data.held is not None and base.data.held is not None:
+        own = base.data.held
+        held = with_steps_cut(
+            replace(data.held, noise=own.noise, stamp_sd=own.stamp_sd, varies=own.varies), parts
+        )
+    return replace(data, train=with_steps_cut(replace(data.train, **like), parts), held=held)
+
+
+def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explanation | None:
+    """Refit the baseline and the selection on other windows; None where a simulation diverges."""
+    base, found, data = explanation.base, explanation.found, request.data
+    start = base.start
+    prior = prior_with(base.problem, start, found.accepted, found.final.values)
+    problem = FitProblem(start.system, data.train)
+    final = _refit(problem, found.final, prior.names, prior)
+    for _ in range(STEP_ROUNDS):
+        # An error of a step adds up for longer, too.
+        parts = 1 if final.diverged else fine_steps(partial(FitProblem, start.system), data.train, final)
+        if parts == 1:
+            break
+        held = None if data.held is None else with_steps_cut(data.held, parts)
+        data = replace(data, train=with_steps_cut(data.train, parts), held=held)
+        problem = FitProblem(start.system, data.train)
+        final = _refit(problem, final, prior.names, prior)
+    reference = _refit(problem, base.reference, base.reference.free, start.prior)
+    if final.diverged or reference.diverged:
+        return None
+    longer = replace(base, data=data, problem=problem, reference=reference)
+    # The causes of their classes compete once more; the rankings of shorter windows do not count.
+    members = {name for _, names in found.steps for name in names} | {c.name for c in found.accepted}
+    everything = catalogue(start.system.base).values() if request.causes is None else request.causes
+    rivals = [c for c in everything if c.name in members]
+    steps = tuple((replace(ranking, asked=()), names) for ranking, names in found.steps)
+    selection = Selection(
+        start, longer.train, longer.held, rivals, request.detection, request.progress, request.limit
+    )
+    again = selection.repeated(replace(found, final=final, steps=steps, acting=problem), reference)
+    return of_mean(replace(explanation, base=longer, found=again))
+
+
+def _refit(problem: FitProblem, fit: Fit, free: tuple[str, ...], prior: Prior) -> Fit:
+    """Repeat a fit on other windows, from initial states that suit its values."""
+    state, _ = problem.fit_states(fit.values, problem.windows.state)
+    return problem.fit([Trial("refit", free, prior, fit.values, state, fit.nuisance)], LONG)[0]
