@@ -10,6 +10,7 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
+from deepkoco.diagnose.finer_steps import on_finer_steps, steps_of_rivals
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.refitted import Refitted, refit_to_logs
@@ -29,7 +30,8 @@ class Explanation:
         found: The selected causes.
         joined: Names of the causes that joined the baseline because the healthy logs are consistent with them.
         unfitted: What could not be fitted, in words.
-        weights: Probabilities of explanations with which it was decided; None where none were asked.
+        weights: Probabilities of explanations; None where none were asked.
+        weighed: Whether its causes are those that weigh most.
     """
 
     base: Refitted
@@ -38,6 +40,7 @@ class Explanation:
     joined: tuple[str, ...]
     unfitted: tuple[str, ...]
     weights: Answer | None = None
+    weighed: bool = False
 
 
 def explain(
@@ -55,16 +58,32 @@ def explain(
     while True:
         progress("refit of the simulation as given")
         base = refit_to_logs(learned, request.data)
-        selection = Selection(
-            base.start, base.train, base.data.held, request.causes, request.detection, progress, request.limit
-        )
-        first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
+        selection, first, found = _selected(request, base)
+        parts = steps_of_rivals(base, found)
+        if parts > 1 and request.limit.allows("the causes on finer steps"):
+            progress(f"steps in {parts} parts, because rivals differ by less than their errors")
+            base = on_finer_steps(base, parts)
+            selection, first, found = _selected(request, base)
         causes = seen_before(request, selection, found) if more else []
         if not causes:
             return of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
         more -= 1
         joined = (*joined, *(c.name for c in causes if c.name not in joined))
         learned = extended(base.start, causes)
+
+
+def _selected(request: DiagnosisRequest, base: Refitted) -> tuple[Selection, Ranking, Selected]:
+    """Select causes on a refitted baseline; return the selection with its first ranking and result."""
+    selection = Selection(
+        base.start,
+        base.train,
+        base.data.held,
+        request.causes,
+        request.detection,
+        request.progress,
+        request.limit,
+    )
+    return selection, *selection.run(base.reference, missing_torque(base.problem, base.reference))
 
 
 def seen_before(request: DiagnosisRequest, selection: Selection, found: Selected) -> list[Cause]:

@@ -5,8 +5,8 @@ a guess, a hidden cause can disappear in the refit, and a small error of the mod
 explanations are weighed against each other with parameters and small effects as any unit has them
 (:mod:`deepkoco.diagnose.probability`). Where nothing weighs most, nothing is named. Else the causes are selected once
 more, among those that weigh enough, on a refit that may move the parameters as far as units of one make differ.
-Lost commands are no explanation that is weighed, because their pattern has hundreds of free positions. Where they were
-selected, they have to be found again on that refit.
+Where lost commands were selected, everything is weighed under the commands that acted, too, and their pattern pays for
+its code: a loss imitates a delay, a friction or a bias that any unit has a little of.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import MOST_EXTENSIONS, Explanation, explain, of_mean, seen_before
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.probability.answer import Answer
-from deepkoco.diagnose.probability.shadow import answer_of, of_rough_sheet
+from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses, of_rough_sheet
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -61,21 +61,29 @@ def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_
     request.progress("weighing the data sheet")
     causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
     try:
-        answer = answer_of(request, base)
-        explanation, best = replace(explanation, weights=answer), answer.explanations[0]
+        answer, lossy, charge = answer_of(request, base), False, 0.0
+        if found.lost is not None:
+            with_losses = answer_of(request, base, found.acting.windows)
+            charge = log_prior_of_losses(found.charge, len(causes))
+            lossy = with_losses.explanations[0].log_weight + charge > answer.explanations[0].log_weight
+            answer = with_losses if lossy else answer
+        best, top = answer.explanations[0], answer.explanations[0].log_weight + (charge if lossy else 0.0)
+        explanation = replace(explanation, weights=answer)
         if base.learned.healthy is None:
             rough = of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH
-            if rough > best.log_weight:
+            if rough > top:
                 return explanation
     except (DivergedError, np.linalg.LinAlgError):
         return explanation
     if UNKNOWN in best.causes:
         return explanation
-    if not best.causes and found.lost is None:
-        return _nothing(explanation)
+    if found.plain is not None and not lossy:
+        explanation = of_mean(replace(explanation, found=found.plain))
     plausible = _plausible(answer, causes) if best.causes else []
-    if found.lost is not None:
+    if lossy:
         plausible += [c for c in causes if c.traced]
+    if not plausible:
+        return _nothing(explanation)
     return _selected_again(request, explanation, plausible, more)
 
 
@@ -92,12 +100,25 @@ def _plausible(answer: Answer, causes: Sequence[Cause]) -> list[Cause]:
     return [c for c in causes if c.name in names]
 
 
-def _nothing(explanation: Explanation) -> Explanation:
-    """Return the explanation without names; its fit keeps the little of its causes that any unit has."""
+def _nothing_is_plausible(explanation: Explanation) -> bool:
+    """Return whether "nothing" weighs nearly as much as the best explanation."""
+    if explanation.weights is None:
+        return False
+    least = explanation.weights.explanations[0].log_weight - PLAUSIBLE
+    return any(not e.causes and e.log_weight > least for e in explanation.weights.explanations)
+
+
+def _nothing(explanation: Explanation, usual: bool = True) -> Explanation:
+    """Return the explanation without names; its fit keeps the little of its causes that any unit has.
+
+    Args:
+        explanation: The explanation.
+        usual: Whether what it leaves is no more than any unit has.
+    """
     found = explanation.found
     deflation = dispersion(found.final, explanation.base.train).deflation
     small = tuple(Minor(c, found.final, None, deflation) for c in found.accepted)
-    plain = replace(found, accepted=(), steps=(), minor=(*found.minor, *small), usual=True)
+    plain = replace(found, accepted=(), steps=(), minor=(*found.minor, *small), usual=usual)
     return replace(explanation, found=plain)
 
 
@@ -139,13 +160,13 @@ def _selected_again(
         start, base.train, base.held, plausible, wanted, request.progress, request.limit, request.detection
     )
     first, named = selection.run(reference, missing_torque(base.problem, reference))
-    chosen = of_mean(replace(explanation, base=again, first=first, found=named))
+    chosen = of_mean(replace(explanation, base=again, first=first, found=named, weighed=True))
     if named.lost is None and not named.accepted:
         # What weighs most is not confirmed. What was selected is no name either where it is no more than usual.
         small = {*(c.name for c in beside), *(m.cause.name for m in named.minor)}
-        if any(c.name not in small for c in found.accepted):
+        if any(c.name not in small for c in found.accepted) or found.lost is not None:
             return explanation
-        return _nothing(explanation if found.lost is None else chosen)
+        return _nothing(explanation, bool(named.minor) or _nothing_is_plausible(explanation))
     seen = seen_before(request, selection, named) if more else []
     if not seen:
         return chosen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.answer import Answer, Weighed
 from deepkoco.diagnose.probability.columns import columns_at, zeros_of
 from deepkoco.diagnose.probability.coordinates import Catalogue, coordinates_of, tolerances
+from deepkoco.diagnose.probability.explanations import FURTHER
 from deepkoco.diagnose.probability.gram import WindowSums
 from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
 from deepkoco.diagnose.probability.linear import Linearisation
@@ -31,7 +33,8 @@ from deepkoco.diagnose.probability.unit import DeclaredUnit, UnitPrior, WithZero
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
 REFITTED = 20  # explanations that are refitted at each point of linearisation
@@ -76,12 +79,13 @@ def with_evidence(
     return replace(result, evidence=replace(answer, seconds=time.process_time() - began).to_json())
 
 
-def answer_of(request: DiagnosisRequest, base: Refitted) -> Answer:
+def answer_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None = None) -> Answer:
     """Return the probabilities of causes for the logs of a diagnosis.
 
     Args:
         request: Its question.
         base: Its refitted baseline.
+        acted: Its training windows with the commands that acted, if some of those that were sent are taken for lost.
 
     Raises:
         DivergedError: The simulation diverges.
@@ -90,10 +94,31 @@ def answer_of(request: DiagnosisRequest, base: Refitted) -> Answer:
     healthy = base.learned.healthy
     causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
     if healthy is None:
-        return probabilities(base.problem, base.reference, base.start, causes)
+        problem, reference = _acting(base.problem, base.reference, base.start, acted)
+        return probabilities(problem, reference, base.start, causes)
     windows, reference = refit_sharply(healthy.before, request.data.train)
     problem = FitProblem(healthy.before.system, windows)
+    problem, reference = _acting(problem, reference, healthy.before, acted)
     return probabilities(problem, reference, healthy.before, causes, learned_unit(healthy, causes))
+
+
+def _acting(problem: FitProblem, fit: Fit, start: Baseline, acted: Windows | None) -> tuple[FitProblem, Fit]:
+    """Return a problem under the commands that acted, with its refit."""
+    if acted is None:
+        return problem, fit
+    problem = FitProblem(problem.system, replace(problem.windows, commands=acted.commands))
+    trial = Trial(fit.name, fit.free, start.prior, fit.values, fit.state, fit.nuisance)
+    return problem, problem.fit_one(trial)
+
+
+def log_prior_of_losses(charge: float, causes: int) -> float:
+    """Return the log prior of lost commands beside an explanation: a further cause, and the code of its pattern.
+
+    Args:
+        charge: Charge of the BIC for the pattern.
+        causes: Number of causes of the catalogue.
+    """
+    return math.log(FURTHER / max(causes, 1)) - 0.5 * charge
 
 
 def probabilities(
