@@ -19,7 +19,13 @@ from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
-from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
+from deepkoco.diagnose.verdict.advice import (
+    always_there,
+    class_advice,
+    level_advice,
+    not_fitted,
+    possible_advice,
+)
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
 from deepkoco.diagnose.verdict.judgement import Judgement
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
@@ -175,10 +181,14 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
     if doubtful and request.limit.allows("commands that would distinguish the causes of a class"):
         start = replace(base.start, prior=base.learned.prior)
         classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
+    weights, alone = explanation.weights, base.learned.healthy is None
+    told = judgement.verdict == "nothing" and explanation.found.usual and alone
+    possible = possible_advice(weights) if told and weights is not None else ()
     return (
         *not_fitted(judgement.unfitted),
         *text_of_gauges(base.start.gauges),
         *always_there(explanation.joined),
+        *possible,
         *classes,
         *level_advice(base.train, request.system),
     )
