@@ -91,4 +91,5 @@ def _is_urdf(path: str | Path) -> bool:
 
 
 def one_line(error: Exception) -> str:
+    """Return the message of an error in one line."""
     return "; ".join(line.strip() for line in str(error).splitlines() if line.strip())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from torch import Tensor
@@ -35,6 +35,10 @@ class Trial:
     state: Tensor | None = None
     nuisance: Tensor | None = None
     renew: tuple[str, ...] = ()
+
+    def from_fit(self, fit: Fit) -> Trial:
+        """Return this trial with another start: the values, initial states and nuisances of a fit."""
+        return replace(self, values=fit.values, state=fit.state, nuisance=fit.nuisance)
 
 
 @dataclass

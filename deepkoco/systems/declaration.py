@@ -68,6 +68,7 @@ def check_declaration(system: Any) -> None:
 
 
 def lacks(who: str, name: str) -> str:
+    """Return the sentence that says what a class lacks, with a line that declares it."""
     return f"{who} lacks {name}: write {EXAMPLES[name]}"
 
 

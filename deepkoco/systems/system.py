@@ -247,6 +247,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
 
     @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:
+        """Parameters that tilt the direction of gravity [rad]; a system without any stands level."""
         return ()
 
     @property

@@ -44,6 +44,9 @@ class WithSpeeds(WrappedSystem):
     def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
         return torch.cat([self.base.measure_shown(shown, parameters), self._speeds(shown)], -1)
 
+    def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
+        return torch.cat([self.base.measure_at(state, time, parameters), self._speeds(state)], -1)
+
     def ideal_measurement(self, state: Tensor) -> Tensor:
         return torch.cat([self.base.ideal_measurement(state), self._speeds(state)], -1)
 

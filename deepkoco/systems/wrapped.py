@@ -6,10 +6,12 @@ import numpy as np
 from torch import Tensor
 
 from deepkoco.systems.channel import Channel
+from deepkoco.systems.drawn import Outline
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.joint_memory import JointMemory
-from deepkoco.systems.motion import Acceleration, InverseInertia, PayloadWay, Timing
+from deepkoco.systems.motion import Acceleration, CommandTiming, Delivery, InverseInertia, PayloadWay, Timing
 from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.rollout import RolledEffect, Rollout
 from deepkoco.systems.system import System
 
 
@@ -66,6 +68,18 @@ class WrappedSystem(System):
     @property
     def has_equations(self) -> bool:
         return self.base.has_equations
+
+    @property
+    def resizable(self) -> bool:
+        return self.base.resizable
+
+    @property
+    def tilt_parameters(self) -> tuple[Parameter, ...]:
+        return self.base.tilt_parameters
+
+    @property
+    def delivered_scales(self) -> tuple[tuple[float, str], ...]:
+        return self.base.delivered_scales
 
     @property
     def smoothing_speeds(self) -> tuple[float, ...]:
@@ -137,3 +151,33 @@ class WrappedSystem(System):
 
     def timing(self, parameters: Parameters) -> Timing:
         return self.base.timing(parameters)
+
+    def delivery(self, parameters: Parameters) -> Delivery | None:
+        return self.base.delivery(parameters)
+
+    def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
+        return self.base.shape_command(index, value, t, parameters)
+
+    def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
+        return self.base.command_timing(index, parameters)
+
+    def sensor_filter(self, parameters: Parameters) -> Tensor:
+        return self.base.sensor_filter(parameters)
+
+    def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
+        return self.base.measure(state, parameters)
+
+    def measure_shown(self, shown: Tensor, parameters: Parameters) -> Tensor:
+        return self.base.measure_shown(shown, parameters)
+
+    def measure_at(self, state: Tensor, time: Tensor, parameters: Parameters) -> Tensor:
+        return self.base.measure_at(state, time, parameters)
+
+    def outline(self, angles: np.ndarray) -> Outline | None:
+        return self.base.outline(angles)
+
+    def rollout(self, parameters: Parameters) -> Rollout | None:
+        return self.base.rollout(parameters)
+
+    def rolls(self, effect: RolledEffect) -> bool:
+        return self.base.rolls(effect)

@@ -53,6 +53,15 @@ def test_only_the_sum_of_two_inertias_of_a_motor_is_told(tmp_path):
     )
 
 
+@pytest.mark.study
+def test_of_parameters_that_a_log_cannot_tell_apart_the_least_known_one_leads(tmp_path):
+    # Another resistance slows the motor just as a larger load does, but it is known to 2 %, and the load to 20 %.
+    report = diagnosed(tmp_path, MotorUnit(load_inertia=3e-4), MOTOR, 20.0)
+    (cause,) = report["causes"]
+    assert cause["name"] == "changed(load_inertia)"
+    assert cause["parameters"]["load_inertia"]["value"] == pytest.approx(3e-4, rel=0.05)
+
+
 STUDY = {
     "cart-pole, delay": (CartPoleUnit(delay=0.03), CART, "actuation_delay(cart).delay", 0.03, 5e-4),
     "cart-pole, dry friction": (CartPoleUnit(coulomb=0.7), CART, "coulomb(cart).torque", 0.7, 0.02),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from deepkoco.diagnose.evidence.footholds import CLOSE, ITERATIONS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -12,8 +11,8 @@ from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 SCOUTING = 4  # iterations after which only the best start of each cause is continued
 SCOUTED = 0.7  # share of the whole fall of a cost that those iterations reach at least
 PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
-HALFWAY = 5  # further iterations after which it needs
-HOPEFUL_SHARE = 0.6  # this share
+HALFWAY = 5  # further iterations, after which it needs HOPEFUL_SHARE
+HOPEFUL_SHARE = 0.6  # share of the best candidate's fall of the cost
 FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 
 
@@ -49,7 +48,7 @@ def fit_best(
         matters = fallen > SCOUTED * worth or scout.cost == lowest
         if not scout.converged and fallen > PROMISING_SHARE * won and matters:
             running.append(name)
-            longer.append(replace(trial, values=scout.values, state=scout.state, nuisance=scout.nuisance))
+            longer.append(trial.from_fit(scout))
     longer = _fit_hopeful(problem, longer, reference) if known is None else _fit_front(problem, longer, known)
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
@@ -63,10 +62,7 @@ def _fit_hopeful(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -
         for k, fit in enumerate(fits)
         if not (fit.converged or fit.diverged) and reference.cost - fit.cost > HOPEFUL_SHARE * won
     ]
-    again = [
-        replace(trials[k], values=fits[k].values, state=fits[k].state, nuisance=fits[k].nuisance)
-        for k in hopeful
-    ]
+    again = [trials[k].from_fit(fits[k]) for k in hopeful]
     for k, fit in zip(hopeful, problem.fit(again, ITERATIONS - HALFWAY, CLOSE), strict=True):
         fits[k] = fit
     return fits
@@ -76,10 +72,7 @@ def _fit_front(problem: FitProblem, trials: Sequence[Trial], known: FrozenSlopes
     """Fit trials with known slopes, then the best of them with slopes of their own."""
     fits = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
     front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:FRONT]
-    again = [
-        replace(trials[k], values=fits[k].values, state=fits[k].state, nuisance=fits[k].nuisance)
-        for k in front
-    ]
+    again = [trials[k].from_fit(fits[k]) for k in front]
     for k, fit in zip(front, problem.fit(again, ITERATIONS, CLOSE, exact=False), strict=True):
         if fit.cost <= fits[k].cost:
             fits[k] = fit

@@ -53,7 +53,7 @@ def alone(
     for trial, fit in zip(trials, fits, strict=True):
         if trial.name not in best or fit.cost < best[trial.name][1].cost:
             best[trial.name] = (trial, fit)
-    return [replace(t, values=fit.values, state=fit.state, nuisance=fit.nuisance) for t, fit in best.values()]
+    return [t.from_fit(fit) for t, fit in best.values()]
 
 
 def from_halves(

@@ -37,9 +37,9 @@ def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Select
     for k, cause in enumerate(accepted):
         others = [*accepted[:k], *accepted[k + 1 :]]
         # The last cause has competed already beside the same others, unless they fit otherwise by now.
-        again = steps[k][0].compared(lasting, others) and found.lost is None
-        again = again and found.final.cost - final.cost < task.deflation(final)
-        if again or cause in healthy or not task.limit.allows(f"comparing {cause.name} again"):
+        done = steps[k][0].compared(lasting, others) and found.lost is None
+        done = done and found.final.cost - final.cost < task.deflation(final)
+        if done or cause in healthy or not task.limit.allows(f"comparing {cause.name} again"):
             continue
         task.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
         less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE, near)

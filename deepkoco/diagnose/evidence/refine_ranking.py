@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, Cause, is_changed
 from deepkoco.diagnose.evidence.candidate_fits import SCOUTING
@@ -90,7 +92,7 @@ def _from_winner(
     ended = fit.converged or fit.diverged
     lately = fit.history[len(fit.history) // 2 :]
     if not ended and missing < (lately[0] - lately[-1]) * (PATIENCE - PACE) / max(len(lately) - 1, 1):
-        trial = replace(trial, values=fit.values, state=fit.state, nuisance=fit.nuisance)
+        trial = trial.from_fit(fit)
         fit = problem.fit([trial], PATIENCE - PACE, close)[0]
     return with_better_fit(other, fit, ranking.deflation)
 
@@ -130,6 +132,7 @@ def classed(
 
     Almost every mechanism can be written as another value of some parameter. Where the data cannot distinguish the
     two, the mechanism leads the class. The farther the parameter is from its given value, the more evidence it needs.
+    Among parameters, the one leads whose change its declared uncertainty makes most likely.
     """
     simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
     left = ranking.best.fit.chi2 / problem.windows.samples > white_limit(problem.windows) * start.floor
@@ -157,11 +160,36 @@ def classed(
         behind = best.delta_bic - c.delta_bic
         if not is_changed(c.cause) and behind < least and (c.cause.name in members or behind >= APART):
             near.append(c)
-    if not near:
+    first = near[0] if near else _least_surprising(start, ranking, members)
+    if first is best:
         return ranking, members
-    others = [c for c in ranking.candidates if c is not near[0]]
-    ranking = replace(ranking, candidates=(near[0], *others))
+    others = [c for c in ranking.candidates if c is not first]
+    ranking = replace(ranking, candidates=(first, *others))
     return ranking, equivalent(problem, start, ranking, tuple(accepted))
+
+
+def _least_surprising(start: Baseline, ranking: Ranking, members: Sequence[str]) -> Candidate:
+    """Return the changed parameter of the class that its declared uncertainty makes most likely.
+
+    A parameter that is known to 2 % is less likely to be wrong by 70 % than one that is known to 20 % is by 100 %. Both
+    have wide priors in their fits, so the fits do not tell. The prior of a change is a Cauchy distribution here too;
+    its scale is the declared standard deviation.
+    """
+    spread = dict(zip(start.prior.names, np.sqrt(start.prior.covariance.diagonal()), strict=True))
+
+    def likely(candidate: Candidate) -> float:
+        charge = 0.0
+        for name in candidate.cause.free:
+            far = (candidate.fit.values[name] - start.values[name]) / spread[name]
+            charge += 2.0 * math.log1p(far**2)
+        return candidate.delta_bic - charge
+
+    changes = [
+        c
+        for c in ranking.candidates
+        if c.cause.name in members and is_changed(c.cause) and spread.keys() >= {*c.cause.free}
+    ]
+    return max(changes, key=likely, default=ranking.best)
 
 
 def _simpler(best: Candidate, other: Candidate, least: float) -> bool:
@@ -283,7 +311,7 @@ def settled(
         if won > 0.0:
             fit, trial = (
                 found,
-                replace(trial, values=found.values, state=found.state, nuisance=found.nuisance),
+                trial.from_fit(found),
             )
         if won < CLOSE:
             break

@@ -74,7 +74,11 @@ def consistent_with_healthy(
 
 
 def hypotheses_of(found: Selected) -> list[Hypothesis]:
-    """Return the accepted causes and the members of their classes, each with its fit."""
+    """Return the accepted causes and the members of their classes, each with its fit.
+
+    Args:
+        found: The selection; members of a class that were not fitted are left out.
+    """
     hypotheses = []
     for ranking, members in found.steps:
         for candidate in ranking.candidates:

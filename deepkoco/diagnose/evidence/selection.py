@@ -140,11 +140,11 @@ def rank(
             foot = {**reference.values, **before}
             state, cost = problem.fit_states(foot, reference.state)
             known = problem.slopes_at(foot, reference.free, state, reference.nuisance) if sharing else None
-            footholds = [
-                trial_of(problem, start, accepted, p.cause, values[k], state, reference)
-                for k, p in enumerate(from_given)
-                if bool(torch.isfinite(cost).all())
-            ]
+            if bool(torch.isfinite(cost).all()):
+                footholds = [
+                    trial_of(problem, start, accepted, p.cause, values[k], state, reference)
+                    for k, p in enumerate(from_given)
+                ]
             footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
         if not sharing:  # even where the refit has found a minimum of whole windows, a cause may not
             footholds += from_halves(problem, start, accepted, from_given, values, reference)
@@ -169,10 +169,7 @@ def rank(
     ]
     if unsettled:
         first = {name: next(t for t in trials if t.name == name) for name in unsettled}
-        longer = [
-            replace(first[n], values=fits[n].values, state=fits[n].state, nuisance=fits[n].nuisance)
-            for n in unsettled
-        ]
+        longer = [first[n].from_fit(fits[n]) for n in unsettled]
         near = CLOSE * ranking.dispersion.correlation
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, near), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)

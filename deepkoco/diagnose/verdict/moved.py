@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -131,8 +130,5 @@ def _fits(
         known = problem.slopes_at(refit.values, (), refit.state, refit.nuisance)
         rough = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
         best_first = sorted(range(len(rough)), key=lambda k: rough[k].chi2)[:FITTED]
-        trials = [
-            replace(trials[k], values=rough[k].values, state=rough[k].state, nuisance=rough[k].nuisance)
-            for k in best_first
-        ]
+        trials = [trials[k].from_fit(rough[k]) for k in best_first]
     return [fit for fit in problem.fit(trials, ITERATIONS, CLOSE) if not fit.diverged]
