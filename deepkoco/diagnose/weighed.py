@@ -25,13 +25,14 @@ from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor, sample_period
 from deepkoco.diagnose.evidence.priors import declared
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import MOST_EXTENSIONS, Explanation, explain, of_mean, seen_before
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses, of_rough_sheet
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
+from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque, white_limit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
@@ -40,6 +41,8 @@ from deepkoco.systems import Parameter
 
 UNKNOWN = "unknown"
 PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's causes are not tried again
+SOME = 0.2  # of that standard deviation, from which a fit needs an effect
+FAR_ABOVE = 2.0  # chi2 per sample, in floors, of a fit that does not explain a log to its noise
 FEW = 3.0  # standard deviations of what any unit has of an effect, up to which a fit has a little of it
 ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
 
@@ -83,7 +86,7 @@ def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_
     if lossy:
         plausible += [c for c in causes if c.traced]
     if not plausible:
-        return _nothing(explanation)
+        return _nothing(with_little_of_all(request, explanation, causes))
     return _selected_again(request, explanation, plausible, more)
 
 
@@ -118,6 +121,9 @@ def _nothing(explanation: Explanation, usual: bool = True) -> Explanation:
     found = explanation.found
     deflation = dispersion(found.final, explanation.base.train).deflation
     small = tuple(Minor(c, found.final, None, deflation) for c in found.accepted)
+    # Whatever weighs most, a log is not healthy while its simulation leaves far more than noise.
+    samples = explanation.base.train.samples
+    usual = usual and found.final.chi2 <= FAR_ABOVE * explanation.base.start.floor * samples
     plain = replace(found, accepted=(), steps=(), minor=(*found.minor, *small), usual=usual)
     return replace(explanation, found=plain)
 
@@ -175,16 +181,65 @@ def _selected_again(
     return weigh(request, explain(request, learned, explanation.unfitted, joined), more - 1)
 
 
-def _usual_sizes(start: Baseline, cause: Cause, fit: Fit, problem: FitProblem) -> list[Parameter]:
-    """Return the sizes of a cause with the standard deviations that any unit has; none if it has more than sizes."""
+def with_little_of_all(
+    request: DiagnosisRequest, explanation: Explanation, causes: Sequence[Cause]
+) -> Explanation:
+    """Return an explanation by parameters and small effects as any unit has them, where the selection leaves structure.
+
+    A selection takes one cause after the other, and several small effects can show together only. Those that the log
+    shows stay in the fit.
+
+    Args:
+        request: The logs.
+        explanation: The selection; it is returned where it leaves no more than noise, or explains more.
+        causes: The catalogue.
+    """
+    base, found = explanation.base, explanation.found
+    limit = white_limit(base.train) * base.start.floor * base.train.samples
+    if found.final.chi2 <= limit or not request.limit.allows("small effects that any unit has"):
+        return explanation
+    usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
+    known = {n: found.final.values[n] for n in usual.prior.names}
+    little = {
+        c: sizes
+        for c in causes
+        if c.scatter is None and not c.traced and not c.searched
+        if (sizes := _usual_sizes(base.start, c, None, base.problem))
+    }
+    fit, start = found.final, usual
+    for _ in range(2):  # with all of them, and with those of which the log shows some
+        start = _with_little(usual, little, base.start.correlation)
+        state, _ = base.problem.fit_states({**base.start.values, **known}, found.final.state)
+        values = {**base.start.values, **known}
+        trial = Trial("refit", start.prior.names, start.prior, values, state, base.reference.nuisance)
+        fit = base.problem.fit([trial], LONG)[0]
+        if fit.diverged or fit.chi2 >= found.final.chi2:
+            return explanation
+        away = {n: abs(fit.values[n] - start.values[n]) for n in fit.free}
+        little = {c: s for c, s in little.items() if any(away[p.name] > SOME * p.prior_sd for p in s)}
+    learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
+    again = replace(base, learned=learned, start=start, reference=fit)
+    return of_mean(replace(explanation, base=again, found=Selected(fit, (), (), base.problem)))
+
+
+def _usual_sizes(start: Baseline, cause: Cause, fit: Fit | None, problem: FitProblem) -> list[Parameter]:
+    """Return the sizes of a cause with the standard deviations that any unit has; none if it has more than sizes.
+
+    Args:
+        start: The baseline.
+        cause: The cause.
+        fit: Fit that has to contain it; None for any cause.
+        problem: The windows.
+    """
     if is_changed(cause) or cause.effect == "event" or not cause.free:
         return []
-    if set(cause.free) != set(cause.sizes) or not set(cause.free) <= set(fit.free):
+    values = start.values if fit is None else fit.values
+    if set(cause.free) != set(cause.sizes) or (fit is not None and not set(cause.free) <= set(fit.free)):
         return []
     loads = start.system.load_scales
     load, period = max(loads) if cause.joint is None else loads[cause.joint], sample_period(problem.windows)
     return [
-        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(fit.values))))
+        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(values))))
         for p in declared(problem, cause.free)
     ]
 
