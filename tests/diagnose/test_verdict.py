@@ -126,7 +126,11 @@ def test_a_learned_load_competes_again_only_with_causes_that_have_not_outweighed
 @pytest.mark.parametrize(
     ("roughness", "penalty", "expected"),
     [
-        (10.0, 3000.0, "cause"),  # the refit left the spread of units of one make, and the cause brings it back
+        (
+            10.0,
+            3000.0,
+            "cause",
+        ),  # the refit left the spread of units of one make, and the cause brings it back
         (10.0, 0.0, "unknown"),
         (1.0, 3000.0, "unknown"),  # a declared prior does not count as samples do
     ],

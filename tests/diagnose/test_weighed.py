@@ -147,6 +147,17 @@ def test_a_prior_that_counts_as_much_as_correlated_samples_strains_as_before(pat
     assert _with_little(replace(start, correlation=3.0), {}, 9.0).narrowing == 3.0
 
 
+@pytest.mark.parametrize(("shift", "far"), [(0.02, False), (0.15, True)])
+def test_a_refit_far_from_units_of_one_make_is_strained_under_a_guessed_prior(path, shift, far):
+    system = load_system(path)
+    windows = cut_windows([log_of(seconds=6.0)], system, 1.0)
+    start = with_gauges_fixed(baseline_from(system, windows), windows)
+    problem = FitProblem(start.system, windows)
+    # 15 % of a mass is 1.5 standard deviations of its guessed prior, and 7.5 spreads of units of one make.
+    fit = problem.evaluate({**start.values, "mass(link)": (1.0 + shift) * start.values["mass(link)"]})
+    assert strained(problem, start, replace(fit, penalty=0.0)) is far
+
+
 def test_a_pattern_of_losses_pays_for_its_code_and_for_a_further_cause():
     assert log_prior_of_losses(0.0, 60) == pytest.approx(math.log(0.3 / 60.0))
     assert log_prior_of_losses(200.0, 60) == pytest.approx(math.log(0.3 / 60.0) - 100.0)
