@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepkoco.logs.formats.log_file import LogError, LogFile, iso_seconds
+from deepkoco.logs.own_rows import has_own_rows
 from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
@@ -87,6 +88,12 @@ class ChannelReader:
             value = self.log.values(channel.topic, channel.value.name)[row] * scale
             value = value + zero if zero else value
         some = ~(np.isnan(time) & np.isnan(value))
+        if has_own_rows(time, np.isnan(value)):
+            self.notes.append(
+                f'column "{channel.value.name}": {int((~np.isnan(value)).sum())} of {len(value)} rows have a value; '
+                "the others are taken as rows of other columns, because its samples have a rate of their own"
+            )
+            some = ~np.isnan(value)
         time, value, row = time[some], value[some], row[some]
         self._refuse(channel, stamp, row, ~np.isfinite(time), "without a time stamp", "drop those rows")
         late = np.abs(time) > LATEST

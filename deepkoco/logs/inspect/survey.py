@@ -10,6 +10,7 @@ from deepkoco.logs.formats import LogFile
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.inspect.clock import Clock, find_clocks, stamps
 from deepkoco.logs.inspect.names import NameHints, read_name
+from deepkoco.logs.own_rows import has_own_rows
 from deepkoco.logs.quantum import quantum_of
 from deepkoco.logs.series import far_values
 
@@ -21,7 +22,7 @@ class ColumnSurvey:
     Attributes:
         topic, name: its place in the file.
         kind: "number", "constant", "clock", "counter", "text" or "empty".
-        rows: number of rows that contain the column.
+        rows: number of rows that contain the column; of a table of several messages, those of its own.
         missing: number of these rows without a finite value.
         bursts: number of stretches of missing values.
         longest_burst: length of the longest stretch [rows].
@@ -125,7 +126,15 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
     except LogError:
         kind = "clock" if kind == "clock" else "text"
         return ColumnSurvey(topic, name, kind, int(here.sum()), 0, 0, 0, None, None, 0.0, 0.0, 0, None, hints)
-    finite = np.isfinite(values)
+    finite, clock = np.isfinite(values), _clock_of(name, clocks)
+    stamped = next((c for c in clocks if c.column == clock), None)
+    if (
+        stamped is not None
+        and kind == "number"
+        and has_own_rows(stamps(log, stamped)[here], np.isnan(values))
+    ):
+        finite = finite[~np.isnan(values)]
+        values = values[~np.isnan(values)]
     good = values[finite]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~finite, [False]]).astype(np.int8)))
     bursts = edges[1::2] - edges[::2]
@@ -139,7 +148,7 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
         topic=topic,
         name=name,
         kind=kind,
-        rows=int(here.sum()),
+        rows=len(values),
         missing=int((~finite).sum()),
         bursts=len(bursts),
         longest_burst=int(bursts.max()) if len(bursts) else 0,
@@ -148,7 +157,7 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
         quantum=quantum_of(good) if len(good) > 2 else 0.0,
         held=float(np.mean(np.diff(good) == 0)) if len(good) > 1 else 0.0,
         far=int(far_values(values).sum()),
-        clock=_clock_of(name, clocks),
+        clock=clock,
         hints=hints,
     )
 
