@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from deepkoco.cli.command_line import main
+from deepkoco.diagnose.causes import catalogue
 from deepkoco.systems import ExtendedSystem, load_system
 from tests.oracle.own_robots import CartPoleUnit, MotorUnit
 
@@ -62,9 +63,18 @@ def test_of_parameters_that_a_log_cannot_tell_apart_the_least_known_one_leads(tm
     assert cause["parameters"]["load_inertia"]["value"] == pytest.approx(3e-4, rel=0.05)
 
 
+def test_only_a_joint_without_a_motor_may_have_a_constant_load():
+    # On a driven joint it is a bias of the effort.
+    names = catalogue(load_system(CART)).keys()
+    assert "constant_load(pole)" in names
+    assert "constant_load(cart)" not in names
+    assert "torque_bias(cart)" in names
+
+
 STUDY = {
     "cart-pole, delay": (CartPoleUnit(delay=0.03), CART, "actuation_delay(cart).delay", 0.03, 5e-4),
     "cart-pole, dry friction": (CartPoleUnit(coulomb=0.7), CART, "coulomb(cart).torque", 0.7, 0.02),
+    "cart-pole, wind": (CartPoleUnit(pull=0.03), CART, "constant_load(pole).load", 0.03, 1e-3),
     "motor, dry friction": (MotorUnit(coulomb=0.02), MOTOR, "coulomb.torque", 0.02, 0.003),
 }
 

@@ -25,6 +25,7 @@ class CartPoleUnit:
         cart_mass, pole_mass, length, cart_viscous, pole_viscous: In SI.
         coulomb: Dry friction of the cart [N].
         delay: From the logged command to the force [s].
+        pull: Constant torque on the pole [N m].
     """
 
     cart_mass: float = 0.6
@@ -34,6 +35,7 @@ class CartPoleUnit:
     pole_viscous: float = 0.002
     coulomb: float = 0.0
     delay: float = 0.0
+    pull: float = 0.0
 
     def log(self, folder: Path, name: str = "log", seed: int = 0, seconds: float = 20.0) -> Path:
         """Write a log under random force steps, and its sidecar."""
@@ -59,7 +61,7 @@ class CartPoleUnit:
         )
         loads = [
             pull + mass * length * swing**2 * np.sin(angle),
-            -mass * GRAVITY * length * np.sin(angle) - self.pole_viscous * swing,
+            -mass * GRAVITY * length * np.sin(angle) - self.pole_viscous * swing + self.pull,
         ]
         return np.array([speed, swing, *np.linalg.solve(matrix, loads)])
 

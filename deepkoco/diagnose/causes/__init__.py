@@ -18,7 +18,7 @@ from deepkoco.diagnose.causes.actuator import (
 from deepkoco.diagnose.causes.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
-from deepkoco.diagnose.causes.disturbance import COGGING, PERIODIC, SPRING
+from deepkoco.diagnose.causes.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import BRISTLE, COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
@@ -71,6 +71,7 @@ CAUSES: dict[str, Cause] = {
         ASYMMETRY,
         CROSSTALK,
         RATE_LIMIT,
+        CONSTANT_LOAD,
         SPRING,
         COGGING,
         PERIODIC,

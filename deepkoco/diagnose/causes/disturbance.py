@@ -1,4 +1,4 @@
-"""Disturbances: loads that are periodic in the angle of the joint or in time."""
+"""Disturbances: constant loads, springs, and loads that are periodic in the angle of the joint or in time."""
 
 from __future__ import annotations
 
@@ -46,6 +46,15 @@ def _centres(hint: Hint) -> list[dict[str, float]]:
     return [{"centre": float(hint.missing.theta.mean()) if hint.missing is not None else 0.0}]
 
 
+CONSTANT_LOAD = Cause(
+    "constant_load",
+    "disturbance",
+    ("load",),
+    "A constant load acts on a joint that no motor drives: wind, the pull of a cable, a base that is not level.",
+    "Let the joint come to rest, read its angle, and turn the whole machine round: a zero of the sensor turns with it.",
+    "time",
+    lambda motion: np.ones_like(motion.time),
+)
 SPRING = Cause(
     "spring",
     "disturbance",

@@ -14,7 +14,7 @@ from deepkoco.systems.effects.actuator import (
     UNIT_SLIP,
 )
 from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
-from deepkoco.systems.effects.disturbance import COGGING, PERIODIC, SPRING
+from deepkoco.systems.effects.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.systems.effects.effect import Effect, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY
@@ -53,6 +53,7 @@ EFFECTS: dict[str, Effect] = {
         DEAD_ZONE,
         SATURATION,
         RATE_LIMIT,
+        CONSTANT_LOAD,
         SPRING,
         CROSSTALK,
         COGGING,

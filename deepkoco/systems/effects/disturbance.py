@@ -62,6 +62,25 @@ def _spring_load(joint: JointState, p: Parameters) -> Tensor:
     return -p["stiffness"] * (joint.angle - p["centre"])
 
 
+def _constant(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    if joint in system.command_joints:
+        return ()  # there it is a bias of the effort
+    limit, unit = system.load_scales[joint], system.load_units[joint]
+    return (Parameter("load", 0.0, unit, -limit, limit, 0.1 * limit, "constant load"),)
+
+
+def _constant_load(joint: JointState, p: Parameters) -> Tensor:
+    return p["load"] + torch.zeros_like(joint.speed)
+
+
+CONSTANT_LOAD = Effect(
+    "constant_load",
+    "disturbance",
+    "load",
+    _constant,
+    "a constant load acts on a joint without a motor",
+    _constant_load,
+)
 SPRING = Effect("spring", "disturbance", "load", _spring, "a spring pulls the joint to a place", _spring_load)
 COGGING = Effect(
     "cogging", "actuator", "load", _cogging, "a torque that comes back every part of a turn", _cogging_load

@@ -36,13 +36,13 @@ class TreeRollout:
 
     def knows(self, kind: str) -> bool:
         """Whether the loop can add the loads of effects of this name."""
-        return kind in KINDS
+        return kind in KINDS or kind == "constant_load"
 
     def with_loads(self, loads: Sequence[EffectLoad]) -> TreeRollout | None:
         """The same with loads of effects; None where their values are no plain numbers."""
         if not is_plain([v for load in loads for v in load.values]):
             return None
-        return TreeRollout(self._law, self._forces, (*self._loads, *loads))
+        return TreeRollout(self._law, self._forces, (*self._loads, *map(_as_known, loads)))
 
     def run(self, given: RolloutInput) -> RolloutResult | None:
         """Simulate; None where a tensor is no plain number."""
@@ -98,6 +98,14 @@ class TreeRollout:
             1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, value, left, right,
         )  # fmt: skip
         return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))
+
+
+def _as_known(load: EffectLoad) -> EffectLoad:
+    """Write a constant load as a periodic one of frequency 0."""
+    if load.kind != "constant_load":
+        return load
+    nothing = torch.zeros((), dtype=torch.float64)
+    return load._replace(kind="periodic", values=(nothing, *load.values, nothing))
 
 
 def _stacked(values: Sequence[Tensor], shape: tuple[int, int, int]) -> np.ndarray:

@@ -66,7 +66,7 @@ def three_windows(arm: TreeSystem, rng: np.random.Generator) -> Windows:
     )
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "coulomb", "gain", "force"])
+@pytest.mark.parametrize("kind", [*KINDS, "constant_load", "coulomb", "gain", "force"])
 def test_compiled_rollout_takes_the_steps_of_the_simulator(arm, kind, monkeypatch):
     rng = np.random.default_rng(3)
     placed = effects_of(arm)
