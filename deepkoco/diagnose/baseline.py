@@ -72,6 +72,8 @@ class Baseline:
         tempering: Factor by which its prior is narrower, as a variance, than it was declared; see
             :mod:`deepkoco.diagnose.tempered`.
         roughness: Times the tolerances of causes that any unit has; see :mod:`deepkoco.diagnose.weighed`.
+        narrowing: Factor by which its prior is narrower, as a variance, so that it counts as much as the residuals do;
+            the correlation is not part of it.
     """
 
     system: ExtendedSystem
@@ -86,6 +88,7 @@ class Baseline:
     runs: RunToRun | None = None
     tempering: float = 1.0
     roughness: float = 1.0
+    narrowing: float = 1.0
 
     @property
     def least_deflation(self) -> float:

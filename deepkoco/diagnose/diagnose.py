@@ -140,4 +140,4 @@ def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[st
     judgement = judge(request, explanation)
     weighed = request.evidence and request.limit.allows("probabilities of the causes")
     result = diagnosis_of(request, explanation, judgement)
-    return with_evidence(result, request, explanation.base) if weighed else result
+    return with_evidence(result, request, explanation.base, explanation.weights) if weighed else result

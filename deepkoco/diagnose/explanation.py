@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.back_to_prior import back_to_prior
 from deepkoco.diagnose.evidence.far_parameters import with_far_parameters
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
+from deepkoco.diagnose.finer_steps import on_finer_steps, overtaken, steps_of_rivals
 from deepkoco.diagnose.healthy import extended
+from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.refitted import Refitted, refit_to_logs
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
@@ -29,6 +32,8 @@ class Explanation:
         found: The selected causes.
         joined: Names of the causes that joined the baseline because the healthy logs are consistent with them.
         unfitted: What could not be fitted, in words.
+        weights: Probabilities of explanations; None where none were asked.
+        weighed: Whether its causes are those that weigh most.
     """
 
     base: Refitted
@@ -36,39 +41,78 @@ class Explanation:
     found: Selected
     joined: tuple[str, ...]
     unfitted: tuple[str, ...]
+    weights: Answer | None = None
+    weighed: bool = False
 
 
-def explain(request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str] = ()) -> Explanation:
+def explain(
+    request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str] = (), joined: tuple[str, ...] = ()
+) -> Explanation:
     """Refit a baseline, select causes, and repeat while these are consistent with the healthy logs.
 
     Args:
         request: The logs, and the causes to try.
         learned: The baseline, as given or as learned from healthy logs.
         unfitted: What could not be fitted so far, in words.
+        joined: Names of causes that joined the baseline before.
     """
-    progress, joined, more = request.progress, (), MOST_EXTENSIONS
+    progress, more = request.progress, MOST_EXTENSIONS
     while True:
         progress("refit of the simulation as given")
         base = refit_to_logs(learned, request.data)
-        selection = Selection(
-            base.start, base.train, base.data.held, request.causes, request.detection, progress, request.limit
-        )
-        first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
-        if base.start.tempering > 1.0 and request.limit.allows("parameters that the refit moved far"):
-            progress("parameters that the refit moved far")
-            found = with_far_parameters(base.start, found)
-        tested = base.start.healthy is not None and found.accepted
-        asked = more and (not tested or request.limit.allows("what the healthy logs say of the causes"))
-        causes = selection.consistent_with_healthy(found) if asked else []
+        selection, first, found = _selected(request, base)
+        doubt = steps_of_rivals(base, found)
+        if doubt.parts > 1 and request.limit.allows("the causes on finer steps"):
+            progress(f"steps in {doubt.parts} parts, because rivals differ by less than their errors")
+            finer = on_finer_steps(base, doubt.parts)
+            if overtaken(finer, found, doubt):
+                base = finer
+                selection, first, found = _selected(request, base)
+        causes = seen_before(request, selection, found) if more else []
         if not causes:
             if found.accepted:
                 final = back_to_prior(found.acting, base.start, found.accepted, found.final)
                 found = replace(found, final=final)
             return of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
         more -= 1
-        progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
         joined = (*joined, *(c.name for c in causes if c.name not in joined))
         learned = extended(base.start, causes)
+
+
+def _selected(request: DiagnosisRequest, base: Refitted) -> tuple[Selection, Ranking, Selected]:
+    """Select causes on a refitted baseline; return the selection with its first ranking and result."""
+    selection = Selection(
+        base.start,
+        base.train,
+        base.data.held,
+        request.causes,
+        request.detection,
+        request.progress,
+        request.limit,
+    )
+    first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
+    if base.start.tempering > 1.0 and request.limit.allows("parameters that the refit moved far"):
+        request.progress("parameters that the refit moved far")
+        found = with_far_parameters(base.start, found)
+    return selection, first, found
+
+
+def seen_before(request: DiagnosisRequest, selection: Selection, found: Selected) -> list[Cause]:
+    """Return selected causes that may have been present in the healthy logs; none without such logs, or without time.
+
+    Args:
+        request: The question.
+        selection: It selected the causes.
+        found: The causes.
+    """
+    if selection.start.healthy is None or not found.accepted:
+        return []
+    if not request.limit.allows("what the healthy logs say of the causes"):
+        return []
+    causes = selection.consistent_with_healthy(found)
+    if causes:
+        request.progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
+    return causes
 
 
 def of_mean(explanation: Explanation) -> Explanation:

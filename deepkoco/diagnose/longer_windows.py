@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+from torch import Tensor
+
 from deepkoco.diagnose.baseline import LONG, STEP_ROUNDS
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data
@@ -23,6 +25,8 @@ from deepkoco.diagnose.window_choice import FOLLOWS, left_out
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
+
+BRIEF = 20  # iterations of the refit without causes
 
 
 def on_longer_windows(
@@ -87,8 +91,12 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
         data = replace(data, train=with_steps_cut(data.train, parts), held=held)
         problem = FitProblem(start.system, data.train)
         final = _refit(problem, final, prior.names, prior)
-    reference = _refit(problem, base.reference, base.reference.free, start.prior)
-    if final.diverged or reference.diverged:
+    if final.diverged:
+        return None
+    # The refit without the causes only tells what they are worth. It need not come close to its minimum.
+    known = base.reference
+    reference = _refit(problem, known, known.free, start.prior, final.state, BRIEF)
+    if reference.diverged:
         return None
     longer = replace(base, data=data, problem=problem, reference=reference)
     # The causes of their classes compete once more; the rankings of shorter windows do not count.
@@ -103,7 +111,14 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     return of_mean(replace(explanation, base=longer, found=again))
 
 
-def _refit(problem: FitProblem, fit: Fit, free: tuple[str, ...], prior: Prior) -> Fit:
+def _refit(
+    problem: FitProblem,
+    fit: Fit,
+    free: tuple[str, ...],
+    prior: Prior,
+    state: Tensor | None = None,
+    iterations: int = LONG,
+) -> Fit:
     """Repeat a fit on other windows, from initial states that suit its values."""
-    state, _ = problem.fit_states(fit.values, problem.windows.state)
-    return problem.fit([Trial("refit", free, prior, fit.values, state, fit.nuisance)], LONG)[0]
+    state, _ = problem.fit_states(fit.values, problem.windows.state if state is None else state)
+    return problem.fit([Trial("refit", free, prior, fit.values, state, fit.nuisance)], iterations)[0]

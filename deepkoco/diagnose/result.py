@@ -9,8 +9,8 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, describe_data
+from deepkoco.diagnose.data_sheet import with_usual_spread
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding, Moved
-from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.healthy import describe_healthy
 from deepkoco.diagnose.lost_commands.search import why_not_searched
@@ -19,7 +19,13 @@ from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, missing_torque, white_limit
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
-from deepkoco.diagnose.verdict.advice import always_there, class_advice, level_advice, not_fitted
+from deepkoco.diagnose.verdict.advice import (
+    always_there,
+    class_advice,
+    level_advice,
+    not_fitted,
+    possible_advice,
+)
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
 from deepkoco.diagnose.verdict.judgement import Judgement
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
@@ -105,7 +111,9 @@ def insufficient(request: DiagnosisRequest) -> Diagnosis:
         seed=request.seed,
         versions=versions(),
         seconds=time.perf_counter() - request.began,
-        detection=DETECTION,
+        detection=request.detection,
+        time_limit=request.limit.seconds,
+        left_out=tuple(request.limit.left_out),
     )
 
 
@@ -148,6 +156,9 @@ def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:
     # What any healthy machine has is part of this fit, so it is part of the simulation as given, too.
     healthy = {n: fit.values[n] for minor in explanation.found.minor for n in minor.cause.free}
     start = replace(base.start, values={**base.start.values, **healthy})
+    if explanation.found.usual and base.learned.healthy is None:
+        # "Nothing" was decided with the spread of units of one make, so a parameter beyond that is news.
+        start = with_usual_spread(start)
     return moved_parameters(base.problem, start, fit)
 
 
@@ -170,10 +181,14 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
     if doubtful and request.limit.allows("commands that would distinguish the causes of a class"):
         start = replace(base.start, prior=base.learned.prior)
         classes = class_advice(request.system, start, base.train, explanation.found.steps, logs, request.seed)
+    weights, alone = explanation.weights, base.learned.healthy is None
+    told = judgement.verdict == "nothing" and explanation.found.usual and alone
+    possible = possible_advice(weights) if told and weights is not None else ()
     return (
         *not_fitted(judgement.unfitted),
         *text_of_gauges(base.start.gauges),
         *always_there(explanation.joined),
+        *possible,
         *classes,
         *level_advice(base.train, request.system),
     )
@@ -209,7 +224,7 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
     base, load, given = explanation.base, judgement.load, request.system
     start, final = base.start, judgement.final
     had = tuple(e.name for e in given.effects) if isinstance(given, ExtendedSystem) else ()
-    named = () if final is base.reference else (*explanation.found.accepted, *_usual(explanation))
+    named = () if final is base.reference else (*explanation.found.accepted, *_small(explanation))
     found = tuple(c.effect for c in named if c.effect != "event" and not is_changed(c))
     if load is not None:
         final, found = base.problem.recentred(load.fit), (*found, *load.effects)
@@ -223,11 +238,10 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
     return ExtendedSystem(given.base if isinstance(given, ExtendedSystem) else given, effects, kept)
 
 
-def _usual(explanation: Explanation) -> tuple[Cause, ...]:
-    """Return causes of the final fit of which there is no more than any unit has, where nothing is named."""
+def _small(explanation: Explanation) -> tuple[Cause, ...]:
+    """Return causes that the final fit contains and that are not named: the other values were fitted beside them."""
     found = explanation.found
-    inside = [m.cause for m in found.minor if set(m.cause.free) <= set(found.final.free)]
-    return tuple(inside) if found.usual else ()
+    return tuple(m.cause for m in found.minor if set(m.cause.free) <= set(found.final.free))
 
 
 def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estimate]:

@@ -5,6 +5,8 @@ a guess, a hidden cause can disappear in the refit, and a small error of the mod
 explanations are weighed against each other with parameters and small effects as any unit has them
 (:mod:`deepkoco.diagnose.probability`). Where nothing weighs most, nothing is named. Else the causes are selected once
 more, among those that weigh enough, on a refit that may move the parameters as far as units of one make differ.
+Where lost commands were selected, everything is weighed under the commands that acted, too, and their pattern pays for
+its code: a loss imitates a delay, a friction or a bias that any unit has a little of.
 """
 
 from __future__ import annotations
@@ -23,11 +25,14 @@ from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor, sample_period
 from deepkoco.diagnose.evidence.priors import declared
-from deepkoco.diagnose.explanation import Explanation, of_mean
+from deepkoco.diagnose.evidence.selected import Selected
+from deepkoco.diagnose.evidence.selection import DETECTION
+from deepkoco.diagnose.explanation import MOST_EXTENSIONS, Explanation, explain, of_mean, seen_before
+from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.probability.answer import Answer
-from deepkoco.diagnose.probability.shadow import answer_of, of_rough_sheet
+from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses, of_rough_sheet
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
+from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque, white_limit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
@@ -36,39 +41,53 @@ from deepkoco.systems import Parameter
 
 UNKNOWN = "unknown"
 PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's causes are not tried again
+SOME = 0.2  # of that standard deviation, from which a fit needs an effect
+FAR_ABOVE = 2.0  # chi2 per sample, in floors, of a fit that does not explain a log to its noise
 FEW = 3.0  # standard deviations of what any unit has of an effect, up to which a fit has a little of it
 ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
 
 
-def weigh(request: DiagnosisRequest, explanation: Explanation) -> Explanation:
+def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_EXTENSIONS) -> Explanation:
     """Return the explanation that weighs most for a unit of a model file; other explanations stay as they are.
 
     Args:
         request: The logs.
         explanation: Causes that were selected on the refit.
+        more: Times that causes may still join the baseline because the healthy logs are consistent with them.
     """
     base, found = explanation.base, explanation.found
     many = len(base.reference.free) + base.train.state.shape[1] >= MANY
-    if many or base.start.tempering > 1.0 or found.lost is not None or not guessed(base.start):
+    if many or base.start.tempering > 1.0 or not guessed(base.start):
         return explanation
     if not request.limit.allows("weighing the data sheet"):
         return explanation
     request.progress("weighing the data sheet")
     causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
     try:
-        answer = answer_of(request, base)
-        best = answer.explanations[0]
+        answer, lossy, charge = answer_of(request, base), False, 0.0
+        if found.lost is not None:
+            with_losses = answer_of(request, base, found.acting.windows)
+            charge = log_prior_of_losses(found.charge, len(causes))
+            lossy = with_losses.explanations[0].log_weight + charge > answer.explanations[0].log_weight
+            answer = with_losses if lossy else answer
+        best, top = answer.explanations[0], answer.explanations[0].log_weight + (charge if lossy else 0.0)
+        explanation = replace(explanation, weights=answer)
         if base.learned.healthy is None:
             rough = of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH
-            if rough > best.log_weight:
+            if rough > top:
                 return explanation
     except (DivergedError, np.linalg.LinAlgError):
         return explanation
     if UNKNOWN in best.causes:
         return explanation
-    if not best.causes:
-        return _nothing(explanation)
-    return _selected_again(request, explanation, _plausible(answer, causes))
+    if found.plain is not None and not lossy:
+        explanation = of_mean(replace(explanation, found=found.plain))
+    plausible = _plausible(answer, causes) if best.causes else []
+    if lossy:
+        plausible += [c for c in causes if c.traced]
+    if not plausible:
+        return _nothing(with_little_of_all(request, explanation, causes))
+    return _selected_again(request, explanation, plausible, more)
 
 
 def _plausible(answer: Answer, causes: Sequence[Cause]) -> list[Cause]:
@@ -84,29 +103,46 @@ def _plausible(answer: Answer, causes: Sequence[Cause]) -> list[Cause]:
     return [c for c in causes if c.name in names]
 
 
-def _nothing(explanation: Explanation) -> Explanation:
-    """Return the explanation without names; its fit keeps the little of its causes that any unit has."""
+def _nothing_is_plausible(explanation: Explanation) -> bool:
+    """Return whether "nothing" weighs nearly as much as the best explanation."""
+    if explanation.weights is None:
+        return False
+    least = explanation.weights.explanations[0].log_weight - PLAUSIBLE
+    return any(not e.causes and e.log_weight > least for e in explanation.weights.explanations)
+
+
+def _nothing(explanation: Explanation, usual: bool = True) -> Explanation:
+    """Return the explanation without names; its fit keeps the little of its causes that any unit has.
+
+    Args:
+        explanation: The explanation.
+        usual: Whether what it leaves is no more than any unit has.
+    """
     found = explanation.found
     deflation = dispersion(found.final, explanation.base.train).deflation
     small = tuple(Minor(c, found.final, None, deflation) for c in found.accepted)
-    plain = replace(found, accepted=(), steps=(), minor=(*found.minor, *small), usual=True)
+    # Whatever weighs most, a log is not healthy while its simulation leaves far more than noise.
+    samples = explanation.base.train.samples
+    usual = usual and found.final.chi2 <= FAR_ABOVE * explanation.base.start.floor * samples
+    plain = replace(found, accepted=(), steps=(), minor=(*found.minor, *small), usual=usual)
     return replace(explanation, found=plain)
 
 
 def _selected_again(
-    request: DiagnosisRequest, explanation: Explanation, plausible: Sequence[Cause]
+    request: DiagnosisRequest, explanation: Explanation, plausible: Sequence[Cause], more: int
 ) -> Explanation:
     """Select among some causes, on a refit with parameters and other small effects as any unit has them."""
     base, found = explanation.base, explanation.found
     deflation = max(dispersion(found.final, base.train).deflation, base.start.least_deflation)
     usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
     names = {c.name for c in plausible}
+    selected = {**{m.cause: m.fit for m in found.minor}, **dict.fromkeys(found.accepted, found.final)}
     little = {
         c: sizes
-        for c in dict.fromkeys((*found.accepted, *(m.cause for m in found.minor)))
-        if c.name not in names and (sizes := _usual_sizes(base.start, c, found.final, base.problem))
+        for c, fit in selected.items()
+        if c.name not in names and (sizes := _usual_sizes(base.start, c, fit, base.problem))
     }
-    beside = [c for c, sizes in little.items() if _within(base.start, sizes, found.final)]
+    beside = [c for c, sizes in little.items() if _within(base.start, sizes, selected[c])]
     # What was selected and is more than that stays a rival.
     plausible = [*plausible, *(c for c in found.accepted if c not in beside and c.name not in names)]
     start = _with_little(usual, {c: little[c] for c in beside}, deflation)
@@ -115,6 +151,7 @@ def _selected_again(
         if cause not in beside:
             own = {n for n in start.values if n.startswith(f"{cause.effect}.")}
             values |= {n: start.values[n] for n in own.union(cause.free)}
+    values |= {n: selected[c].values[n] for c in beside for n in c.free}
     state, _ = base.problem.fit_states(values, found.final.state)
     trial = Trial("refit", start.prior.names, start.prior, values, state, found.final.nuisance)
     reference = base.problem.fit([trial], LONG)[0]
@@ -123,26 +160,86 @@ def _selected_again(
     # With healthy logs, the prior of one log stays theirs.
     learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
     again = replace(base, learned=learned, start=start, reference=reference)
-    # The weights have paid for the choice among all causes.
-    selection = Selection(start, base.train, base.held, plausible, APART, request.progress, request.limit)
+    # The weights have paid for the choice among all causes, but not for that of a pattern of lost commands.
+    wanted = max(request.detection - DETECTION + APART, 0.0)
+    selection = Selection(
+        start, base.train, base.held, plausible, wanted, request.progress, request.limit, request.detection
+    )
     first, named = selection.run(reference, missing_torque(base.problem, reference))
-    if not named.accepted:
+    chosen = of_mean(replace(explanation, base=again, first=first, found=named, weighed=True))
+    if named.lost is None and not named.accepted:
         # What weighs most is not confirmed. What was selected is no name either where it is no more than usual.
-        small = named.minor or all(c in beside for c in found.accepted)
-        return _nothing(explanation) if small else explanation
-    return of_mean(replace(explanation, base=again, first=first, found=named))
+        small = {*(c.name for c in beside), *(m.cause.name for m in named.minor)}
+        if any(c.name not in small for c in found.accepted) or found.lost is not None:
+            return explanation
+        return _nothing(explanation, bool(named.minor) or _nothing_is_plausible(explanation))
+    seen = seen_before(request, selection, named) if more else []
+    if not seen:
+        return chosen
+    joined = (*explanation.joined, *(c.name for c in seen if c.name not in explanation.joined))
+    learned = extended(base.start, seen)
+    return weigh(request, explain(request, learned, explanation.unfitted, joined), more - 1)
 
 
-def _usual_sizes(start: Baseline, cause: Cause, fit: Fit, problem: FitProblem) -> list[Parameter]:
-    """Return the sizes of a cause with the standard deviations that any unit has; none if it has more than sizes."""
+def with_little_of_all(
+    request: DiagnosisRequest, explanation: Explanation, causes: Sequence[Cause]
+) -> Explanation:
+    """Return an explanation by parameters and small effects as any unit has them, where the selection leaves structure.
+
+    A selection takes one cause after the other, and several small effects can show together only. Those that the log
+    shows stay in the fit.
+
+    Args:
+        request: The logs.
+        explanation: The selection; it is returned where it leaves no more than noise, or explains more.
+        causes: The catalogue.
+    """
+    base, found = explanation.base, explanation.found
+    limit = white_limit(base.train) * base.start.floor * base.train.samples
+    if found.final.chi2 <= limit or not request.limit.allows("small effects that any unit has"):
+        return explanation
+    usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
+    known = {n: found.final.values[n] for n in usual.prior.names}
+    little = {
+        c: sizes
+        for c in causes
+        if c.scatter is None and not c.traced and not c.searched
+        if (sizes := _usual_sizes(base.start, c, None, base.problem))
+    }
+    fit, start = found.final, usual
+    for _ in range(2):  # with all of them, and with those of which the log shows some
+        start = _with_little(usual, little, base.start.correlation)
+        state, _ = base.problem.fit_states({**base.start.values, **known}, found.final.state)
+        values = {**base.start.values, **known}
+        trial = Trial("refit", start.prior.names, start.prior, values, state, base.reference.nuisance)
+        fit = base.problem.fit([trial], LONG)[0]
+        if fit.diverged or fit.chi2 >= found.final.chi2:
+            return explanation
+        away = {n: abs(fit.values[n] - start.values[n]) for n in fit.free}
+        little = {c: s for c, s in little.items() if any(away[p.name] > SOME * p.prior_sd for p in s)}
+    learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
+    again = replace(base, learned=learned, start=start, reference=fit)
+    return of_mean(replace(explanation, base=again, found=Selected(fit, (), (), base.problem)))
+
+
+def _usual_sizes(start: Baseline, cause: Cause, fit: Fit | None, problem: FitProblem) -> list[Parameter]:
+    """Return the sizes of a cause with the standard deviations that any unit has; none if it has more than sizes.
+
+    Args:
+        start: The baseline.
+        cause: The cause.
+        fit: Fit that has to contain it; None for any cause.
+        problem: The windows.
+    """
     if is_changed(cause) or cause.effect == "event" or not cause.free:
         return []
-    if set(cause.free) != set(cause.sizes) or not set(cause.free) <= set(fit.free):
+    values = start.values if fit is None else fit.values
+    if set(cause.free) != set(cause.sizes) or (fit is not None and not set(cause.free) <= set(fit.free)):
         return []
     loads = start.system.load_scales
     load, period = max(loads) if cause.joint is None else loads[cause.joint], sample_period(problem.windows)
     return [
-        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(fit.values))))
+        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(values))))
         for p in declared(problem, cause.free)
     ]
 
@@ -157,6 +254,8 @@ def _with_little(start: Baseline, causes: Mapping[Cause, Sequence[Parameter]], d
     prior = start.prior
     for sizes in causes.values():
         prior = prior.widened([p for p in sizes if p.name not in prior.names], start.values)
-    prior = Prior(prior.names, prior.centre, prior.covariance / deflation)
+    # A learned prior has been divided by the correlation of the healthy residuals before.
+    narrowing = max(deflation / start.correlation, 1.0)
+    prior = Prior(prior.names, prior.centre, prior.covariance / narrowing)
     effects = tuple(dict.fromkeys((*start.effects, *(c.effect for c in causes))))
-    return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE)
+    return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE, narrowing=narrowing)

@@ -49,6 +49,14 @@ def test_without_a_limit_every_step_is_allowed_at_any_time():
     assert limit.left_out == []
 
 
+def test_a_log_that_does_not_suffice_names_its_limit_too():
+    short = hidden_log("rod_pendulum", {}, "steps", 3, 2.0)
+    found = diagnose([short], "rod_pendulum", time_limit=5.0, detection=50.0)
+    assert found.verdict == "insufficient"
+    assert found.to_json()["time_limit"] == {"seconds": 5.0, "left_out": []}
+    assert found.detection == 50.0
+
+
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
 def test_a_limit_that_is_not_positive_is_refused(seconds):
     with pytest.raises(TimeLimitError, match="give a positive number of seconds"):

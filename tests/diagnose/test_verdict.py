@@ -94,6 +94,35 @@ def test_tones_and_detents_that_leave_structure_are_compared_with_a_learned_load
     assert rivalled(found, start, windows, white) is compared
 
 
+@pytest.mark.parametrize(
+    ("roughness", "penalty", "expected"),
+    [
+        (
+            10.0,
+            3000.0,
+            "cause",
+        ),  # the refit left the spread of units of one make, and the cause brings it back
+        (10.0, 0.0, "unknown"),
+        (1.0, 3000.0, "unknown"),  # a declared prior does not count as samples do
+    ],
+)
+def test_a_refit_that_strays_from_units_of_one_make_leaves_a_misfit(stage, roughness, penalty, expected):
+    windows, start, leaving = stage
+    found = Selected(leaving(1.3), (KNOWN["viscous"],), ((None, ("viscous",)),), None)
+    before = replace(leaving(1.301), penalty=penalty)
+    held = {"refit": leaving(1.3), "extended": leaving(1.3)}
+    gain = SimpleNamespace(fits=held, reduction=0.0)
+    start = replace(start, roughness=roughness)
+    assert verdict_of(found, start, windows, before, gain, False, ()) == expected
+
+
+def test_a_learned_load_competes_again_only_with_causes_that_have_not_outweighed_it(stage):
+    windows, start, leaving = stage
+    found = Selected(leaving(1.05), (KNOWN["coulomb"],), (), None)
+    assert rivalled(found, start, windows, False)
+    assert not rivalled(found, start, windows, False, weighed=True)
+
+
 def test_verdict_needs_the_carry_over_to_held_out_windows(stage):
     assert verdict(stage, ["coulomb"], 1.0, kept=(10.0, 1.0)) == "cause"
     assert verdict(stage, ["coulomb"], 1.0, kept=(10.0, 10.0)) == "unknown"

@@ -14,12 +14,17 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.causes.parameter import CHANGED
 from deepkoco.diagnose.causes.tolerance import Healthy, usual_sd
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
+from deepkoco.diagnose.evidence.priors import strained
 from deepkoco.diagnose.probability.answer import Answer, Weighed
-from deepkoco.diagnose.weighed import _plausible
+from deepkoco.diagnose.probability.shadow import log_prior_of_losses
+from deepkoco.diagnose.verdict.advice import possible_advice
+from deepkoco.diagnose.weighed import _plausible, _with_little
 from deepkoco.fit import cut_windows
+from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import Parameter, load_system, make_system
 from deepkoco.systems.trees.mujoco_library import mujoco_library
+from experiments.studies.diagnosis.hidden_cause.cases import draw_case
 
 mujoco = mujoco_library()
 
@@ -123,11 +128,72 @@ def test_plausible_causes(weights, names):
     assert {c.name for c in _plausible(answer(*weights), causes)} == names
 
 
+def test_a_prior_that_counts_as_much_as_correlated_samples_strains_as_before(path):
+    system = load_system(path)
+    windows = cut_windows([log_of(seconds=6.0)], system, 1.0)
+    start = with_gauges_fixed(baseline_from(system, windows), windows)
+    problem = FitProblem(start.system, windows)
+    fit = problem.evaluate(start.values)
+    narrow = _with_little(start, {}, 9.0)
+    assert narrow.narrowing == 9.0
+    assert np.allclose(narrow.prior.covariance, start.prior.covariance / 9.0)
+    for penalty in (24.0, 26.0):
+        told = [
+            strained(problem, s, replace(fit, penalty=p))
+            for s, p in ((start, penalty), (narrow, 9.0 * penalty))
+        ]
+        assert told == [penalty > 25.0] * 2
+    # Healthy logs have divided their prior by the correlation before.
+    assert _with_little(replace(start, correlation=3.0), {}, 9.0).narrowing == 3.0
+
+
+@pytest.mark.parametrize(("shift", "far"), [(0.02, False), (0.15, True)])
+def test_a_refit_far_from_units_of_one_make_is_strained_under_a_guessed_prior(path, shift, far):
+    system = load_system(path)
+    windows = cut_windows([log_of(seconds=6.0)], system, 1.0)
+    start = with_gauges_fixed(baseline_from(system, windows), windows)
+    problem = FitProblem(start.system, windows)
+    # 15 % of a mass is 1.5 standard deviations of its guessed prior, and 7.5 spreads of units of one make.
+    fit = problem.evaluate({**start.values, "mass(link)": (1.0 + shift) * start.values["mass(link)"]})
+    assert strained(problem, start, replace(fit, penalty=0.0)) is far
+
+
+def test_a_pattern_of_losses_pays_for_its_code_and_for_a_further_cause():
+    assert log_prior_of_losses(0.0, 60) == pytest.approx(math.log(0.3 / 60.0))
+    assert log_prior_of_losses(200.0, 60) == pytest.approx(math.log(0.3 / 60.0) - 100.0)
+
+
+def test_causes_that_are_not_excluded_are_told():
+    (text,) = possible_advice(answer(((), 0.0), (("payload",), -1.0), (("lag",), -5.0), (("unknown",), -1.0)))
+    assert "payload (21 %)" in text
+    assert "lag" not in text
+    assert "unknown" not in text
+    assert possible_advice(answer(((), 0.0), (("payload",), -9.0))) == ()
+
+
+@pytest.mark.study
+def test_a_fall_of_the_bic_that_is_asked_for_counts_after_the_weighing_too(path):
+    asked = diagnose([log_of(damping=0.04)], load_system(path), detection=1e6)
+    assert set(asked.names) <= {"unknown"}
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("number", "names"), [(60, ()), (71, ("viscous",)), (1, ("actuation_delay",))])
+def test_small_effects_of_a_unit_are_no_lost_commands_and_a_delay_is_no_filter(number, names, tmp_path):
+    # A log of 16 s shows a lag of 1 ms, a bias and a drag together, and none of them alone: a loss imitated them. A
+    # delay of 8 ms moves the commands into the steps.
+    handed = draw_case(34000, number, 16.0).question(tmp_path).handed
+    assert diagnose(list(handed.log), handed.system).names == names
+
+
 @pytest.mark.study
 def test_damping_within_its_guessed_prior_is_named_and_what_any_unit_has_is_not(path):
     system = load_system(path)
-    healthy = diagnose([log_of()], system)
+    healthy = diagnose([log_of()], system, evidence=True)
     assert (healthy.verdict, healthy.causes) == ("nothing", ())
+    # The report shows the weights with which this was decided.
+    assert healthy.evidence is not None
+    assert healthy.evidence["nothing"] > 0.5
     # One and a half standard deviations of the guessed prior of servos' and joints' dampings: the refit takes it up.
     worn = diagnose([log_of(damping=0.04)], system)
     assert worn.verdict == "cause"

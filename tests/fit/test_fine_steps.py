@@ -12,7 +12,7 @@ pytest.importorskip("mujoco")
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Trial
-from deepkoco.fit.solve.fine_steps import UNSEEN, fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import UNSEEN, fine_steps, steps_to_compare, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, any_system
@@ -87,3 +87,15 @@ def test_windows_keep_their_length_and_samples_when_their_steps_are_cut(unit):
     assert cut.steps == 4 * windows.steps
     assert cut.length == pytest.approx(windows.length)
     assert torch.equal(cut.value, windows.value)
+
+
+def test_a_fit_is_compared_on_steps_whose_errors_cannot_change_its_place(unit):
+    system, windows = seen_by(unit, 1e-4)
+    problem_of, fit = partial(FitProblem, system), fit_of(system, windows)
+    parts = steps_to_compare(problem_of, windows, fit, replace(fit, chi2=0.99 * fit.chi2))
+    exact = simulated(system, windows, EXACT)
+    told = [float(((simulated(system, windows, k) - exact) / 1e-4).square().sum()) for k in (1, parts)]
+    assert told[1] < UNSEEN < told[0]
+    # A misfit that is larger by more than the errors explain stays larger.
+    hopeless = replace(fit, chi2=fit.chi2 + 1e6 * told[0])
+    assert steps_to_compare(problem_of, windows, hopeless, fit) == 1

@@ -62,8 +62,11 @@ class Selection(SelectionTask):
         forward = self._forward(nothing, first, hints)
         first = forward.steps[0][0] if forward.steps else first
         plain = self._pruned(forward)
-        found = self._with_losses(nothing, forward, plain)
-        found = self._with_losses_in_class(plain) if found is None else found
+        lossy = self._with_losses(nothing, forward, plain)
+        if lossy is None:
+            found = self._with_losses_in_class(plain)
+        else:
+            found = replace(lossy, plain=self.without_tolerated(replace(plain, minor=forward.minor)))
         return first, self.without_tolerated(replace(found, minor=forward.minor))
 
     def repeated(self, found: Selected, reference: Fit) -> Selected:
@@ -106,7 +109,7 @@ class Selection(SelectionTask):
                 hints = self.hints(problem, final, missing_torque(problem, final))
                 worth = 0.0 if len(accepted) == len(healthy) else LEAST_SHARE * (self.cost - final.cost)
                 ranking = rank(problem, start, final, accepted, hints, self.causes, self.limit, worth)
-            wanted = FURTHER if accepted or so_far.lost else self.detection
+            wanted = FURTHER if len(accepted) > len(healthy) or so_far.lost else self.detection
             if not ranking.candidates or ranking.best.delta_bic <= wanted:
                 break
             above = [c for c in ranking.candidates if c.delta_bic > wanted and c.fit is not ranking.reference]
@@ -191,7 +194,7 @@ class Selection(SelectionTask):
             self.start,
             found.accepted,
             found.final,
-            FURTHER,
+            self.needed(found),
             least,
             LEAST_SHARE,
             self.cost,
@@ -249,7 +252,7 @@ class Selection(SelectionTask):
             return None
         # A cause that is added to lost commands needs the same fall of the BIC as any further cause.
         found = max(rivals, key=lambda f: self._score(f, nothing.final, rivals) - FURTHER * len(f.accepted))
-        wanted = FURTHER if plain.accepted else self.detection
+        wanted = FURTHER if plain.accepted else self.loss_detection
         everyone = [plain, *rivals]
         reference = nothing.final
         if self._score(found, reference, everyone) <= self._score(plain, reference, everyone) + wanted:
@@ -280,7 +283,7 @@ class Selection(SelectionTask):
         self.progress(f"lost commands{in_company_of(c.name for c in prefix.accepted)}")
         start, fit = self.start, prefix.final
         prior = prior_with(self.problem, start, prefix.accepted, fit.values)
-        wanted = FURTHER if prefix.accepted else self.detection
+        wanted = FURTHER if prefix.accepted else self.loss_detection
         found = best_losses(self.problem, fit, prior, causes, start.least_deflation, wanted)
         if found is None:
             return None

@@ -8,6 +8,7 @@ from dataclasses import replace
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.parameter import widened
+from deepkoco.diagnose.causes.tolerance import usual_sd
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.prior import Prior
@@ -52,7 +53,27 @@ def freed(
     return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
 
 
-def strained(problem: FitProblem, start: Baseline, fit: Fit) -> bool:
-    """Return whether a fit is far from its prior, as with a strong cause or a wrong unit."""
+def strained(problem: FitProblem, start: Baseline, fit: Fit, alone: bool = True) -> bool:
+    """Return whether a fit is far from its prior, as with a strong cause or a wrong unit.
+
+    A prior that nobody stated is so wide that nothing strains it. Its parameters count in spreads of units of one make,
+    while no cause is accepted that may have dragged them away.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        fit: The fit.
+        alone: Whether it is without causes.
+    """
     away = fit.penalty - problem.nuisances.penalty(fit.nuisance)
-    return away > FAR * start.correlation * start.tempering
+    if away > FAR * start.correlation * start.tempering * start.narrowing:
+        return True
+    if start.healthy is not None or start.tempering > 1.0 or not alone:
+        return False
+    known = {p.name: p for p in start.system.parameters if p.guessed}
+    moved = [
+        (fit.values[n] - start.values[n]) / usual_sd(known[n])
+        for n in start.prior.names
+        if n in known and usual_sd(known[n]) > 0.0
+    ]
+    return sum(m**2 for m in moved) > FAR

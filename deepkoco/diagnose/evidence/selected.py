@@ -34,6 +34,7 @@ class Selected:
         charge: Charge of the BIC for the lost commands.
         minor: Significant causes that are not named, because there is too little of them.
         usual: Whether what is left is no more than any unit has, by the evidence.
+        plain: What was selected without lost commands; None where none are accepted.
     """
 
     final: Fit
@@ -44,6 +45,7 @@ class Selected:
     charge: float = 0.0
     minor: tuple[Minor, ...] = ()
     usual: bool = False
+    plain: Selected | None = None
 
 
 def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:

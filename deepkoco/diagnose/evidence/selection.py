@@ -118,7 +118,7 @@ def rank(
         trials += of_slips
         fits = fit_best(problem, trials, reference, worth=worth)
     # With a tempered prior, the values as given are known to be no place from which anything can be told.
-    far_away = start.tempering == 1.0 and strained(problem, start, reference)
+    far_away = start.tempering == 1.0 and strained(problem, start, reference, not accepted)
     if far_away and limit is not None:
         far_away = limit.allows(f"fits of causes from the values as given{in_company_of(names)}")
     far = _screened_as_given(problem, start, reference, prior, listed) if far_away else []

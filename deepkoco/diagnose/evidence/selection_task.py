@@ -11,6 +11,7 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.minor import Minor, tolerated
 from deepkoco.diagnose.evidence.priors import strained
 from deepkoco.diagnose.evidence.selected import Selected
+from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.residuals.residuals import MissingTorque, dispersion, white_limit
@@ -30,6 +31,7 @@ class SelectionTask:
         detection: Fall of the BIC from which a first cause is accepted.
         progress: Called with the name of each step.
         limit: Asked before every step but the first ranking; None allows all.
+        loss_detection: Fall of the BIC from which lost commands alone are accepted; None for that of a cause.
     """
 
     def __init__(
@@ -41,10 +43,12 @@ class SelectionTask:
         detection: float,
         progress: Progress = silent,
         limit: TimeLimit | None = None,
+        loss_detection: float | None = None,
     ) -> None:
         self.progress, self.limit = progress, TimeLimit() if limit is None else limit
         self.start, self.train, self.held = start, train, held
         self.causes, self.detection = causes, detection
+        self.loss_detection = detection if loss_detection is None else loss_detection
         self.problem = FitProblem(start.system, train)
         self.before = self.cost = math.inf  # chi2 of the refit; its cost, with the penalty of the prior
         self.usual_pushes: set[str] = set()  # pushes that are no stronger than those of healthy logs
@@ -63,6 +67,11 @@ class SelectionTask:
             for c in found.accepted
             if c.name in self.usual_pushes or tolerated(found.acting, self.start, c, found.final, deflation)
         ]
+
+    def needed(self, found: Selected) -> float:
+        """Return the fall of the BIC that a cause needs: what is tolerated is no company of a single one."""
+        single = len(found.accepted) - len(self.tolerated(found)) < 2 and found.lost is None
+        return self.detection if single else FURTHER
 
     def deflation(self, fit: Fit) -> float:
         """Return how much less correlated residuals tell than independent ones; at least as with healthy logs."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.answer import Answer, Weighed
 from deepkoco.diagnose.probability.columns import columns_at, zeros_of
 from deepkoco.diagnose.probability.coordinates import Catalogue, coordinates_of, tolerances
+from deepkoco.diagnose.probability.explanations import FURTHER
 from deepkoco.diagnose.probability.gram import WindowSums
 from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
 from deepkoco.diagnose.probability.linear import Linearisation
@@ -31,11 +33,13 @@ from deepkoco.diagnose.probability.unit import DeclaredUnit, UnitPrior, WithZero
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
 REFITTED = 20  # explanations that are refitted at each point of linearisation
 BEHIND = 12.0  # nats behind the best from which an explanation is not refitted
+RIVALS = 8  # single causes that are refitted beside those
 
 
 @dataclass(frozen=True)
@@ -53,14 +57,19 @@ class Point:
     causes: int
 
 
-def with_evidence(result: Diagnosis, request: DiagnosisRequest, base: Refitted) -> Diagnosis:
+def with_evidence(
+    result: Diagnosis, request: DiagnosisRequest, base: Refitted, known: Answer | None = None
+) -> Diagnosis:
     """Return a diagnosis with the answer of this method; its own answer stays as it is.
 
     Args:
         result: The diagnosis.
         request: Its question.
         base: Its refitted baseline.
+        known: The answer, if the diagnosis asked for it already.
     """
+    if known is not None:
+        return replace(result, evidence=known.to_json())
     request.progress("probabilities of causes")
     began = time.process_time()
     try:
@@ -70,12 +79,13 @@ def with_evidence(result: Diagnosis, request: DiagnosisRequest, base: Refitted) 
     return replace(result, evidence=replace(answer, seconds=time.process_time() - began).to_json())
 
 
-def answer_of(request: DiagnosisRequest, base: Refitted) -> Answer:
+def answer_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None = None) -> Answer:
     """Return the probabilities of causes for the logs of a diagnosis.
 
     Args:
         request: Its question.
         base: Its refitted baseline.
+        acted: Its training windows with the commands that acted, if some of those that were sent are taken for lost.
 
     Raises:
         DivergedError: The simulation diverges.
@@ -84,10 +94,31 @@ def answer_of(request: DiagnosisRequest, base: Refitted) -> Answer:
     healthy = base.learned.healthy
     causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
     if healthy is None:
-        return probabilities(base.problem, base.reference, base.start, causes)
+        problem, reference = _acting(base.problem, base.reference, base.start, acted)
+        return probabilities(problem, reference, base.start, causes)
     windows, reference = refit_sharply(healthy.before, request.data.train)
     problem = FitProblem(healthy.before.system, windows)
+    problem, reference = _acting(problem, reference, healthy.before, acted)
     return probabilities(problem, reference, healthy.before, causes, learned_unit(healthy, causes))
+
+
+def _acting(problem: FitProblem, fit: Fit, start: Baseline, acted: Windows | None) -> tuple[FitProblem, Fit]:
+    """Return a problem under the commands that acted, with its refit."""
+    if acted is None:
+        return problem, fit
+    problem = FitProblem(problem.system, replace(problem.windows, commands=acted.commands))
+    trial = Trial(fit.name, fit.free, start.prior, fit.values, fit.state, fit.nuisance)
+    return problem, problem.fit_one(trial)
+
+
+def log_prior_of_losses(charge: float, causes: int) -> float:
+    """Return the log prior of lost commands beside an explanation: a further cause, and the code of its pattern.
+
+    Args:
+        charge: Charge of the BIC for the pattern.
+        causes: Number of causes of the catalogue.
+    """
+    return math.log(FURTHER / max(causes, 1)) - 0.5 * charge
 
 
 def probabilities(
@@ -119,9 +150,10 @@ def probabilities(
             points.append(linearised(problem, as_given, start, causes, unit))
     found: list[Weighed] = []
     for point in points:
-        starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in _promising(point.scored)]
-        refits = refined(problem, point.fixed, starts)
-        found += [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
+        promising = _promising(point.scored)
+        refits = _refitted(problem, point, promising)
+        more = _as_promising(point.scored, promising, refits)
+        found += [*refits, *(_refitted(problem, point, more) if more else [])]
     tried = sum(len(p.scored) for p in points)
     if not found:
         raise DivergedError("no explanation has a simulation that stays finite")
@@ -223,6 +255,32 @@ def _without_doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray
                 continue
         kept.append(item)
     return replace(listed, items=tuple(kept))
+
+
+def _refitted(problem: FitProblem, point: Point, scored: Sequence[Scored]) -> list[Weighed]:
+    """Refit explanations from a point of linearisation; return those whose simulations stay finite."""
+    starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in scored]
+    refits = refined(problem, point.fixed, starts)
+    return [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
+
+
+def _as_promising(
+    scored: Sequence[Scored], refitted: Sequence[Scored], found: Sequence[Weighed]
+) -> list[Scored]:
+    """Return single causes that are behind by less than the scores at a point of linearisation are wrong.
+
+    A score is wrong by what a refit adds to it. Far from the point where a simulation is linear, that is a hundred nats
+    between causes that do nearly the same, such as a delay and a filter.
+    """
+    score = {s.explanation.causes: s.log_weight for s in reversed(refitted)}
+    wrong = max((e.log_weight - score[e.causes] for e in found if e.causes in score), default=0.0)
+    chosen: dict[tuple[str, ...], Scored] = {}
+    for s in scored:
+        single = len(s.explanation.items) == 1 and not s.explanation.unknown
+        near = s.log_weight > scored[0].log_weight - BEHIND - max(wrong, 0.0)
+        if single and near and s.explanation.causes not in score and len(chosen) < RIVALS:
+            chosen.setdefault(s.explanation.causes, s)
+    return list(chosen.values())
 
 
 def _in_order(listed: Catalogue, healthy: HealthyUnit) -> np.ndarray:

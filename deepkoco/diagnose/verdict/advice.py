@@ -23,6 +23,7 @@ from deepkoco.diagnose.experiment_design.experiment_setup import (
 )
 from deepkoco.diagnose.experiment_design.log_at_hand import LogAtHand
 from deepkoco.diagnose.experiment_design.search import Scan, scan
+from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import ExtendedSystem, System
@@ -32,6 +33,7 @@ SEQUENCES_PER_FAMILY = 6
 MIN_LIKELIHOOD_RATIO = 1.0  # against the refit; a cause below it is too small to be compared
 MAX_COMPARED = 5  # causes of a class that are compared
 FEW_LEVELS = 3
+POSSIBLE = 0.05  # probability from which a cause that is not named is listed
 
 
 def not_fitted(names: Sequence[str]) -> tuple[str, ...]:
@@ -51,6 +53,23 @@ def always_there(names: Sequence[str]) -> tuple[str, ...]:
     return (
         f"The healthy logs are consistent with {_listed(names)} of the size that this log shows. It is therefore "
         "counted as part of the unit and not named. To test this, record a healthy log under the same commands.",
+    )
+
+
+def possible_advice(weights: Answer, least: float = POSSIBLE) -> tuple[str, ...]:
+    """Return advice about causes that are not named, because nothing weighs more, and that are not excluded.
+
+    Args:
+        weights: Probabilities of the explanations.
+        least: Probability from which a cause is listed.
+    """
+    found = [(name, p) for name, p in weights.causes.items() if name != "unknown" and p >= least]
+    if not found:
+        return ()
+    told = _listed([f"{name} ({100.0 * p:.0f} %)" for name, p in found])
+    return (
+        f"Not excluded, by probability: {told}. Without healthy logs, a unit may differ from its model file by as much "
+        "as this. Healthy logs of this unit, or the stated accuracy (prior_sd) of what is known better, tell more.",
     )
 
 

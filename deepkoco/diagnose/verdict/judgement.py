@@ -109,7 +109,9 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     if withdrawn:
         doubts, scattered = (), scatter(reference)
     learned = None
-    rival = verdict in ("cause", "ambiguous") and rivalled(found, base.start, base.train, white)
+    rival = verdict in ("cause", "ambiguous") and rivalled(
+        found, base.start, base.train, white, explanation.weighed
+    )
     if base.start.tempering > 1.0 and verdict == "unknown":
         unfitted = (*unfitted, TOO_SLOW)
     elif (verdict == "unknown" or rival) and request.limit.allows("a learned load"):

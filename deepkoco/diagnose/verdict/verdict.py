@@ -70,11 +70,19 @@ def verdict_of(
         return "unknown"
     if found.lost is not None or not lasting:
         gain = None  # pushes and lost commands do not repeat in the held-out windows
+    # A prior of units of one make counts as the samples do. A refit that strays from it explains nothing by that, and
+    # held-out windows cannot see how far it strays.
+    strayed = before.penalty - after.penalty if start.roughness > 1.0 else 0.0
+    strays = strayed > before.chi2 - after.chi2
+    gain = None if strays else gain
     if left:
         searched = [c for c in causes if start.tempering == 1.0 or not is_changed(c)]
         if len(searched) >= MOST_CAUSES * start.system.joints:
             return "unknown"  # the search limit is reached at each joint, and structure still remains
         share = explained_share(before, after, train, start.floor)
+        if strays:
+            excess = before.chi2 - start.floor * train.samples
+            share = max(share, (before.cost - after.cost) / max(excess + strayed, 1e-12))
         worth = 1.0 if gain is None else gain.reduction
         if share < (most if lasting else max(most, MIN_EXPLAINED_PUSHES)) or worth <= (
             0.0 if white else MIN_REDUCTION
@@ -121,7 +129,7 @@ def only_flexible(found: Selected) -> bool:
     return found.lost is None and _all_flexible(found)
 
 
-def rivalled(found: Selected, start: Baseline, train: Windows, white: bool) -> bool:
+def rivalled(found: Selected, start: Baseline, train: Windows, white: bool, weighed: bool = False) -> bool:
     """Return whether the selected causes must be compared with a learned load.
 
     Other causes are not compared where they leave structure, as in real logs: the learned load would always explain
@@ -133,12 +141,15 @@ def rivalled(found: Selected, start: Baseline, train: Windows, white: bool) -> b
         start: The baseline.
         train: Training windows.
         white: Whether the residuals of the selection are white.
+        weighed: Whether the causes outweighed an unknown load that is a smooth function of the motion. Then that
+            comparison is made, and with the little of all other effects that any unit has.
     """
     chi2 = found.final.chi2
     more = chi2 - start.floor * train.samples > FURTHER
     if only_flexible(found) or (more and not white and _bends(found)):
         return True
-    return more and chi2 <= white_limit(train, start.correlation) * start.floor * train.samples
+    limit = white_limit(train, start.correlation) * start.floor * train.samples
+    return more and not weighed and chi2 <= limit
 
 
 def _bends(found: Selected) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from numba import njit
 from torch import Tensor
 
 from deepkoco.fit.simulate.nodes import Nodes
@@ -34,10 +36,9 @@ def filtered(nodes: Nodes, time_constant: Tensor, h: float) -> Nodes:
         tail = k**3 * third
         first = x[:-1] - k * d0 + k**2 * second - tail
         last = x[1:] - k * d1 + k**2 * (second + third) - tail
-        y = torch.empty_like(x)
-        y[0] = first[0]
-        for i in range(len(first)):
-            y[i + 1] = last[i] + (y[i] - first[i]) * decay
+        flat = first.flatten(1).contiguous().numpy(), last.flatten(1).contiguous().numpy()
+        each = decay.expand(first.shape[1:]).flatten().contiguous().numpy()
+        y = torch.from_numpy(_along(*flat, each)).reshape(x.shape)
         seen, slope_0, slope_1 = value.clone(), left.clone(), right.clone()
         seen[..., own] = y
         slope_0[..., own] = (x[:-1] - y[:-1]) / constant
@@ -46,3 +47,14 @@ def filtered(nodes: Nodes, time_constant: Tensor, h: float) -> Nodes:
         lefts.append(slope_0)
         rights.append(slope_1)
     return type(nodes)(tuple(shown), tuple(lefts), tuple(rights))
+
+
+@njit(cache=True)
+def _along(first: np.ndarray, last: np.ndarray, decay: np.ndarray) -> np.ndarray:
+    """Values (S + 1, M) at the nodes, from p (S, M) at the start and the end of each step and its decay (M,)."""
+    y = np.empty((len(first) + 1, first.shape[1]))
+    y[0] = first[0]
+    for i in range(len(first)):
+        for m in range(first.shape[1]):
+            y[i + 1, m] = last[i, m] + (y[i, m] - first[i, m]) * decay[m]
+    return y

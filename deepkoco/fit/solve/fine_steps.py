@@ -53,6 +53,35 @@ def fine_steps(
     return parts
 
 
+def steps_to_compare(
+    problem_of: Callable[[Windows], ShootingProblem],
+    windows: Windows,
+    fit: Fit,
+    better: Fit,
+    most: int = MOST,
+) -> int:
+    """Return into how many parts each integration step must be cut before a fit is known to be worse than another.
+
+    A misfit is a distance, so an error of the simulation changes it by its own length at most. Steps that suit one
+    explanation need not suit another: a delay lets commands change within a step.
+
+    Args:
+        problem_of: Gives the problem of such windows.
+        windows: The windows.
+        fit: A fit of them that is worse.
+        better: A fit of them that is better.
+        most: Largest number of parts.
+    """
+    parts, before = 1, _simulated(problem_of, windows, fit, 1)
+    while parts < most:
+        finer = _simulated(problem_of, windows, fit, 2 * parts)
+        error = float((finer - before).square().sum())
+        if not error > UNSEEN or not fit.chi2**0.5 - error**0.5 < better.chi2**0.5:
+            break
+        parts, before = 2 * parts, finer
+    return parts
+
+
 def with_steps_cut(windows: Windows, parts: int) -> Windows:
     """Return windows whose integration steps are cut into so many equal parts."""
     return replace(windows, step=windows.step / parts, steps=windows.steps * parts)

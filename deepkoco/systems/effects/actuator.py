@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import torch
+from numba import njit
 from torch import Tensor
 
 from deepkoco.systems.effects.effect import Effect
@@ -126,19 +127,28 @@ def _apply_rate_limit(commands: Tensor, t: Tensor, p: Parameters) -> Tensor:
     """
     limit, given = torch.as_tensor(p["limit"], dtype=torch.float64).numpy(), commands.numpy()
     gap = np.diff(t.numpy(), append=2.0 * t[-1] - t[-2] if len(t) > 1 else t[-1])
-    result = np.empty(np.broadcast_shapes(given.shape, np.shape(limit)))
-    last = np.broadcast_to(given[0], result[0].shape)
-    for k, held in enumerate(gap):
-        away = given[k] - last
-        far, reach = np.abs(away), limit * held
-        with np.errstate(invalid="ignore", divide="ignore"):
+    shape = np.broadcast_shapes(given.shape, np.shape(limit))
+    lanes = [np.ascontiguousarray(np.broadcast_to(x, shape).reshape(len(gap), -1)) for x in (given, limit)]
+    return torch.from_numpy(_ramps(lanes[0], lanes[1][0], gap).reshape(shape))
+
+
+@njit(cache=True)
+def _ramps(given: np.ndarray, limit: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """Mean efforts (K, L) while commands (K, L) are held for gaps (K,) [s], at most as fast as limits (L,)."""
+    result = np.empty_like(given)
+    last = given[0].copy()
+    for k in range(len(given)):
+        for j in range(given.shape[1]):
+            away, reach = given[k, j] - last[j], limit[j] * gap[k]
+            far = abs(away)
             # Over the ramp the effort is short of the command by half of what is missing.
-            mean = np.where(
-                far > reach, far - 0.5 * reach, 0.5 * far**2 / np.where(reach > 0.0, reach, np.inf)
-            )
-        result[k] = given[k] - np.sign(away) * mean
-        last = given[k] - np.sign(away) * np.maximum(far - reach, 0.0)
-    return torch.from_numpy(result)
+            if far > reach:
+                mean, short = far - 0.5 * reach, far - reach
+            else:
+                mean, short = 0.5 * (far * far) / reach if reach > 0.0 else 0.0, 0.0
+            result[k, j] = given[k, j] - np.sign(away) * mean
+            last[j] = given[k, j] - np.sign(away) * short
+    return result
 
 
 def _unit_slip(system: System, command: int = 0) -> tuple[Parameter, ...]:
