@@ -65,12 +65,13 @@ def explain(
         if doubt.parts > 1 and request.limit.allows("the causes on finer steps"):
             progress(f"steps in {doubt.parts} parts, because rivals differ by less than their errors")
             finer = on_finer_steps(base, doubt.parts)
-            if overtaken(finer, found, doubt):
+            if finer is not base and overtaken(finer, found, doubt):
                 base = finer
                 selection, first, found = _selected(request, base)
         causes = seen_before(request, selection, found) if more else []
         if not causes:
-            if found.accepted:
+            settled = base.start.tempering > 1.0 or not found.accepted
+            if not settled and request.limit.allows("a start of the last fit near its prior"):
                 final = back_to_prior(found.acting, base.start, found.accepted, found.final)
                 found = replace(found, final=final)
             return of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
@@ -93,7 +94,7 @@ def _selected(request: DiagnosisRequest, base: Refitted) -> tuple[Selection, Ran
     first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
     if base.start.tempering > 1.0 and request.limit.allows("parameters that the refit moved far"):
         request.progress("parameters that the refit moved far")
-        found = with_far_parameters(base.start, found)
+        found = with_far_parameters(base.start, found, request.causes)
     return selection, first, found
 
 
@@ -119,6 +120,8 @@ def of_mean(explanation: Explanation) -> Explanation:
     """Give the mean parameters of these logs, not those of all logs of the unit; reports and models show the former."""
     base, found = explanation.base, explanation.found
     reference = base.problem.recentred(base.reference)
-    plain = found.final is base.reference
+    # The reference may have been replaced by its mean before.
+    nothing = not found.accepted and not found.minor and found.lost is None
+    plain = found.final is base.reference or (nothing and found.final.free == base.reference.free)
     final = reference if plain else found.acting.recentred(found.final)
     return replace(explanation, base=replace(base, reference=reference), found=replace(found, final=final))

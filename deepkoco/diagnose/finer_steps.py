@@ -61,7 +61,7 @@ def steps_of_rivals(base: Refitted, found: Selected) -> Doubt:
         ]
         for rival in rivals[:RIVALS]:
             parts = steps_to_compare(problem, base.train, rival.fit, ranking.best.fit)
-            if parts > 1:
+            if parts > 1 and rival.fit.cost >= ranking.best.fit.cost:
                 most = max(most, parts)
                 doubtful.append((k, rival))
     return Doubt(most, tuple(doubtful))
@@ -75,7 +75,7 @@ def overtaken(finer: Refitted, found: Selected, doubt: Doubt) -> bool:
         found: The selection on coarse steps.
         doubt: The rivals.
     """
-    accepted = {cause.name: cause for cause in found.accepted}
+    accepted = {cause.name: cause for cause in (*found.accepted, *(m.cause for m in found.minor))}
     for k in sorted({k for k, _ in doubt.rivals}):
         ranking = found.steps[k][0]
         if not set(ranking.beside) <= set(accepted):
@@ -99,5 +99,5 @@ def on_finer_steps(base: Refitted, parts: int) -> Refitted:
     data = replace(data, train=with_steps_cut(data.train, parts), held=held)
     problem = FitProblem(base.start.system, data.train)
     trial = Trial(fit.name, fit.free, base.start.prior, fit.values, fit.state, fit.nuisance)
-    reference = problem.fit_one(trial)
+    reference = problem.fit([trial])[0]
     return base if reference.diverged else replace(base, data=data, problem=problem, reference=reference)

@@ -21,12 +21,14 @@ from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.explanation import Explanation, of_mean
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.weighed import detection_of
 from deepkoco.diagnose.window_choice import FOLLOWS, left_out
 from deepkoco.fit.fit import Fit, FitProblem, Trial
-from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import MOST, fine_steps, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 
-BRIEF = 20  # iterations of the refit without causes
+BRIEF = 40  # iterations of the refit without causes, which mostly stays far from the logs
 
 
 def on_longer_windows(
@@ -42,7 +44,9 @@ def on_longer_windows(
     followed = request.length >= request.usual or not found.accepted
     # A push or lost commands belong to their windows. Of a large model error, longer windows only show more.
     pushed = found.lost is not None or any(c.effect == "event" for c in found.accepted)
-    if followed or pushed or base.start.tempering > 1.0:
+    # Causes within their tolerance would be part of the one fit and not of the other.
+    small = any(set(m.cause.free) <= set(found.final.free) for m in found.minor)
+    if followed or pushed or small or base.start.tempering > 1.0:
         return request, explanation
     length = request.usual
     while length > request.length:
@@ -54,7 +58,10 @@ def on_longer_windows(
             if not request.limit.allows(f"fits on windows of {length:g} s"):
                 break
             request.progress(f"the causes again, on windows of {length:g} s")
-            again = _fitted_again(replace(request, data=data, length=length), explanation)
+            try:
+                again = _fitted_again(replace(request, data=data, length=length), explanation)
+            except DivergedError:
+                again = None  # without the causes, the simulation may run away in such windows
             if again is not None:
                 return replace(request, data=again.base.data, length=length), again
         length *= 0.5
@@ -64,7 +71,7 @@ def on_longer_windows(
 def _cut_like(base: Refitted, data: Data) -> Data:
     """Return windows with the noise, the stamps and the fineness of the steps that were found on shorter ones."""
     train = base.train
-    parts = round(data.train.step / train.step) if len(data.train) else 1
+    parts = max(round(data.train.step / train.step), 1) if len(data.train) else 1
     like = {"noise": train.noise, "stamp_sd": train.stamp_sd, "varies": train.varies}
     held = None
     if data.held is not None and base.data.held is not None:
@@ -76,15 +83,19 @@ def _cut_like(base: Refitted, data: Data) -> Data:
 
 
 def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explanation | None:
-    """Refit the baseline and the selection on other windows; None where a simulation diverges."""
+    """Refit the baseline and the selection on other windows; None where a simulation diverges or no cause stays."""
     base, found, data = explanation.base, explanation.found, request.data
     start = base.start
     prior = prior_with(base.problem, start, found.accepted, found.final.values)
     problem = FitProblem(start.system, data.train)
     final = _refit(problem, found.final, prior.names, prior)
+    most = MOST
     for _ in range(STEP_ROUNDS):
         # An error of a step adds up for longer, too.
-        parts = 1 if final.diverged else fine_steps(partial(FitProblem, start.system), data.train, final)
+        parts = (
+            1 if final.diverged else fine_steps(partial(FitProblem, start.system), data.train, final, most)
+        )
+        most //= parts
         if parts == 1:
             break
         held = None if data.held is None else with_steps_cut(data.held, parts)
@@ -93,7 +104,6 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
         final = _refit(problem, final, prior.names, prior)
     if final.diverged:
         return None
-    # The refit without the causes only tells what they are worth. It need not come close to its minimum.
     known = base.reference
     reference = _refit(problem, known, known.free, start.prior, final.state, BRIEF)
     if reference.diverged:
@@ -104,10 +114,12 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     everything = catalogue(start.system.base).values() if request.causes is None else request.causes
     rivals = [c for c in everything if c.name in members]
     steps = tuple((replace(ranking, asked=()), names) for ranking, names in found.steps)
-    selection = Selection(
-        start, longer.train, longer.held, rivals, request.detection, request.progress, request.limit
-    )
+    wanted = detection_of(request, explanation)
+    selection = Selection(start, longer.train, longer.held, rivals, wanted, request.progress, request.limit)
     again = selection.repeated(replace(found, final=final, steps=steps, acting=problem), reference)
+    stale = any(len(ranking.reference.state) != len(longer.train) for ranking, _ in again.steps)
+    if stale or not again.accepted:
+        return None
     return of_mean(replace(explanation, base=longer, found=again))
 
 

@@ -28,11 +28,12 @@ def groups_of(declared: Baseline, names: Sequence[str]) -> list[list[int]]:
         declared: The baseline; parameters of bodies belong to no group.
         names: Parameters to group.
     """
-    found: dict[tuple[str, float], list[int]] = {}
+    found: dict[tuple[str, str, float], list[int]] = {}
     for i, name in enumerate(names):
         kind, _, place = name.partition("(")
         if place and kind not in OF_BODIES and declared.values[name] != 0.0:
-            found.setdefault((kind, declared.values[name]), []).append(i)
+            unit = declared.system.parameter(name).unit
+            found.setdefault((kind, unit, declared.values[name]), []).append(i)
     return [own for own in found.values() if len(own) > 1]
 
 

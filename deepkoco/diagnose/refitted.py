@@ -89,6 +89,9 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
     held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
     if held is not None:
         held = with_steps_cut(held, round(data.train.step / train.step))
+    if held is not None and train.doubt is not None:
+        # Whether something else happens in a held-out window is not known, but how well its channels are simulated is.
+        held = replace(held, doubt=train.doubt.amin(0).expand(len(held), -1).clone())
     if held is not None and any(train.stamp_sd):
         # Other logs of the same recorder are taken to have its typical clock.
         usual = float(np.sqrt(np.mean(np.square(train.stamp_sd))))

@@ -48,7 +48,8 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         explanation: The refitted baseline and the selected causes.
         judgement: The verdict on them.
     """
-    base, train, first = explanation.base, explanation.base.train, explanation.first
+    base, train = explanation.base, explanation.base.train
+    deflation = max(dispersion(base.reference, train).deflation, base.start.least_deflation)
     # First, because it may leave out something that the result then lists.
     advice = _advice(request, explanation, judgement)
     at_end = judgement.final if judgement.load is None else judgement.load.fit
@@ -68,7 +69,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
             **describe_data(request.recordings, base.data, request.system),
             "healthy": describe_healthy(base.learned),
         },
-        refit=estimates(base.problem, base.reference, base.reference.free, first.deflation),
+        refit=estimates(base.problem, base.reference, base.reference.free, deflation),
         model=_model(request, explanation, judgement),
         seed=request.seed,
         versions=versions(),
@@ -155,6 +156,7 @@ def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:
     base, fit = explanation.base, judgement.final
     # What any healthy machine has is part of this fit, so it is part of the simulation as given, too.
     healthy = {n: fit.values[n] for minor in explanation.found.minor for n in minor.cause.free}
+    healthy |= {n: fit.values[n] for n in fit.free if "." in n}
     start = replace(base.start, values={**base.start.values, **healthy})
     if explanation.found.usual and base.learned.healthy is None:
         # "Nothing" was decided with the spread of units of one make, so a parameter beyond that is news.

@@ -29,7 +29,7 @@ from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
-from deepkoco.fit.solve.robust import undoubted, with_doubt
+from deepkoco.fit.solve.robust import under, undoubted, with_doubt
 from deepkoco.fit.solve.scale_search import search_scales
 
 FAR_OFF = (
@@ -111,7 +111,8 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     state, _ = short.fit_states(values, halves.state)
     fit = short.fit_one(Trial("sizes", (), Prior.empty(), values, state), 1)
     for stage in range(STAGES):
-        halves = with_doubt(halves, fit)
+        doubted = with_doubt(halves, fit)
+        fit, halves = under(doubted, fit, halves), doubted
         short = FitProblem(declared.system, halves)
         start = tempered_to(declared, names, fit, halves, stage > 0)
         fit = short.fit_one(_from(start, fit), ITERATIONS)
@@ -127,7 +128,10 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     if float(undoubted(windows, fit).square().sum()) / windows.samples <= LARGE_MISFIT:
         # Little is left that the parameters could imitate; the usual refit frees all of them.
         return None
-    windows = with_doubt(with_sharp_noise(windows, fit), fit)
+    sharp = with_sharp_noise(windows, fit)
+    fit = under(sharp, fit, windows)
+    windows = with_doubt(sharp, fit)
+    fit = under(windows, fit, sharp)
     problem = FitProblem(declared.system, windows)
     start = tempered_to(declared, names, fit, windows)
     return start, windows, problem.fit_one(_from(start, fit))

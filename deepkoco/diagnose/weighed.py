@@ -72,6 +72,8 @@ def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_
             answer = with_losses if lossy else answer
         best, top = answer.explanations[0], answer.explanations[0].log_weight + (charge if lossy else 0.0)
         explanation = replace(explanation, weights=answer)
+        if found.plain is not None and not lossy:
+            explanation = of_mean(replace(explanation, found=found.plain))
         if base.learned.healthy is None:
             rough = of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH
             if rough > top:
@@ -80,14 +82,22 @@ def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_
         return explanation
     if UNKNOWN in best.causes:
         return explanation
-    if found.plain is not None and not lossy:
-        explanation = of_mean(replace(explanation, found=found.plain))
     plausible = _plausible(answer, causes) if best.causes else []
     if lossy:
         plausible += [c for c in causes if c.traced]
     if not plausible:
         return _nothing(with_little_of_all(request, explanation, causes))
     return _selected_again(request, explanation, plausible, more)
+
+
+def detection_of(request: DiagnosisRequest, explanation: Explanation) -> float:
+    """Return the fall of the BIC that a first cause needs: where causes are weighed, the weights pay for the choice.
+
+    Args:
+        request: It states the fall that is asked for among all causes.
+        explanation: Its causes are weighed or not.
+    """
+    return max(request.detection - DETECTION + APART, 0.0) if explanation.weighed else request.detection
 
 
 def _plausible(answer: Answer, causes: Sequence[Cause]) -> list[Cause]:
@@ -160,8 +170,8 @@ def _selected_again(
     # With healthy logs, the prior of one log stays theirs.
     learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
     again = replace(base, learned=learned, start=start, reference=reference)
-    # The weights have paid for the choice among all causes, but not for that of a pattern of lost commands.
-    wanted = max(request.detection - DETECTION + APART, 0.0)
+    # The weights have not paid for the choice of a pattern of lost commands.
+    wanted = detection_of(request, replace(explanation, weighed=True))
     selection = Selection(
         start, base.train, base.held, plausible, wanted, request.progress, request.limit, request.detection
     )
@@ -195,7 +205,7 @@ def with_little_of_all(
         causes: The catalogue.
     """
     base, found = explanation.base, explanation.found
-    limit = white_limit(base.train) * base.start.floor * base.train.samples
+    limit = white_limit(base.train, base.start.correlation) * base.start.floor * base.train.samples
     if found.final.chi2 <= limit or not request.limit.allows("small effects that any unit has"):
         return explanation
     usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)

@@ -30,7 +30,9 @@ def back_to_prior(problem: FitProblem, start: Baseline, accepted: Sequence[Cause
         accepted: Causes of the fit.
         fit: The fit.
     """
-    if not strained(problem, start, fit):
+    prior = prior_with(problem, start, accepted, fit.values)
+    # A fit may also contain causes within their tolerance, which are not accepted.
+    if not strained(problem, start, fit, not accepted) or not set(fit.free) <= set(prior.names):
         return fit
     sd = np.sqrt(start.prior.covariance.diagonal())
     means = {
@@ -40,6 +42,5 @@ def back_to_prior(problem: FitProblem, start: Baseline, accepted: Sequence[Cause
     }
     values = {**fit.values, **means}
     state, _ = problem.fit_states(values, fit.state)
-    prior = prior_with(problem, start, accepted, fit.values)
     other = problem.fit([Trial(fit.name, fit.free, prior, values, state, fit.nuisance)], PATIENCE)[0]
     return other if not other.diverged and other.cost < fit.cost - WORTH else fit

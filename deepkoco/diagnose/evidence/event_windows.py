@@ -89,8 +89,12 @@ def _largest(problem: FitProblem, fit: Fit) -> np.ndarray:
 
 
 def _joined(a: Windows, b: Windows) -> Windows:
+    doubt = None
+    if a.doubt is not None and b.doubt is not None:
+        doubt = torch.cat([a.doubt, b.doubt])
     return replace(
         a,
+        doubt=doubt,
         log=np.concatenate([a.log, b.log]),
         t0=np.concatenate([a.t0, b.t0]),
         t=torch.cat([a.t, b.t]),

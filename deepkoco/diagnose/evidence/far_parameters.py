@@ -9,12 +9,13 @@ Source: likelihood-ratio test of one parameter, with the others as nuisances; Pa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.causes.parameter import CHANGED
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
@@ -28,18 +29,22 @@ FAR = 2.0  # declared standard deviations beyond which the whole interval of a f
 ITERATIONS = 8  # of the fits without one of them; what is compared is large
 
 
-def with_far_parameters(start: Baseline, found: Selected) -> Selected:
+def with_far_parameters(start: Baseline, found: Selected, causes: Sequence[Cause] | None = None) -> Selected:
     """Return a selection with the far parameters as causes before the others, the one with most evidence first.
 
     Args:
         start: The baseline, with a tempered prior.
         found: The causes that were selected on top of the refit.
+        causes: Causes to try; None tries the whole catalogue.
     """
     problem, fit = found.acting, found.final
     spread = dispersion(fit, problem.windows)
     deflation = max(spread.deflation, start.least_deflation)
     named = {n for cause in found.accepted for n in cause.free}
     names = [n for n in far_names(start, fit, deflation) if n not in named]
+    if causes is not None:
+        asked = {c.name for c in causes}
+        names = [n for n in names if f"{CHANGED.name}({n})" in asked]
     if not names:
         return found
     prior = prior_with(problem, start, found.accepted, fit.values)

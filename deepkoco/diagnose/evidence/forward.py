@@ -106,7 +106,7 @@ class Selection(SelectionTask):
                 if not self.limit.allows(f"a further cause{in_company_of(names)}"):
                     break
                 self.progress(f"fitting every cause{in_company_of(names)}")
-                hints = self.hints(problem, final, missing_torque(problem, final))
+                hints = self.hints(problem, final, missing_torque(problem, final), not accepted)
                 worth = 0.0 if len(accepted) == len(healthy) else LEAST_SHARE * (self.cost - final.cost)
                 ranking = rank(problem, start, final, accepted, hints, self.causes, self.limit, worth)
             wanted = FURTHER if len(accepted) > len(healthy) or so_far.lost else self.detection
@@ -138,7 +138,7 @@ class Selection(SelectionTask):
     def _ranked(self, fit: Fit, accepted: Sequence[Cause]) -> Ranking:
         """Return the ranking of the catalogue on top of a fit with these causes."""
         self.progress(f"fitting every cause{in_company_of(c.name for c in accepted)}")
-        hints = self.hints(self.problem, fit, missing_torque(self.problem, fit))
+        hints = self.hints(self.problem, fit, missing_torque(self.problem, fit), not accepted)
         return rank(self.problem, self.start, fit, accepted, hints, self.causes, self.limit)
 
     def _minor(

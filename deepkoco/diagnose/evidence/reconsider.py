@@ -43,7 +43,7 @@ def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Select
             continue
         task.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
         less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE, near)
-        hints = task.hints(problem, less, missing_torque(problem, less))
+        hints = task.hints(problem, less, missing_torque(problem, less), not others)
         # A push can improve any window that a missing cause fits badly. It therefore competes with no other
         # cause; only its time and size are fitted again.
         rivals = [cause] if cause.effect == "event" else lasting

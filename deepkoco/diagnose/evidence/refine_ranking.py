@@ -176,7 +176,7 @@ def _least_surprising(start: Baseline, ranking: Ranking, members: Sequence[str])
 
     A parameter that is known to 2 % is less likely to be wrong by 70 % than one that is known to 20 % is by 100 %. Both
     have wide priors in their fits, so the fits do not tell. The prior of a change is a Cauchy distribution here too;
-    its scale is the declared standard deviation.
+    its scale is the standard deviation of the baseline's prior.
     """
     spread = dict(zip(start.prior.names, np.sqrt(start.prior.covariance.diagonal()), strict=True))
 
@@ -190,7 +190,10 @@ def _least_surprising(start: Baseline, ranking: Ranking, members: Sequence[str])
     changes = [
         c
         for c in ranking.candidates
-        if c.cause.name in members and is_changed(c.cause) and spread.keys() >= {*c.cause.free}
+        if c.cause.name in members
+        and c.fit is not ranking.reference
+        and is_changed(c.cause)
+        and spread.keys() >= {*c.cause.free}
     ]
     return max(changes, key=likely, default=ranking.best)
 

@@ -91,7 +91,16 @@ class SelectionTask:
             minor=(*found.minor, *(Minor(c, found.final, None, deflation) for c in small)),
         )
 
-    def hints(self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque]) -> Hints:
-        """Return the data from which causes choose their start values beside a fit."""
-        far = strained(problem, self.start, fit)
+    def hints(
+        self, problem: FitProblem, fit: Fit, missing: Sequence[MissingTorque], alone: bool = True
+    ) -> Hints:
+        """Return the data from which causes choose their start values beside a fit.
+
+        Args:
+            problem: The windows.
+            fit: The fit.
+            missing: Its missing loads.
+            alone: Whether the fit is without causes.
+        """
+        far = strained(problem, self.start, fit, alone)
         return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples, far)

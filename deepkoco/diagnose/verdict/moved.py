@@ -49,6 +49,8 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     # Chance alone lowers chi2 by one for each further parameter.
     enough = refit.chi2 + deflation * (DETECTION + len(refit.free))
     names = [n for n in refit.free if "." not in n]
+    if not names:
+        return ()
     least = _rises(start, refit, list(itertools.combinations(names, min(MOST, len(names))))).min()
     if least > CLEARLY * (enough - refit.chi2):
         return ()

@@ -48,6 +48,17 @@ def with_doubt(windows: Windows, fit: Fit) -> Windows:
     return replace(windows, doubt=torch.from_numpy(np.sqrt(share / weight)))
 
 
+def under(windows: Windows, fit: Fit, before: Windows) -> Fit:
+    """Return a fit with its residuals in the noise of the same windows with other noise or doubts.
+
+    Args:
+        windows: The windows whose noise counts.
+        fit: The fit.
+        before: Windows in whose noise its residuals are.
+    """
+    return replace(fit, residual=fit.residual * before.sample_sd / windows.sample_sd)
+
+
 def undoubted(windows: Windows, fit: Fit) -> Tensor:
     """Return the residuals (W, N, M) of a fit in units of the noise alone."""
     return fit.residual * windows.sample_sd / replace(windows, doubt=None).sample_sd
