@@ -36,7 +36,7 @@ class Doubt:
 
 
 def steps_of_rivals(base: Refitted, found: Selected) -> Doubt:
-    """Return into how many parts the steps must be cut before selected causes are known to be better than their rivals.
+    """Return the rivals of selected causes that are not known to be worse, and the steps with which they would be.
 
     Members of its class are no rivals: nothing is decided against them. Systems of many parameters keep their steps,
     because finer ones take too long there.
@@ -58,10 +58,11 @@ def steps_of_rivals(base: Refitted, found: Selected) -> Doubt:
             and c.cause.free
             and c.cause.effect != "event"
             and c.cause.name not in members
+            and c.fit.cost >= ranking.best.fit.cost
         ]
         for rival in rivals[:RIVALS]:
             parts = steps_to_compare(problem, base.train, rival.fit, ranking.best.fit)
-            if parts > 1 and rival.fit.cost >= ranking.best.fit.cost:
+            if parts > 1:
                 most = max(most, parts)
                 doubtful.append((k, rival))
     return Doubt(most, tuple(doubtful))

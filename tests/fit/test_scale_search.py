@@ -3,11 +3,12 @@
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.tempered import sizes_of_joints
 from deepkoco.fit import FitProblem, cut_windows
-from deepkoco.fit.solve.scale_search import search_scales
+from deepkoco.fit.solve.scale_search import _costs, search_scales
 from deepkoco.systems.trees import TreeSystem
 from tests.systems.trees.random_trees import mujoco_log
 
@@ -58,9 +59,23 @@ def searched(system, windows):
 def test_search_scales_finds_each_servos_stiffness_within_a_factor_of_three(stiff):
     system, soft, _ = stiff
     values, left = searched(system, soft)
-    assert 20.0 / 3.0 <= values["kp(m_shoulder)"] <= 60.0
-    assert 20.0 <= values["kp(m_elbow)"] <= 180.0 + 1e-9
+    assert 20.0 / 3.0 < values["kp(m_shoulder)"] < 60.0
+    assert 20.0 < values["kp(m_elbow)"] < 180.0
     assert left < 0.1
+
+
+def test_cost_is_the_same_however_bad_one_window_is(stiff):
+    system, soft, _ = stiff
+    start = baseline_from(system, soft)
+    costs = []
+    for push in (30.0, 300.0):
+        value = soft.value.clone()
+        value[3] += torch.linspace(0.0, push, value.shape[-1], dtype=value.dtype)
+        problem = FitProblem(start.system, soft.with_value(value))
+        given = np.array([[float(start.values[n]) for n in problem.names]])
+        costs.append(_costs(problem, given, soft.state))
+    np.testing.assert_allclose(costs[0], costs[1], rtol=1e-12)
+    assert costs[0].sum() > 0.0
 
 
 def test_search_scales_leaves_values_that_are_right(stiff):

@@ -24,6 +24,7 @@ NEAR = (0.5, 0.75, 1.33, 2.0)  # and of single parameters afterwards
 MOST = 700  # combinations; with more of them, fewer factors are tried
 SWEEPS = 6
 WORTH = 0.99  # share of the cost that must be left for a change to be kept
+BAD = 3.0  # medians of chi2 over windows that the chi2 of one window counts at most
 LANES = 128  # simulations in one batch
 
 
@@ -126,7 +127,9 @@ def _sweep(
 def _costs(problem: ShootingProblem, lanes: np.ndarray, state: Tensor) -> np.ndarray:
     """Return the cost (L, N) of each set of parameters in each channel; infinite where the simulation diverges.
 
-    It is the squared mean over windows of the root of chi2, times their number: two bad windows do not decide.
+    It is the sum over windows of chi2, each up to a multiple of the median: a few bad windows do not decide.
+
+    Source: winsorised loss; Huber, Robust Statistics (1981), ch. 1.
     """
     result = []
     for at in range(0, len(lanes), LANES):
@@ -134,6 +137,7 @@ def _costs(problem: ShootingProblem, lanes: np.ndarray, state: Tensor) -> np.nda
         nuisance = problem.nuisances.none()[None].expand(len(some), -1)
         predicted = problem.predict(some, state[None].expand(len(some), -1, -1), nuisance)
         chi2 = ((problem.windows.value - predicted) * problem.weight).square().sum(3)
-        result.append((chi2.sqrt().sum(1).square() / chi2.shape[1]).numpy())
+        most = BAD * chi2.median(1, keepdim=True).values
+        result.append(chi2.minimum(most).sum(1).numpy())
     costs = np.concatenate(result)
     return np.where(np.isfinite(costs), costs, np.inf)
