@@ -42,7 +42,7 @@ C4, C5, C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.1359647
 
 
 @njit(inline="always", error_model="numpy")
-def _place_frames(s, turns, rotation, offset, reference, angles, first, size):
+def place_frames(s, turns, rotation, offset, reference, angles, first, size):
     """COS (the angle) -> COS, SIN and OFFSET of every joint."""
     for k in range(len(turns)):
         h = turns[k]
@@ -76,7 +76,7 @@ def _place_frames(s, turns, rotation, offset, reference, angles, first, size):
 
 
 @njit(inline="always", error_model="numpy")
-def _move_frames(s, parent, turns, rotation, quick):
+def move_frames(s, parent, turns, rotation, quick):
     """SPIN, SWING and PULL of every frame, then FORCE and TORQUE that its own body needs."""
     for k in range(len(turns)):
         h, p = turns[k], parent[k]
@@ -146,7 +146,7 @@ def _move_frames(s, parent, turns, rotation, quick):
 
 
 @njit(inline="always", error_model="numpy")
-def _gather_forces(s, parent, turns, rotation):
+def gather_forces(s, parent, turns, rotation):
     """Add FORCE and TORQUE of every joint to its parent's, and take its own share from LOAD."""
     base = len(turns)
     for k in range(len(turns) - 1, -1, -1):
@@ -176,7 +176,7 @@ def _gather_forces(s, parent, turns, rotation):
 
 
 @njit(inline="always", error_model="numpy")
-def _gather_inertias(s, parent, rotation):
+def gather_inertias(s, parent, rotation):
     """Add INERTIA of every joint to its parent's."""
     base = len(parent)
     for k in range(len(parent) - 1, -1, -1):
@@ -229,7 +229,7 @@ def _gather_inertias(s, parent, rotation):
 
 
 @njit(inline="always", error_model="numpy")
-def _fill_mass(s, mass, parent, turns, rotation, passive, which):
+def fill_mass(s, mass, parent, turns, rotation, passive, which):
     """Lower triangle of the mass matrix; FORCE and TORQUE become what one unit of acceleration needs."""
     base = len(turns)
     for k in range(len(turns)):
@@ -271,7 +271,7 @@ def _fill_mass(s, mass, parent, turns, rotation, passive, which):
 
 
 @njit(inline="always", error_model="numpy")
-def _factorise(mass, parent):
+def factorise(mass, parent):
     """M = L^T D L without filling in between branches; the diagonal becomes 1 / D."""
     base = len(parent)
     for k in range(len(parent) - 1, -1, -1):
@@ -294,7 +294,7 @@ def _factorise(mass, parent):
 
 
 @njit(inline="always", error_model="numpy")
-def _solve(s, mass, parent):
+def solve(s, mass, parent):
     """LOAD -> acceleration."""
     base = len(parent)
     for k in range(len(parent) - 1, -1, -1):
@@ -393,13 +393,13 @@ def tree_accelerations(
             if loads.shape[1]:
                 for i in range(size):
                     s[k, LOAD, i] += loads[k, first + i]
-        _place_frames(s, turns, rotation, offset, reference, angles, first, size)
-        _move_frames(s, parent, turns, rotation, quick)
-        _gather_forces(s, parent, turns, rotation)
-        _gather_inertias(s, parent, rotation)
-        _fill_mass(s, mass, parent, turns, rotation, passive, which)
-        _factorise(mass, parent)
-        _solve(s, mass, parent)
+        place_frames(s, turns, rotation, offset, reference, angles, first, size)
+        move_frames(s, parent, turns, rotation, quick)
+        gather_forces(s, parent, turns, rotation)
+        gather_inertias(s, parent, rotation)
+        fill_mass(s, mass, parent, turns, rotation, passive, which)
+        factorise(mass, parent)
+        solve(s, mass, parent)
         for k in range(joints):
             for i in range(size):
                 result[k, first + i] = s[k, LOAD, i]
@@ -422,15 +422,15 @@ def tree_inverse_inertia(parent, turns, rotation, offset, reference, group, iner
             for row in range(10):
                 for i in range(LANES):
                     s[k, INERTIA + row, i] = inertia[k, row, which[i]]
-        _place_frames(s, turns, rotation, offset, reference, angles, first, size)
-        _gather_inertias(s, parent, rotation)
-        _fill_mass(s, mass, parent, turns, rotation, passive, which)
-        _factorise(mass, parent)
+        place_frames(s, turns, rotation, offset, reference, angles, first, size)
+        gather_inertias(s, parent, rotation)
+        fill_mass(s, mass, parent, turns, rotation, passive, which)
+        factorise(mass, parent)
         for j in range(joints):
             for k in range(joints):
                 for i in range(LANES):
                     s[k, LOAD, i] = 1.0 if j == k else 0.0
-            _solve(s, mass, parent)
+            solve(s, mass, parent)
             for k in range(joints):
                 for i in range(size):
                     result[k, j, first + i] = s[k, LOAD, i]

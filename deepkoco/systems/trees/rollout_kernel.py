@@ -26,17 +26,17 @@ from deepkoco.systems.trees.kernel import (
     ROWS,
     SPIN,
     SWING,
-    _factorise,
-    _fill_mass,
-    _gather_forces,
-    _gather_inertias,
-    _move_frames,
-    _place_frames,
-    _solve,
+    factorise,
+    fill_mass,
+    gather_forces,
+    gather_inertias,
+    move_frames,
+    place_frames,
+    solve,
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "32ff66942caa213c"
+COMPILED_WITH = "f3938866c5ab8d54"
 
 # Loads of effects that the loop knows; from STRIBECK on they are levels of dry friction.
 VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION = range(8)
@@ -45,7 +45,7 @@ MOST_VALUES = 3  # of an effect
 
 
 @njit(error_model="numpy", nogil=True)
-def _delivered(drives, gear, force_limits, law, angle, speed, effort, forces):
+def deliver(drives, gear, force_limits, law, angle, speed, effort, forces):
     """Forces (M, LANES) of the actuators on their joints."""
     for a in range(len(drives)):
         k, ratio, low, high = drives[a], gear[a], force_limits[a, 0], force_limits[a, 1]
@@ -60,7 +60,7 @@ def _delivered(drives, gear, force_limits, law, angle, speed, effort, forces):
 
 
 @njit(error_model="numpy", nogil=True)
-def _add_levels(kinds, places, values, drives, forces, speed, level):
+def add_levels(kinds, places, values, drives, forces, speed, level):
     """Add the levels of dry friction that depend on the motion to ``level`` (J, LANES)."""
     for e in range(len(kinds)):
         j = places[e, 0]
@@ -77,7 +77,7 @@ def _add_levels(kinds, places, values, drives, forces, speed, level):
 
 
 @njit(error_model="numpy", nogil=True)
-def _add_loads(kinds, places, values, drives, forces, angle, speed, time, load):
+def add_loads(kinds, places, values, drives, forces, angle, speed, time, load):
     """Add the loads of effects to ``load`` (J, LANES)."""
     for e in range(len(kinds)):
         kind, j = kinds[e], places[e, 0]
@@ -103,7 +103,7 @@ def _add_loads(kinds, places, values, drives, forces, angle, speed, time, load):
 
 
 @njit(error_model="numpy", nogil=True)
-def _accelerations(
+def accelerations(
     tree,
     own,
     effects,
@@ -138,7 +138,7 @@ def _accelerations(
         for row in range(10):
             for i in range(LANES):
                 s[k, INERTIA + row, i] = inertia[k, row, i]
-    _delivered(drives, gear, force_limits, law, angle, speed, effort, forces)
+    deliver(drives, gear, force_limits, law, angle, speed, effort, forces)
     for a in range(len(drives)):
         k = drives[a]
         for i in range(LANES):
@@ -164,30 +164,30 @@ def _accelerations(
         for k in range(joints):
             for i in range(LANES):
                 level[k, i] = 0.0
-        _add_loads(kinds, places, values, drives, forces, angle, speed, time, level)
+        add_loads(kinds, places, values, drives, forces, angle, speed, time, level)
         for k in range(joints):
             for i in range(LANES):
                 s[k, LOAD, i] += level[k, i]
                 level[k, i] = 0.0
         if varies:
-            _add_levels(kinds, places, values, drives, forces, speed, level)
+            add_levels(kinds, places, values, drives, forces, speed, level)
             for k in range(joints):
                 for i in range(LANES):
                     s[k, LOAD, i] -= level[k, i] * direction[k, i]
-    _place_frames(s, turns, rotation, offset, reference, angle, 0, LANES)
-    _move_frames(s, parent, turns, rotation, speed)
-    _gather_forces(s, parent, turns, rotation)
-    _gather_inertias(s, parent, rotation)
-    _fill_mass(s, mass, parent, turns, rotation, passive, which)
-    _factorise(mass, parent)
-    _solve(s, mass, parent)
+    place_frames(s, turns, rotation, offset, reference, angle, 0, LANES)
+    move_frames(s, parent, turns, rotation, speed)
+    gather_forces(s, parent, turns, rotation)
+    gather_inertias(s, parent, rotation)
+    fill_mass(s, mass, parent, turns, rotation, passive, which)
+    factorise(mass, parent)
+    solve(s, mass, parent)
     for k in range(joints):
         for i in range(LANES):
             result[k, i] = s[k, LOAD, i]
 
 
 @njit(error_model="numpy", nogil=True)
-def _runge_kutta(
+def runge_kutta(
     tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
     direction, step, end_angle, end_speed, first, last,
 ):  # fmt: skip
@@ -201,7 +201,7 @@ def _runge_kutta(
     # One call in a loop: the compiler would repeat the equations of motion for each call.
     for stage in range(4):
         when, mass = (stage + 1) // 2, masses[min(stage, 1)]
-        _accelerations(
+        accelerations(
             tree, own, effects, s, mass, which, forces, level, q, stages[stage], efforts[when], times[when], push,
             steady, direction, stages[4 + stage],
         )  # fmt: skip
@@ -233,12 +233,12 @@ def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, 
         for k in range(joints):
             for i in range(LANES):
                 scratch[k, i] = share * speed[k, i]
-        _delivered(drives, gear, force_limits, own[3], angle, scratch, effort, forces)
-        _add_levels(kinds, places, values, drives, forces, scratch, level)
+        deliver(drives, gear, force_limits, own[3], angle, scratch, effort, forces)
+        add_levels(kinds, places, values, drives, forces, scratch, level)
 
 
 @njit(error_model="numpy", nogil=True)
-def _mean_levels(tree, own, effects, forces, steady, angle, speed, share, efforts, scratch, room, level):
+def mean_levels(tree, own, effects, forces, steady, angle, speed, share, efforts, scratch, room, level):
     """Levels as :func:`_levels_at`, over the step by Simpson's rule; ``room`` (J, LANES) is overwritten."""
     _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[1], scratch, level)
     if not effects[3]:
@@ -353,7 +353,7 @@ def tree_rollout(
                 j = rubbing[r]
                 for i in range(LANES):
                     direction[j, i] = np.sign(speed[j, i]) + held[j, i]
-            _runge_kutta(
+            runge_kutta(
                 tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                 own_steady, direction, step, q, v, first, last,
             )  # fmt: skip
@@ -375,14 +375,14 @@ def tree_rollout(
                     for k in range(joints):
                         for i in range(LANES):
                             s[k, LOAD, i] = 1.0 if j == k else 0.0
-                    _solve(s, masses[0], parent)
+                    solve(s, masses[0], parent)
                     for k in range(joints):
                         for i in range(LANES):
                             inverse[k, j, i] = s[k, LOAD, i]
-                _mean_levels(
+                mean_levels(
                     tree, own, effects, forces, own_steady, angle, speed, 0.5, efforts, scratch, end, slide
                 )
-                _mean_levels(
+                mean_levels(
                     tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts, scratch, end, stick
                 )
                 for r in range(len(rubbing)):
@@ -407,7 +407,7 @@ def tree_rollout(
                                     push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
                             else:
                                 load[r, i] = 0.0
-                _runge_kutta(
+                runge_kutta(
                     tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                     own_steady, direction, step, q, v, first, last,
                 )  # fmt: skip
