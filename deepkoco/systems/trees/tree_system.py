@@ -102,27 +102,11 @@ class TreeSystem(System):
         self.state_names = (*(f"q_{n}" for n in names), *(f"dq_{n}" for n in names))
         self.state_units = (*units, *(f"{u}/s" for u in units))
         self._names = names
-        self.measurements = (
-            *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
-            *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
-        )
-        self.measurements = settings.channels(self.measurements)
+        self.measurements = settings.channels(joint_channels(tree))
         loads = motion_loads(tree)
         controls = tuple(command_range(a, tree.joints[a.joint], loads[a.joint]) for a in tree.actuators)
-        self._commands = tuple(
-            Channel(
-                a.name,
-                control_unit(a, tree.joints[a.joint]),
-                "command",
-                low,
-                # Sizes of effects are taken from the upper limit.
-                high if high > 0.0 else -low,
-                description=_drives(a, tree),
-                default=0.0 if tree.without_actuators and not is_servo(a) else None,
-            )
-            for a, (low, high) in zip(tree.actuators, controls, strict=True)
-        )
-        self._refuse_clashes()
+        self._commands = command_channels(tree, controls)
+        refuse_clashes((*self._commands, *self.measurements), self.origin or self.name)
         self._load_scales = load_scales(tree, loads, controls)
         self._delivered = tuple(
             delivered(a, tree.joints[a.joint], control)
@@ -131,14 +115,14 @@ class TreeSystem(System):
         self.payload_sites = tuple(site.name for site in tree.sites)
         self.force_sites = tuple(body.name for body in tree.bodies)
         refuse_redundant(tree, self.origin or self.name)
-        self._least_inertias = least_inertias(tree)
-        self._longest_step = 0.0  # of the nominal values, which follow
-        nominal = _Numbers.of(self, {}, steady=True)
+        least = least_inertias(tree)
+        nominal = Numbers.of(tree, {}, Steadying(least, 0.0))
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
+        self._steadying = Steadying(least, self._longest_step)
         self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        declared = visible_parameters(self, tree, declared_parameters(tree, self._least_inertias))
+        declared = visible_parameters(self, tree, declared_parameters(tree, least))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
     @classmethod
@@ -197,11 +181,7 @@ class TreeSystem(System):
 
     @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:
-        text = "angle by which the base is turned about its {} axis"
-        return tuple(
-            Parameter(ABOUT[k], 0.0, "rad", -LARGEST_TILT, LARGEST_TILT, TILT_SD, text.format("xyz"[k]))
-            for k in self._tilt_axes()
-        )
+        return tilt_parameters(self.tree.gravity)
 
     def effort_of(self, commands: Tensor) -> Tensor:
         return commands[..., 0] if len(self._commands) == 1 else commands
@@ -230,7 +210,7 @@ class TreeSystem(System):
     def delivery(self, parameters: Parameters) -> Delivery:
         laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
         forces = actuator_forces(self.tree.actuators, laws)
-        drives = self._drives()
+        drives = actuators_of_joints(self.tree)
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
             given = forces(motion)
@@ -249,15 +229,15 @@ class TreeSystem(System):
         )
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
-        return self._law(_Numbers.of(self, parameters))
+        return self._law(Numbers.of(self.tree, parameters))
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        numbers = _Numbers.of(self, parameters, steady=True)
+        numbers = Numbers.of(self.tree, parameters, self._steadying)
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         return self._law(numbers._replace(passive=passive))
 
     def rollout(self, parameters: Parameters) -> TreeRollout | None:
-        numbers = _Numbers.of(self, parameters, steady=True)
+        numbers = Numbers.of(self.tree, parameters, self._steadying)
         passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
         fast = numbers._replace(passive=passive).without_forces().fast(self._arrays)
         if fast is None or not is_plain([x for force in numbers.forces for x in force.force]):
@@ -270,7 +250,7 @@ class TreeSystem(System):
         return effect.place != "memory"
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        own = _Numbers.of(self, parameters, steady=True)
+        own = Numbers.of(self.tree, parameters, self._steadying)
         joints, fast = own.joints, own.without_forces().fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
@@ -284,7 +264,7 @@ class TreeSystem(System):
         self, parameters: Parameters
     ) -> Callable[[Motion, Sequence[Tensor]], tuple[Tensor, ...]]:
         """(motion, accelerations) -> outside load on each joint [N m or N] under which it moves so."""
-        own = _Numbers.of(self, parameters)
+        own = Numbers.of(self.tree, parameters)
         law = self._law(own)
 
         def loads(motion: Motion, accelerations: Sequence[Tensor]) -> tuple[Tensor, ...]:
@@ -295,37 +275,18 @@ class TreeSystem(System):
 
         return loads
 
-    def _law(self, numbers: _Numbers) -> Acceleration:
-        tree, passive = self.tree, numbers.passive
-        smooth = self.smoothing_speeds
-        fast = numbers.without_forces().fast(self._arrays)
-        arrays = self._arrays if numbers.as_given else None
-        dynamics = forward_dynamics(numbers.joints, numbers.inertias, passive["armature"], numbers.gravity)
-        forces = actuator_forces(tree.actuators, numbers.laws)
-        resisting = passive_loads(passive, smooth)
-        drives = self._drives()
+    def gravity(self, parameters: Parameters) -> Triple:
+        """Gravity in the frame of the base, which may be turned about two of its axes [m/s2]."""
+        return turned_gravity(self.tree.gravity, parameters)
 
-        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
-            motion = with_forces(motion, numbers.joints, numbers.forces, arrays)
-            if fast is not None and is_plain(_all_of(motion)):
-                return fast(motion, smooth)
-            given = forces(motion)
-            loads: list[Scalar] = []
-            for j, joint in enumerate(tree.joints):
-                load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
-                load = add(load, resisting(motion, j))
-                if motion.loads is not None and (outside := motion.loads[j]) is not None:
-                    load = add(load, outside)
-                loads.append(load)
-            return dynamics(motion.angles, motion.speeds, loads)
-
-        return acceleration
+    def _law(self, numbers: Numbers) -> Acceleration:
+        return equations_of_motion(self.tree, numbers, self._arrays, self.smoothing_speeds)
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
-        law = self._law(_Numbers.of(self, parameters, steady=True))
+        law = self._law(Numbers.of(self.tree, parameters, self._steadying))
         accelerations = law(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
@@ -400,48 +361,19 @@ class TreeSystem(System):
             where = [points[j] for j in self.command_joints]
             drawing.draw_joint_commands(image, where, fractions, self._view.reach)
 
-    def _drives(self) -> list[list[int]]:
-        """Actuators of each joint."""
-        found: list[list[int]] = [[] for _ in range(self.joints)]
-        for k, actuator in enumerate(self.tree.actuators):
-            found[actuator.joint].append(k)
-        return found
-
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
         return clipped(value, low, high)
 
-    def _tilt_axes(self) -> tuple[int, ...]:
-        """The two axes of the base that lie most across gravity; none without gravity."""
-        size = np.abs(self.tree.gravity)
-        return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
 
-    def gravity(self, parameters: Parameters) -> Triple:
-        """Gravity in the frame of the base, which may be turned about two of its axes."""
-        gravity: Triple = self.tree.gravity
-        for k in self._tilt_axes():
-            if (angle := parameters.get(ABOUT[k])) is not None:
-                axis: Triple = tuple(float(i == k) for i in range(3))  # pyright: ignore[reportAssignmentType]
-                # Seen from a base that turns by the angle, gravity turns back.
-                across = cross(axis, gravity)
-                along = mul(gravity[k], 1.0)
-                c, s = torch.cos(angle), torch.sin(angle)
-                gravity = tuple(  # pyright: ignore[reportAssignmentType]
-                    along if i == k else sub(mul(c, gravity[i]), mul(s, across[i])) for i in range(3)
-                )
-        return scaled(1.0, gravity)
+class Steadying(NamedTuple):
+    """What decides the armatures that simulations add, see :func:`.added_armatures`."""
 
-    def _refuse_clashes(self) -> None:
-        names = [c.name for c in (*self._commands, *self.measurements)]
-        for name in names:
-            if names.count(name) > 1:
-                where = self.origin or self.name
-                raise TreeError(
-                    f'{where}: two channels are called "{name}"; rename the actuator or the joint in the model'
-                )
+    least_inertias: tuple[float, ...]  # of each joint [kg m2 or kg]
+    longest_step: float  # that the values of the file allow [s]
 
 
-class _Numbers(NamedTuple):
+class Numbers(NamedTuple):
     """What the equations of motion make of a set of parameters."""
 
     inertias: list[Inertia]
@@ -453,23 +385,22 @@ class _Numbers(NamedTuple):
     as_given: bool  # whether the joints are those of the file
 
     @staticmethod
-    def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
-        """Numbers of a system under named values; ``steady`` with the armatures that simulations add."""
-        tree = system.tree
+    def of(tree: Tree, parameters: Parameters, steadying: Steadying | None = None) -> Numbers:
+        """Numbers of a tree under named values; ``steadying`` adds the armatures that simulations need."""
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
-        if steady:
-            step = min(system.longest_step, LONGEST_STEP)
-            added = added_armatures(tree.actuators, system._least_inertias, passive, laws, step)
+        if steadying is not None:
+            step = min(steadying.longest_step, LONGEST_STEP)
+            added = added_armatures(tree.actuators, steadying.least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
         inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
-        gravity, shape = system.gravity(parameters), shaped(tree, parameters)
+        gravity, shape = turned_gravity(tree.gravity, parameters), shaped(tree, parameters)
         if shape is None:
-            return _Numbers(inertias, gravity, passive, laws, forces, tree.joints, True)
+            return Numbers(inertias, gravity, passive, laws, forces, tree.joints, True)
         inertias, forces = turned_inertias(shape, inertias), turned_forces(shape, forces)
-        return _Numbers(inertias, gravity, passive, laws, forces, shape.joints, False)
+        return Numbers(inertias, gravity, passive, laws, forces, shape.joints, False)
 
-    def without_forces(self) -> _Numbers:
+    def without_forces(self) -> Numbers:
         """The same, for callers that add the loads of the forces themselves."""
         return self._replace(forces=())
 
@@ -485,6 +416,50 @@ class _Numbers(NamedTuple):
         return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)
 
 
+def equations_of_motion(
+    tree: Tree, numbers: Numbers, arrays: TreeArrays, smooth: Sequence[float]
+) -> Acceleration:
+    """motion -> accelerations of the joints [rad/s2, m/s2].
+
+    Args:
+        tree: The description.
+        numbers: Of its parameters.
+        arrays: Of the description, for the compiled loop.
+        smooth: Speed of each joint over which the sign of dry friction changes [rad/s, m/s].
+    """
+    passive = numbers.passive
+    fast = numbers.without_forces().fast(arrays)
+    given_arrays = arrays if numbers.as_given else None
+    dynamics = forward_dynamics(numbers.joints, numbers.inertias, passive["armature"], numbers.gravity)
+    forces = actuator_forces(tree.actuators, numbers.laws)
+    resisting = passive_loads(passive, smooth)
+    drives = actuators_of_joints(tree)
+
+    def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+        motion = with_forces(motion, numbers.joints, numbers.forces, given_arrays)
+        if fast is not None and is_plain(_all_of(motion)):
+            return fast(motion, smooth)
+        given = forces(motion)
+        loads: list[Scalar] = []
+        for j, joint in enumerate(tree.joints):
+            load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
+            load = add(load, resisting(motion, j))
+            if motion.loads is not None and (outside := motion.loads[j]) is not None:
+                load = add(load, outside)
+            loads.append(load)
+        return dynamics(motion.angles, motion.speeds, loads)
+
+    return acceleration
+
+
+def actuators_of_joints(tree: Tree) -> list[list[int]]:
+    """Indices of the actuators of each joint."""
+    found: list[list[int]] = [[] for _ in tree.joints]
+    for k, actuator in enumerate(tree.actuators):
+        found[actuator.joint].append(k)
+    return found
+
+
 def _as_tensor(value: Scalar) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float64)
 
@@ -492,6 +467,76 @@ def _as_tensor(value: Scalar) -> Tensor:
 def _all_of(motion: Motion) -> list[Tensor | None]:
     parts = [*motion.angles, *motion.speeds, *motion.efforts]
     return [*parts, *(motion.loads or ()), *(motion.smoothing or ())]
+
+
+def tilt_parameters(gravity: Triple) -> tuple[Parameter, ...]:
+    """Angles by which the base may be turned."""
+    text = "angle by which the base is turned about its {} axis"
+    return tuple(
+        Parameter(ABOUT[k], 0.0, "rad", -LARGEST_TILT, LARGEST_TILT, TILT_SD, text.format("xyz"[k]))
+        for k in tilt_axes(gravity)
+    )
+
+
+def tilt_axes(gravity: Triple) -> tuple[int, ...]:
+    """The two axes of the base that lie most across gravity; none without gravity."""
+    size = np.abs(gravity)
+    return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
+
+
+def turned_gravity(upright: Triple, parameters: Parameters) -> Triple:
+    """Gravity in the frame of a base that is turned by the tilt parameters [m/s2]."""
+    gravity = upright
+    for k in tilt_axes(upright):
+        if (angle := parameters.get(ABOUT[k])) is not None:
+            axis: Triple = tuple(float(i == k) for i in range(3))  # pyright: ignore[reportAssignmentType]
+            # Seen from a base that turns by the angle, gravity turns back.
+            across = cross(axis, gravity)
+            along = mul(gravity[k], 1.0)
+            c, s = torch.cos(angle), torch.sin(angle)
+            gravity = tuple(  # pyright: ignore[reportAssignmentType]
+                along if i == k else sub(mul(c, gravity[i]), mul(s, across[i])) for i in range(3)
+            )
+    return scaled(1.0, gravity)
+
+
+def joint_channels(tree: Tree) -> tuple[Channel, ...]:
+    """Places, then speeds, of the joints."""
+    return (
+        *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
+        *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
+    )
+
+
+def command_channels(tree: Tree, ranges: Sequence[tuple[float, float]]) -> tuple[Channel, ...]:
+    """Commands of the actuators, each with its lowest and highest value."""
+    return tuple(
+        Channel(
+            a.name,
+            control_unit(a, tree.joints[a.joint]),
+            "command",
+            low,
+            # Sizes of effects are taken from the upper limit.
+            high if high > 0.0 else -low,
+            description=_drives(a, tree),
+            default=0.0 if tree.without_actuators and not is_servo(a) else None,
+        )
+        for a, (low, high) in zip(tree.actuators, ranges, strict=True)
+    )
+
+
+def refuse_clashes(channels: Sequence[Channel], where: str) -> None:
+    """Check that every channel has a name of its own.
+
+    Raises:
+        TreeError: Two have the same; ``where`` names the robot.
+    """
+    names = [c.name for c in channels]
+    for name in names:
+        if names.count(name) > 1:
+            raise TreeError(
+                f'{where}: two channels are called "{name}"; rename the actuator or the joint in the model'
+            )
 
 
 def _position(name: str, slides: bool, joint: str) -> Channel:
