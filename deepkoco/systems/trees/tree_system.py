@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -30,22 +29,21 @@ from deepkoco.systems.motion import (
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import System
+from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
+from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
 from deepkoco.systems.trees.compile_tree import compile_tree
-from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
-from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
-from deepkoco.systems.trees.geometry import geometry_parameters, shaped, turned_forces, turned_inertias
-from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
+from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
+from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
+from deepkoco.systems.trees.fast import TreeArrays
+from deepkoco.systems.trees.geometry import geometry_parameters
+from deepkoco.systems.trees.loads import actuator_forces, clipped
 from deepkoco.systems.trees.model_file import read_model
-from deepkoco.systems.trees.outside_forces import force_name, outside_forces, with_forces
+from deepkoco.systems.trees.outside_forces import force_name
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
-    control_unit,
     declared_parameters,
-    is_servo,
-    is_speed_servo,
     joint_value,
-    link_inertias,
     payload_name,
     payload_place_name,
     time_constant,
@@ -53,18 +51,12 @@ from deepkoco.systems.trees.parameters import (
 from deepkoco.systems.trees.picture import choose_view, lines
 from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
 from deepkoco.systems.trees.rollout import KINDS, TreeRollout
-from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
+from deepkoco.systems.trees.scalars import Scalar, Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
-from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step, refuse_redundant
-from deepkoco.systems.trees.tree import Actuator, Joint, OutsideForce, Tree, TreeError
+from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
+from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
-
-LONGEST_STEP = 0.01  # of a fit [s]; see deepkoco.fit.data.windows
-ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
-SPEED_NOISE, RATE_NOISE = 0.05, 5e-3  # [rad/s, m/s]
-TILT_SD, LARGEST_TILT = 0.05, 0.5  # of the base [rad]
-ABOUT = ("about_x", "about_y", "about_z")
 
 
 class TreeSystem(System):
@@ -366,197 +358,8 @@ class TreeSystem(System):
         return clipped(value, low, high)
 
 
-class Steadying(NamedTuple):
-    """What decides the armatures that simulations add, see :func:`.added_armatures`."""
-
-    least_inertias: tuple[float, ...]  # of each joint [kg m2 or kg]
-    longest_step: float  # that the values of the file allow [s]
-
-
-class Numbers(NamedTuple):
-    """What the equations of motion make of a set of parameters."""
-
-    inertias: list[Inertia]
-    gravity: Triple
-    passive: dict[str, list[Scalar]]
-    laws: list[Law]
-    forces: tuple[OutsideForce, ...]
-    joints: tuple[Joint, ...]
-    as_given: bool  # whether the joints are those of the file
-
-    @staticmethod
-    def of(tree: Tree, parameters: Parameters, steadying: Steadying | None = None) -> Numbers:
-        """Numbers of a tree under named values; ``steadying`` adds the armatures that simulations need."""
-        passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
-        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
-        if steadying is not None:
-            step = min(steadying.longest_step, LONGEST_STEP)
-            added = added_armatures(tree.actuators, steadying.least_inertias, passive, laws, step)
-            passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
-        inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
-        gravity, shape = turned_gravity(tree.gravity, parameters), shaped(tree, parameters)
-        if shape is None:
-            return Numbers(inertias, gravity, passive, laws, forces, tree.joints, True)
-        inertias, forces = turned_inertias(shape, inertias), turned_forces(shape, forces)
-        return Numbers(inertias, gravity, passive, laws, forces, shape.joints, False)
-
-    def without_forces(self) -> Numbers:
-        """The same, for callers that add the loads of the forces themselves."""
-        return self._replace(forces=())
-
-    def fast(self, arrays: TreeArrays) -> FastLaw | None:
-        """The compiled loop; None where it cannot be used: it knows the joints of the file, and no outside forces."""
-        if not self.as_given or self.forces:
-            return None
-        flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
-        flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
-        flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
-        if not is_plain(flat):
-            return None
-        return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)
-
-
-def equations_of_motion(
-    tree: Tree, numbers: Numbers, arrays: TreeArrays, smooth: Sequence[float]
-) -> Acceleration:
-    """motion -> accelerations of the joints [rad/s2, m/s2].
-
-    Args:
-        tree: The description.
-        numbers: Of its parameters.
-        arrays: Of the description, for the compiled loop.
-        smooth: Speed of each joint over which the sign of dry friction changes [rad/s, m/s].
-    """
-    passive = numbers.passive
-    fast = numbers.without_forces().fast(arrays)
-    given_arrays = arrays if numbers.as_given else None
-    dynamics = forward_dynamics(numbers.joints, numbers.inertias, passive["armature"], numbers.gravity)
-    forces = actuator_forces(tree.actuators, numbers.laws)
-    resisting = passive_loads(passive, smooth)
-    drives = actuators_of_joints(tree)
-
-    def acceleration(motion: Motion) -> tuple[Tensor, ...]:
-        motion = with_forces(motion, numbers.joints, numbers.forces, given_arrays)
-        if fast is not None and is_plain(_all_of(motion)):
-            return fast(motion, smooth)
-        given = forces(motion)
-        loads: list[Scalar] = []
-        for j, joint in enumerate(tree.joints):
-            load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
-            load = add(load, resisting(motion, j))
-            if motion.loads is not None and (outside := motion.loads[j]) is not None:
-                load = add(load, outside)
-            loads.append(load)
-        return dynamics(motion.angles, motion.speeds, loads)
-
-    return acceleration
-
-
-def actuators_of_joints(tree: Tree) -> list[list[int]]:
-    """Indices of the actuators of each joint."""
-    found: list[list[int]] = [[] for _ in tree.joints]
-    for k, actuator in enumerate(tree.actuators):
-        found[actuator.joint].append(k)
-    return found
-
-
 def _as_tensor(value: Scalar) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float64)
-
-
-def _all_of(motion: Motion) -> list[Tensor | None]:
-    parts = [*motion.angles, *motion.speeds, *motion.efforts]
-    return [*parts, *(motion.loads or ()), *(motion.smoothing or ())]
-
-
-def tilt_parameters(gravity: Triple) -> tuple[Parameter, ...]:
-    """Angles by which the base may be turned."""
-    text = "angle by which the base is turned about its {} axis"
-    return tuple(
-        Parameter(ABOUT[k], 0.0, "rad", -LARGEST_TILT, LARGEST_TILT, TILT_SD, text.format("xyz"[k]))
-        for k in tilt_axes(gravity)
-    )
-
-
-def tilt_axes(gravity: Triple) -> tuple[int, ...]:
-    """The two axes of the base that lie most across gravity; none without gravity."""
-    size = np.abs(gravity)
-    return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
-
-
-def turned_gravity(upright: Triple, parameters: Parameters) -> Triple:
-    """Gravity in the frame of a base that is turned by the tilt parameters [m/s2]."""
-    gravity = upright
-    for k in tilt_axes(upright):
-        if (angle := parameters.get(ABOUT[k])) is not None:
-            axis: Triple = tuple(float(i == k) for i in range(3))  # pyright: ignore[reportAssignmentType]
-            # Seen from a base that turns by the angle, gravity turns back.
-            across = cross(axis, gravity)
-            along = mul(gravity[k], 1.0)
-            c, s = torch.cos(angle), torch.sin(angle)
-            gravity = tuple(  # pyright: ignore[reportAssignmentType]
-                along if i == k else sub(mul(c, gravity[i]), mul(s, across[i])) for i in range(3)
-            )
-    return scaled(1.0, gravity)
-
-
-def joint_channels(tree: Tree) -> tuple[Channel, ...]:
-    """Places, then speeds, of the joints."""
-    return (
-        *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
-        *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
-    )
-
-
-def command_channels(tree: Tree, ranges: Sequence[tuple[float, float]]) -> tuple[Channel, ...]:
-    """Commands of the actuators, each with its lowest and highest value."""
-    return tuple(
-        Channel(
-            a.name,
-            control_unit(a, tree.joints[a.joint]),
-            "command",
-            low,
-            # Sizes of effects are taken from the upper limit.
-            high if high > 0.0 else -low,
-            description=_drives(a, tree),
-            default=0.0 if tree.without_actuators and not is_servo(a) else None,
-        )
-        for a, (low, high) in zip(tree.actuators, ranges, strict=True)
-    )
-
-
-def refuse_clashes(channels: Sequence[Channel], where: str) -> None:
-    """Check that every channel has a name of its own.
-
-    Raises:
-        TreeError: Two have the same; ``where`` names the robot.
-    """
-    names = [c.name for c in channels]
-    for name in names:
-        if names.count(name) > 1:
-            raise TreeError(
-                f'{where}: two channels are called "{name}"; rename the actuator or the joint in the model'
-            )
-
-
-def _position(name: str, slides: bool, joint: str) -> Channel:
-    unit, noise = ("m", PLACE_NOISE) if slides else ("rad", ANGLE_NOISE)
-    text = f"place of {joint}" if slides else f"angle of {joint}"
-    return Channel(name, unit, "measurement", noise_sd=noise, description=text, angle=not slides)
-
-
-def _speed(name: str, slides: bool, joint: str) -> Channel:
-    unit, noise = ("m/s", RATE_NOISE) if slides else ("rad/s", SPEED_NOISE)
-    return Channel(name, unit, "measurement", noise_sd=noise, description=f"speed of {joint}")
-
-
-def _drives(actuator: Actuator, tree: Tree) -> str:
-    joint = tree.joints[actuator.joint]
-    if is_servo(actuator):
-        return f"goal of the position of {joint.name}"
-    if is_speed_servo(actuator):
-        return f"goal of the speed of {joint.name}"
-    return f"command of {actuator.name} to {joint.name}"
 
 
 def _tip(tree: Tree) -> int:
