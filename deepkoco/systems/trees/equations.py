@@ -7,10 +7,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from deepkoco.systems.motion import (
-    Acceleration,
-    Motion,
-)
+from deepkoco.systems.motion import Acceleration, Motion
 from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.trees.base_tilt import turned_gravity
@@ -19,11 +16,7 @@ from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.geometry import shaped, turned_forces, turned_inertias
 from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.outside_forces import outside_forces, with_forces
-from deepkoco.systems.trees.parameters import (
-    actuator_law,
-    joint_value,
-    link_inertias,
-)
+from deepkoco.systems.trees.parameters import actuator_law, joint_value, link_inertias
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, total
 from deepkoco.systems.trees.stiffness import added_armatures
 from deepkoco.systems.trees.tree import Joint, OutsideForce, Tree
@@ -68,6 +61,10 @@ class Numbers(NamedTuple):
     def without_forces(self) -> Numbers:
         """The same, for callers that add the loads of the forces themselves."""
         return self._replace(forces=())
+
+    def without_dry_friction(self) -> Numbers:
+        """The same, for simulations, which treat dry friction on its own."""
+        return self._replace(passive={**self.passive, "frictionloss": [0.0] * len(self.joints)})
 
     def fast(self, arrays: TreeArrays) -> FastLaw | None:
         """The compiled loop; None where it cannot be used: it knows the joints of the file, and no outside forces."""

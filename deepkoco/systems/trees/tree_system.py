@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems import drawing
 from deepkoco.systems.channel import Channel
 from deepkoco.systems.drawn import Outline
 from deepkoco.systems.dry_friction import Levels
@@ -48,10 +47,11 @@ from deepkoco.systems.trees.parameters import (
     payload_place_name,
     time_constant,
 )
-from deepkoco.systems.trees.picture import choose_view, lines
+from deepkoco.systems.trees.picture import choose_view, draw_robot, lines
 from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
+from deepkoco.systems.trees.places import tip_place
 from deepkoco.systems.trees.rollout import KINDS, TreeRollout
-from deepkoco.systems.trees.scalars import Scalar, Triple, mul, total
+from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
 from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
@@ -89,11 +89,10 @@ class TreeSystem(System):
         tree = settings.applied_to(tree)
         self.tree, self.origin, self.notes, self.held = tree, origin, tree.notes, settings.held
         self.name, self.joints = tree.name, len(tree.joints)
-        names = tuple(joint.name for joint in tree.joints)
+        names = self._names = tuple(joint.name for joint in tree.joints)
         units = tuple("m" if joint.slides else "rad" for joint in tree.joints)
         self.state_names = (*(f"q_{n}" for n in names), *(f"dq_{n}" for n in names))
         self.state_units = (*units, *(f"{u}/s" for u in units))
-        self._names = names
         self.measurements = settings.channels(joint_channels(tree))
         loads = motion_loads(tree)
         controls = tuple(command_range(a, tree.joints[a.joint], loads[a.joint]) for a in tree.actuators)
@@ -111,7 +110,7 @@ class TreeSystem(System):
         nominal = Numbers.of(tree, {}, Steadying(least, 0.0))
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
         self._steadying = Steadying(least, self._longest_step)
-        self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
+        self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
         declared = visible_parameters(self, tree, declared_parameters(tree, least))
@@ -216,7 +215,7 @@ class TreeSystem(System):
 
     def dry_friction_limits(self, parameters: Parameters) -> Levels:
         return tuple(
-            _as_tensor(limit) if isinstance(limit, Tensor) or limit != 0.0 else None
+            torch.as_tensor(limit, dtype=torch.float64) if isinstance(limit, Tensor) or limit != 0.0 else None
             for limit in (joint_value(parameters, "frictionloss", joint) for joint in self.tree.joints)
         )
 
@@ -224,14 +223,11 @@ class TreeSystem(System):
         return self._law(Numbers.of(self.tree, parameters))
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        numbers = Numbers.of(self.tree, parameters, self._steadying)
-        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
-        return self._law(numbers._replace(passive=passive))
+        return self._law(Numbers.of(self.tree, parameters, self._steadying).without_dry_friction())
 
     def rollout(self, parameters: Parameters) -> TreeRollout | None:
-        numbers = Numbers.of(self.tree, parameters, self._steadying)
-        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
-        fast = numbers._replace(passive=passive).without_forces().fast(self._arrays)
+        numbers = Numbers.of(self.tree, parameters, self._steadying).without_dry_friction()
+        fast = numbers.without_forces().fast(self._arrays)
         if fast is None or not is_plain([x for force in numbers.forces for x in force.force]):
             return None
         return TreeRollout(fast, numbers.forces)
@@ -343,29 +339,12 @@ class TreeSystem(System):
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
     ) -> None:
         angles = np.nan_to_num(np.asarray(measurement, dtype=float)[: self.joints])
-        links, points = lines(self.tree, angles, self._view)
-        ends = [end for _, end in links[self.joints :]]
-        drawing.draw_tree(image, links, points, ends, self._view.reach)
+        fractions = None
         if command is not None and self._commands:
-            given = np.ravel(command)
             sizes = [max(abs(c.low), abs(c.high)) for c in self._commands]
-            fractions = [u / size for u, size in zip(given, sizes, strict=True)]
-            where = [points[j] for j in self.command_joints]
-            drawing.draw_joint_commands(image, where, fractions, self._view.reach)
+            fractions = [u / size for u, size in zip(np.ravel(command), sizes, strict=True)]
+        draw_robot(image, self.tree, angles, self._view, self.command_joints, fractions)
 
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
         return clipped(value, low, high)
-
-
-def _as_tensor(value: Scalar) -> Tensor:
-    return torch.as_tensor(value, dtype=torch.float64)
-
-
-def _tip(tree: Tree) -> int:
-    """Index of the site where a robot carries things: on the joint that is farthest from the base."""
-    depth = []
-    for joint in tree.joints:
-        depth.append(1 + (depth[joint.parent] if joint.parent >= 0 else 0))
-    deepest = max(depth[site.joint] for site in tree.sites)
-    return next(i for i, site in enumerate(tree.sites) if depth[site.joint] == deepest)
