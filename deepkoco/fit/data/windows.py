@@ -190,7 +190,7 @@ def cut_windows(
     Raises:
         LogError: A log lacks a command or every measurement.
     """
-    channels = [_channels(recording, system) for recording in recordings]
+    channels = [channel_series(recording, system) for recording in recordings]
     step, steps, regular = _grid([command.t for command, _ in channels], length, integration_step(system))
     length = step * steps
     names = [channel.name for channel in system.measurements]
@@ -199,7 +199,7 @@ def cut_windows(
     for index, recording in enumerate(recordings):
         command, series = channels[index]
         commands.append(command)
-        still = _resting(system, series, noise, length)
+        still = resting_stamps(system, series, noise, length)
         history = 0.0 if cover else max(HISTORY, WARM_UP * length)
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         if regular and start < command.t[-1]:
@@ -282,7 +282,7 @@ def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[
     for channel in system.measurements:
         parts = []
         for recording in recordings:
-            _, series = _channels(recording, system)
+            _, series = channel_series(recording, system)
             if channel.name in series:
                 parts.append(
                     (len(series[channel.name][0]), estimate_noise(*series[channel.name], channel.noise_sd))
@@ -333,7 +333,7 @@ def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray
     return start + length * np.arange(int(fit + 1e-9))
 
 
-def _resting(
+def resting_stamps(
     system: System,
     series: Mapping[str, tuple[np.ndarray, np.ndarray]],
     noise: tuple[Noise, ...],
@@ -349,7 +349,7 @@ def _resting(
     return np.concatenate(found) if found else None
 
 
-def _channels(
+def channel_series(
     recording: Recording, system: System
 ) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
     where = recording.path or "the recording"

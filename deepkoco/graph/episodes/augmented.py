@@ -141,8 +141,8 @@ def replay_record(
         t_received={c.key: recorded.t_received[c.key] for c in kept},
         windows={c.key: recorded.windows[c.key] for c in kept if c.key in recorded.windows},
     )
-    names = _compared_names(graph, running, recorded, compare)
-    showing = [_showing(graph, recorded, name) for name in names]
+    names = compared_names(graph, running, recorded, compare)
+    showing = [showing_connection(graph, recorded, name) for name in names]
     nodes = [
         _supervisor(graph, node, recorded, initial_outputs or {}, {str(c.name): c.sender for c in showing})
         if node.name == graph.supervisor
@@ -159,7 +159,7 @@ def replay_record(
     actions = torch.from_numpy(np.asarray(recorded.outputs[graph.supervisor]))[: timing.steps, None]
     compared: dict[str, np.ndarray] = {}
     for connection in showing:
-        compared |= _shown(whole, timing, recorded, connection)
+        compared |= recorded_readings(whole, timing, recorded, connection)
     return AugmentedReplay(whole, timing, actions, compared, recorded, added, seed)
 
 
@@ -251,7 +251,7 @@ def _check_connections(graph: Graph, running: Mapping[str, Node], connect: tuple
             )
 
 
-def _compared_names(
+def compared_names(
     graph: Graph, running: Mapping[str, Node], recorded: Episode, compare: Iterable[str] | None
 ) -> tuple[str, ...]:
     replaced = [name for name in running if name in graph.index]
@@ -299,7 +299,7 @@ def _supervisor(
     )
 
 
-def _showing(graph: Graph, recorded: Episode, sender: str) -> Connection:
+def showing_connection(graph: Graph, recorded: Episode, sender: str) -> Connection:
     """A connection that shows the supervisor, at each of its steps, all messages since the one before."""
     acts, sent = recorded.t_start[graph.supervisor], recorded.t_end[sender]
     window = int(np.diff(np.searchsorted(sent, acts)).max(initial=1))
@@ -308,7 +308,7 @@ def _showing(graph: Graph, recorded: Episode, sender: str) -> Connection:
     return Connection(sender, graph.supervisor, window=min(window, LONGEST_WINDOW), skip=True, name=name)
 
 
-def _shown(
+def recorded_readings(
     graph: Graph, timing: ComputationGraph, recorded: Episode, connection: Connection
 ) -> dict[str, np.ndarray]:
     """By reading, (steps, window, ...) what was recorded of the messages that it shows, each of them once."""

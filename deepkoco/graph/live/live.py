@@ -4,7 +4,7 @@ import atexit
 import time
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -119,7 +119,7 @@ class LiveRuntime(ABC):
                 self.finish()  # the recording wants the whole of the episode that is given up
             self._recorder.open()
         self._plan_episode(timing, row)
-        with _Stopping(self):
+        with Stopping(self._stop_after):
             if self._crew is None:
                 self._crew = Crew(self.graph, self._options)
                 # A caller who forgets to close wants the file all the same, and must hear of a failure.
@@ -151,7 +151,7 @@ class LiveRuntime(ABC):
         assert self._driver is not None
         assert self._crew is not None
         action = self._driver.runner.act(action, self._driver.tick)
-        with _Stopping(self):
+        with Stopping(self._stop_after):
             if self._crew.failure is not None:
                 raise self._crew.failure  # before the action goes anywhere
             self._check_finite(self._driver, action)
@@ -163,7 +163,7 @@ class LiveRuntime(ABC):
         if self._running is None:
             raise ValueError("run before reset: call reset first")
         for _ in range(steps):
-            with _Stopping(self):
+            with Stopping(self._stop_after):
                 action = policy(self._seen)
             self.step(self._running, action)
         return self._running
@@ -184,7 +184,7 @@ class LiveRuntime(ABC):
         assert self._driver is not None
         assert self._crew is not None
         step = int(self._running.step[0])
-        with _Stopping(self):
+        with Stopping(self._stop_after):
             logs = self._crew.ask({name: ("end", self._last(name, step)) for name in self._others})
         self._running = None
         logs[self.graph.supervisor] = self._driver.log()
@@ -336,11 +336,15 @@ class LiveRuntime(ABC):
         return []
 
 
-class _Stopping:
-    """Stops everything where what is inside fails: a node, the policy, Ctrl-C."""
+class Stopping:
+    """Stops everything where what is inside fails: a node, the policy, Ctrl-C.
 
-    def __init__(self, runtime: LiveRuntime) -> None:
-        self._runtime = runtime
+    Args:
+        stop: Called with the failure.
+    """
+
+    def __init__(self, stop: Callable[[BaseException], None]) -> None:
+        self._stop = stop
 
     def __enter__(self) -> None:
         return None
@@ -348,4 +352,4 @@ class _Stopping:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
         if error is not None and not isinstance(error, InitialStateError):
-            self._runtime._stop_after(error)
+            self._stop(error)

@@ -41,7 +41,7 @@ _LEAST = 30_000  # visits that every search may spend: few enough for no wait, e
 _TRY = 10  # a try to reach one length may spend this part of the budget
 _PATIENCE = 5  # tries without any gain after which it ends
 _UPHILL = (8, 80)  # of 2048 moves, those that may leave 2 and 1 more vertices late
-_FILL = 48  # entries of the table of next slots that take as long as a visit
+FILL = 48  # entries of the table of next slots that take as long as a visit
 _FAILURES = 8  # further windows from an embedding of all episodes
 
 
@@ -129,10 +129,10 @@ def _search(parts, best, bound, pass_base, pass_first, windows, budget, generato
         for k in best:
             count[k] += 1
         if not measured:
-            _count_use(parts, slots, size, next_slot, position, last, use)
+            count_use(parts, slots, size, next_slot, position, last, use)
             visited[0] += len(parts.kind)
             measured = True
-        size = _shorten(
+        size = shorten(
             slots,
             size,
             max(least, size - step),
@@ -175,7 +175,7 @@ def _search(parts, best, bound, pass_base, pass_first, windows, budget, generato
 
 
 @njit(cache=True)
-def _count_use(parts, slots, size, next_slot, position, last, use):
+def count_use(parts, slots, size, next_slot, position, last, use):
     """Count the vertices that each slot runs."""
     fill_next(slots, size, next_slot)
     use[:size] = 0
@@ -187,7 +187,7 @@ def _count_use(parts, slots, size, next_slot, position, last, use):
 
 
 @njit(cache=True)
-def _shorten(slots, size, target, bound, count, use, windows, next_slot, late, spare, generator, visited):
+def shorten(slots, size, target, bound, count, use, windows, next_slot, late, spare, generator, visited):
     """Delete slots until `target` are left: those that no window uses, else those that fewest miss."""
     while size > target:
         shorter = _delete_unused(slots, size, target, bound, count, use, windows, next_slot, visited)
@@ -259,7 +259,7 @@ def _choose_deletion(slots, size, bound, count, use, windows, next_slot, late, s
         spare[:slot] = slots[:slot]
         spare[slot : size - 1] = slots[slot + 1 : size]
         fill_next(spare, size - 1, next_slot)
-        visited[0] += size * len(count) // _FILL
+        visited[0] += size * len(count) // FILL
         missed = count_all_late(windows, next_slot, fewest - 1, late, visited)
         if missed < fewest:
             chosen, fewest = slot, missed
@@ -296,7 +296,7 @@ def _repair(slots, size, bound, count, windows, next_slot, late, spare, generato
                 spare[n] = slots[i]
                 n += 1
         fill_next(spare, size, next_slot)
-        visited[0] += 2 * size * len(count) // _FILL
+        visited[0] += 2 * size * len(count) // FILL
         uphill = 0
         chance = draw(generator, 2048)
         if chance < _UPHILL[0]:

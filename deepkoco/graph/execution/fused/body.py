@@ -126,7 +126,7 @@ class Body:
 
     def literal(self, number: float | bool, dtype: torch.dtype) -> str:
         """A constant as a lane vector."""
-        return f"splat<{VECTORS[dtype]}>({_number(number, dtype)})"
+        return f"splat<{VECTORS[dtype]}>({number_text(number, dtype)})"
 
     def constant(self, tensor: Tensor) -> Value:
         """A tensor that depends on no input."""
@@ -154,7 +154,7 @@ class Body:
         """The elements of a small value, loaded from memory where they lie there."""
         if value.array is None:
             return list(value.elements)
-        return [self.emit(value.dtype, value.array.at(str(i), value.dtype)) for i in _flat(value)]
+        return [self.emit(value.dtype, value.array.at(str(i), value.dtype)) for i in flat_indices(value)]
 
     def stored(self, value: Value) -> Value:
         """The value in memory."""
@@ -312,7 +312,7 @@ def supported(dtype: torch.dtype) -> torch.dtype:
     return dtype
 
 
-def _number(number: float | bool, dtype: torch.dtype) -> str:
+def number_text(number: float | bool, dtype: torch.dtype) -> str:
     if dtype == torch.bool:
         return "-1" if number else "0"
     if not dtype.is_floating_point:
@@ -330,7 +330,7 @@ def contiguous(shape: Sequence[int]) -> tuple[int, ...]:
     return tuple(math.prod(shape[i + 1 :]) for i in range(len(shape)))
 
 
-def _flat(value: Value) -> list[int]:
+def flat_indices(value: Value) -> list[int]:
     """Flat indices of the elements of a value in memory."""
     assert value.array is not None
     index = torch.full((), value.array.offset)

@@ -100,19 +100,19 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
         own = {key: place for (m, key), place in moving.items() if m == n}
         uses[n] = p.trace.used()
         inputs = _node_inputs(body, graph, n, p.trace, uses[n], places, kept, own, state_start[n])
-        outputs = _run(body, f'node "{n}"', p.trace, inputs)
+        outputs = lower_trace(body, f'node "{n}"', p.trace, inputs)
         staged[n] = any(outputs[f"s.{k}"].array or inputs[f"s.{k}"].array for k in own if f"s.{k}" in inputs)
         for key, place in own.items():
-            _store(body, f"S2 + {place.offset - state_start[n]} * W", outputs[f"s.{key}"])
+            store_tensor(body, f"S2 + {place.offset - state_start[n]} * W", outputs[f"s.{key}"])
         for key, place in readings.items() if n == graph.supervisor else ():
-            _store(body, f"Y + {place.offset} * W", outputs[f"r.{key}"])
+            store_tensor(body, f"Y + {place.offset} * W", outputs[f"r.{key}"])
         if "output" in outputs:
-            _store(body, "Y", outputs["output"])
+            store_tensor(body, "Y", outputs["output"])
         deepest = max(deepest, body.bytes)
         early, lines = body.finish(hoisted.place)
         prologues += [f"  {{ // {n}", *(f"    {line}" for line in early), "  }"] if early else []
         texts += [f"static void body_{index}({_ARGUMENTS}) {{ // {n}"]
-        texts += [f"  {line}" for line in _pool_lines(body, pool, "K")]
+        texts += [f"  {line}" for line in pool_lines(body, pool, "K")]
         texts += [f"  {line}" for line in lines] + ["}", ""]
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
     sizes = {node.name: _bytes(by_name[node.name].output) for node in graph.nodes}
@@ -128,14 +128,14 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
         "HOISTED": max(8, hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
-    _check_stack(
+    check_stack(
         lanes * (deepest + sum(defines[k] for k in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")))
     )
     text = "\n".join(
         [
             f"#define W {lanes}",
-            _text("lanes.h"),
-            _text("functions.h"),
+            header_text("lanes.h"),
+            header_text("functions.h"),
             *(f"#define {name} {number}" for name, number in defines.items()),
             *texts,
             f"typedef void (*Body)({_ARGUMENTS});",
@@ -143,8 +143,8 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
             "static void prologue(const char *P, char *H) {",
             *prologues,
             "}",
-            _text("model.h"),
-            _text("driver.h"),
+            header_text("model.h"),
+            header_text("driver.h"),
         ]
     )
     return KernelSource(
@@ -220,26 +220,26 @@ def policy_source(
         heads.append(f"const {SCALARS[dtype]} *{pointer} = (const {SCALARS[dtype]} *)(weights + {start});")
         strides = (1, shape[0]) if turned else contiguous(shape)
         inputs[name] = Value(shape, dtype, array=Array(pointer, "shared", strides))
-    inputs |= _seen(body, graph, graph.supervisor, trace, uses)
+    inputs |= seen_messages(body, graph, graph.supervisor, trace, uses)
     for key, place in readings.items():
         if f"r.{key}" in uses:
-            inputs[f"r.{key}"] = _load(body, f"R + {place.offset} * W", trace.inputs[f"r.{key}"])
-    (output,) = _run(body, "policy", trace, inputs).values()
+            inputs[f"r.{key}"] = load_tensor(body, f"R + {place.offset} * W", trace.inputs[f"r.{key}"])
+    (output,) = lower_trace(body, "policy", trace, inputs).values()
     if (output.dtype, output.shape[1:]) != action:
         output = body.cast_value(output, action[0])
         if output.shape[1:] != action[1]:
             raise TraceError(f"policy: an action is {action[1]}, not {output.shape[1:]}")
-    _store(body, "Y", output)
-    _check_stack(lanes * body.bytes)
+    store_tensor(body, "Y", output)
+    check_stack(lanes * body.bytes)
     early, lines = body.finish(lambda _: 0)
     assert not early, "a policy has no parameters of single environments"
     behind = Pool(size=pool.size)
-    heads += _pool_lines(body, behind, "weights")
+    heads += pool_lines(body, behind, "weights")
     text = "\n".join(
         [
             f"#define W {lanes}",
-            _text("lanes.h"),
-            _text("functions.h"),
+            header_text("lanes.h"),
+            header_text("functions.h"),
             f"static const int PLACES = {max(1, sum(c.window for c in graph.inputs_of(graph.supervisor)))};",
             'extern "C" void policy(const char *weights, const char *R, const char *const *X, const VL *Q, '
             "const VD *T, char *Y) {",
@@ -274,24 +274,28 @@ def _node_inputs(
     states: Mapping[str, Field],
     state_start: int,
 ) -> dict[str, Value]:
-    inputs = _seen(body, graph, name, trace, uses)
+    inputs = seen_messages(body, graph, name, trace, uses)
     for key, place in parameters.items():
         if f"p.{key}" in uses:
-            inputs[f"p.{key}"] = _load(body, f"P + {place.offset} * W", trace.inputs[f"p.{key}"], early=True)
+            inputs[f"p.{key}"] = load_tensor(
+                body, f"P + {place.offset} * W", trace.inputs[f"p.{key}"], early=True
+            )
     for key, place in constants.items():
         if f"s.{key}" in uses:
-            inputs[f"s.{key}"] = _load(body, f"P + {place.offset} * W", trace.inputs[f"s.{key}"], early=True)
+            inputs[f"s.{key}"] = load_tensor(
+                body, f"P + {place.offset} * W", trace.inputs[f"s.{key}"], early=True
+            )
     for key, place in states.items():
         if f"s.{key}" in uses:
-            inputs[f"s.{key}"] = _load(
+            inputs[f"s.{key}"] = load_tensor(
                 body, f"S + {place.offset - state_start} * W", trace.inputs[f"s.{key}"]
             )
     if "action" in uses:
-        inputs["action"] = _load(body, "A", trace.inputs["action"])
+        inputs["action"] = load_tensor(body, "A", trace.inputs["action"])
     return inputs
 
 
-def _seen(body: Body, graph: Graph, name: str, trace: Trace, uses: set[str]) -> dict[str, Value]:
+def seen_messages(body: Body, graph: Graph, name: str, trace: Trace, uses: set[str]) -> dict[str, Value]:
     """The messages in the windows of a node."""
     inputs: dict[str, Value] = {}
     if "t_start" in uses:
@@ -310,7 +314,7 @@ def _seen(body: Body, graph: Graph, name: str, trace: Trace, uses: set[str]) -> 
         key = f"i.{edge.name}.data"
         if key in uses:
             ref = trace.inputs[key]
-            each = [_load(body, f"X[{j}]", Ref(ref.example[:, 0])) for j in places]
+            each = [load_tensor(body, f"X[{j}]", Ref(ref.example[:, 0])) for j in places]
             if all(value.array is None for value in each):
                 elements = tuple(e for value in each for e in value.elements)
                 value = Value(tuple(ref.example.shape), ref.example.dtype, elements)
@@ -330,7 +334,7 @@ def _seen(body: Body, graph: Graph, name: str, trace: Trace, uses: set[str]) -> 
     return inputs
 
 
-def _load(body: Body, pointer: str, ref: Ref, early: bool = False) -> Value:
+def load_tensor(body: Body, pointer: str, ref: Ref, early: bool = False) -> Value:
     """A tensor of a record."""
     shape, dtype = tuple(ref.example.shape), supported(ref.example.dtype)
     if ref.example.numel() > REGISTERS:
@@ -340,7 +344,7 @@ def _load(body: Body, pointer: str, ref: Ref, early: bool = False) -> Value:
     return Value(shape, dtype, tuple(names))
 
 
-def _run(body: Body, who: str, trace: Trace, inputs: Mapping[str, Value]) -> dict[str, Value]:
+def lower_trace(body: Body, who: str, trace: Trace, inputs: Mapping[str, Value]) -> dict[str, Value]:
     """Lower all operations; return the outputs."""
     values = {id(trace.inputs[name]): value for name, value in inputs.items()}
     try:
@@ -355,7 +359,7 @@ def _run(body: Body, who: str, trace: Trace, inputs: Mapping[str, Value]) -> dic
     }
 
 
-def _store(body: Body, pointer: str, value: Value) -> None:
+def store_tensor(body: Body, pointer: str, value: Value) -> None:
     if value.array is None:
         body.lines += [f"st({pointer}, {i}, {element});" for i, element in enumerate(value.elements)]
         return
@@ -365,7 +369,7 @@ def _store(body: Body, pointer: str, value: Value) -> None:
     body.lines.append(f"{loops} st({pointer}, {target}, {element});")
 
 
-def _pool_lines(body: Body, pool: Pool, base: str) -> list[str]:
+def pool_lines(body: Body, pool: Pool, base: str) -> list[str]:
     lines = []
     for name, tensor in body.shared.items():
         scalar = SCALARS[tensor.dtype]
@@ -373,7 +377,7 @@ def _pool_lines(body: Body, pool: Pool, base: str) -> list[str]:
     return lines
 
 
-def _check_stack(size: int) -> None:
+def check_stack(size: int) -> None:
     if size > MOST_STACK:
         raise TraceError(
             f"{size / 2**20:.0f} MB are worked on at once, more than the {MOST_STACK / 2**20:.0f} MB of a kernel"
@@ -384,5 +388,5 @@ def _bytes(kind: Spec) -> int:
     return -(-int(np.prod(kind[1], dtype=np.int64)) * kind[0].itemsize // 8) * 8
 
 
-def _text(name: str) -> str:
+def header_text(name: str) -> str:
     return files("deepkoco.graph.execution.fused").joinpath(name).read_text()
