@@ -4,7 +4,7 @@ import atexit
 import time
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -22,9 +22,10 @@ from deepkoco.graph.live.episode_start import received_outputs, reset_nodes, sta
 from deepkoco.graph.live.failure import Ending, NodeFailure, failure_of
 from deepkoco.graph.live.plan import Plan
 from deepkoco.graph.live.recorder import Record, Recorder
-from deepkoco.graph.live.runner import InitialStateError, Runner
+from deepkoco.graph.live.runner import Runner
 from deepkoco.graph.live.seat import make_driver
 from deepkoco.graph.live.state import Policy, RunningState, check_step, running_state
+from deepkoco.graph.live.stopping import Stopping
 from deepkoco.graph.model.contract import NotFiniteError
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, State
@@ -334,22 +335,3 @@ class LiveRuntime(ABC):
     def _unled(self) -> list[str]:
         """Nodes that need credit, for they would run ahead without end."""
         return []
-
-
-class Stopping:
-    """Stops everything where what is inside fails: a node, the policy, Ctrl-C.
-
-    Args:
-        stop: Called with the failure.
-    """
-
-    def __init__(self, stop: Callable[[BaseException], None]) -> None:
-        self._stop = stop
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
-        if error is not None and not isinstance(error, InitialStateError):
-            self._stop(error)

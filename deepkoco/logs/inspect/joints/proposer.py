@@ -5,39 +5,35 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
-from deepkoco.logs.inspect.joints.goals import Tracking, hold, track
-from deepkoco.logs.inspect.joints.gravity import SLOW, JointEvidence, Slow, signs_and_zeros
+from deepkoco.logs.inspect.joints.goals import Tracking, track
+from deepkoco.logs.inspect.joints.gravity import JointEvidence
 from deepkoco.logs.inspect.joints.log_joints import LogJoint, log_joints, loose_efforts, loose_goals
 from deepkoco.logs.inspect.joints.match import Match, match_joints
+from deepkoco.logs.inspect.joints.proposed_joint import (
+    ProposedJoint,
+    driving_commands,
+    effort_column,
+    joint_range,
+    joint_slides,
+    model_positions,
+)
 from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
+from deepkoco.logs.inspect.joints.slow_samples import gravity_evidence
 from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
 
-STEP = 0.1  # between compared samples [s]
-SPREAD = 0.15  # half of the time over which a speed is taken [s]
 GOAL_ZERO = 0.2  # difference of goal and position above which their zeros differ [rad or m]
 NAMED = 0.95  # probability that a column with the name of an actuator is its command
 LOOSE = 0.5  # probability that an effort without the name of a joint drives the next joint in the order
 LEAST = 3.0  # evidence of a proposal for each joint [nats], compared with other systems
-
-
-class ProposedJoint(NamedTuple):
-    """One joint of the model with its joint in the log."""
-
-    number: int
-    match: Match
-    log: LogJoint
-    scaling: Scaling
-    tracking: Tracking | None
 
 
 def has_named_joints(system: System) -> bool:
@@ -128,103 +124,6 @@ def _scaled(
         tracking = None if goal is None else _best_track(surveys, log.columns["position"], goal)
         result.append(ProposedJoint(match.model, match, log, scaling, tracking))
     return result
-
-
-def driving_commands(system: System, joint: int) -> list[Channel]:
-    """Commands that drive a joint."""
-    return [c for c, driven in zip(system.commands, system.command_joints, strict=False) if driven == joint]
-
-
-def joint_slides(system: System, joint: int) -> bool:
-    return system.state_units[joint] == "m"
-
-
-def joint_range(system: System, joint: int) -> tuple[float, float]:
-    """Range of a joint: that of the goals of its servo, or that of its sensor."""
-    unit = system.state_units[joint]
-    for command, driven in zip(system.commands, system.command_joints, strict=False):
-        if driven == joint and command.unit == unit and math.isfinite(command.high - command.low):
-            return command.low, command.high
-    name = f"q_{system.joint_names[joint]}"
-    sensor = next(c for c in system.measurements if c.name == name)
-    return sensor.low, sensor.high
-
-
-def model_positions(joint: ProposedJoint, value: np.ndarray) -> np.ndarray:
-    scaling = joint.scaling
-    return scaling.factor * value + scaling.factor / scaling.scale * scaling.offset
-
-
-def gravity_evidence(
-    surveys: Sequence[Survey], system: System, joints: Sequence[ProposedJoint]
-) -> list[JointEvidence] | None:
-    parts = [part for survey in surveys if (part := _slow(survey, system, joints)) is not None]
-    if not parts:
-        return None
-    slow = Slow(
-        np.concatenate([part.q for part in parts]),
-        np.concatenate([part.speed for part in parts]),
-        np.concatenate([part.pull for part in parts]),
-        sum(part.seconds for part in parts),
-    )
-    return signs_and_zeros(system, slow, [not joint_slides(system, j) for j in range(system.joints)])
-
-
-def _slow(survey: Survey, system: System, joints: Sequence[ProposedJoint]) -> Slow | None:
-    """Samples of one log at which all joints are slow."""
-    there = {column.label: column for column in survey.columns if column.usable}
-    samples = []
-    for joint in joints:
-        column = there.get(joint.log.columns["position"].label)
-        if column is None or len(survey.samples(column)[0]) < 2:
-            return None
-        samples.append(survey.samples(column))
-    if not samples:
-        return None
-    start, stop = max(t[0] for t, _ in samples) + 0.5, min(t[-1] for t, _ in samples) - 0.5
-    times = np.arange(start, stop, STEP)
-    q, speed = np.zeros((len(times), system.joints)), np.zeros((len(times), system.joints))
-    pull = np.full((len(times), system.joints), np.nan)
-    for joint, (t, value) in zip(joints, samples, strict=True):
-        q[:, joint.number] = model_positions(joint, np.interp(times, t, value))
-        ahead, behind = (np.interp(times + s, t, value) for s in (SPREAD, -SPREAD))
-        speed[:, joint.number] = joint.scaling.factor * (ahead - behind) / (2.0 * SPREAD)
-        pull[:, joint.number] = _pull(survey, system, joint, there, times, q[:, joint.number])
-    keep = (np.abs(speed) < SLOW).all(axis=1)
-    return Slow(q[keep], speed[keep], pull[keep], STEP * float(keep.sum()))
-
-
-def _pull(
-    survey: Survey,
-    system: System,
-    joint: ProposedJoint,
-    there: dict[str, ColumnSurvey],
-    times: np.ndarray,
-    q: np.ndarray,
-) -> np.ndarray:
-    """Position minus goal where the joint has a servo, else minus the commanded torque; NaN if neither is there."""
-    unknown = np.full(len(times), np.nan)
-    driving = driving_commands(system, joint.number)
-    if not driving:
-        return unknown
-    servo = driving[0].unit == system.state_units[joint.number]
-    column = joint.log.columns.get("goal") if servo else effort_column(joint.log)
-    column = None if column is None else there.get(column.label)
-    if column is None:
-        return unknown
-    t, value = survey.samples(column)
-    if not len(t):
-        return unknown
-    if not servo:
-        return -hold(times, t, value)
-    tracking = joint.tracking
-    delay = tracking.delay if tracking is not None and tracking.follows else 0.1
-    direction = -1.0 if tracking is not None and tracking.follows and tracking.slope < 0 else 1.0
-    return q - model_positions(joint, direction * hold(times - delay, t, value))
-
-
-def effort_column(log: LogJoint) -> ColumnSurvey | None:
-    return log.columns.get("goal effort") or log.columns.get("effort") or log.columns.get("goal")
 
 
 def _finding(
