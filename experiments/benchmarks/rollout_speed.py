@@ -32,7 +32,7 @@ POPULATION, POPULATION_STEPS = 200, 1050
 LEAST_SECONDS = 0.1  # of one measurement: shorter work is repeated
 ROOT = Path(__file__).resolve().parents[2]
 PEER = ROOT / ".venv-peers" / "bin" / "python"
-PEER_SCRIPT = ROOT / "experiments" / "peers" / "rex_rollout.py"
+PEER_SCRIPT = Path(__file__).parent / "peers" / "rex_rollout.py"
 
 
 class OurWork:
