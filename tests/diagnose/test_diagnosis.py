@@ -4,9 +4,12 @@ import io
 import json
 import sys
 import time
+from contextlib import redirect_stdout
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -48,9 +51,29 @@ def diagnosis(log):
     return diagnose([log], "rod_pendulum", seed=5)
 
 
+class Commanded(NamedTuple):
+    """A diagnosis by the command line: exit status, what it prints, and its folder."""
+
+    status: int
+    printed: str
+    folder: Path
+
+
 @pytest.fixture(scope="module")
-def report(diagnosis, tmp_path_factory):
-    return write_report(diagnosis, tmp_path_factory.mktemp("reports") / "report").parent
+def commanded(log, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reports")
+    path = write_log(folder / "log.csv", log)
+    out = folder / "report"
+    with redirect_stdout(io.StringIO()) as printed:
+        status = main(
+            ["diagnose", str(path), "--system", "rod_pendulum", "--out", str(out), "--json", "--seed", "5"]
+        )
+    return Commanded(status, printed.getvalue(), out)
+
+
+@pytest.fixture(scope="module")
+def report(commanded):
+    return commanded.folder
 
 
 def test_report_json_has_the_keys_of_the_contract(report):
@@ -204,14 +227,11 @@ def test_model_keeps_given_parameters_where_the_refit_raises_the_held_out_error(
     assert better.gain.channels[0].extended < better.gain.channels[0].baseline
 
 
-def test_command_line_diagnoses(log, tmp_path, capsys):
-    path = write_log(tmp_path / "log.csv", log)
-    assert (
-        main(["diagnose", str(path), "--system", "rod_pendulum", "--out", str(tmp_path / "out"), "--json"])
-        == 0
-    )
-    assert json.loads(capsys.readouterr().out)["verdict"] == "cause"
-    assert (tmp_path / "out" / "report.html").is_file()
+def test_command_line_diagnoses(commanded):
+    assert commanded.status == 0
+    assert json.loads(commanded.printed) == json.loads((commanded.folder / "report.json").read_text())
+    assert json.loads(commanded.printed)["verdict"] == "cause"
+    assert (commanded.folder / "report.html").is_file()
 
 
 class Terminal(io.StringIO):
