@@ -41,10 +41,10 @@ from deepkoco.graph import (
 )
 from deepkoco.graph.model.node import Parameters, State
 from experiments.benchmarks import rollout_work
-from experiments.benchmarks.rollout_speed import PEER, ROOT, actions
+from experiments.benchmarks.rollout_speed import PEER, actions
 from experiments.plumbing.provenance import as_markdown
 
-PEER_SCRIPT = ROOT / "experiments" / "peers" / "rex_fit.py"
+PEER_SCRIPT = Path(__file__).parent / "peers" / "rex_fit.py"
 POPULATION, GENERATIONS = 200, 38
 SENSING, ACTUATION = 0.0123, 0.0081  # [s]; no message arrives at the very instant at which a step starts
 INITIAL = (2.8, 0.0)  # angle [rad] and speed [rad/s] at the start: near hanging

@@ -32,7 +32,7 @@ POPULATION, POPULATION_STEPS = 200, 1050
 LEAST_SECONDS = 0.1  # of one measurement: shorter work is repeated
 ROOT = Path(__file__).resolve().parents[2]
 PEER = ROOT / ".venv-peers" / "bin" / "python"
-PEER_SCRIPT = ROOT / "experiments" / "peers" / "rex_rollout.py"
+PEER_SCRIPT = Path(__file__).parent / "peers" / "rex_rollout.py"
 
 
 class OurWork:
@@ -189,7 +189,7 @@ def start_up(executor: str, repeats: int = 3) -> dict[str, float]:
     """
     code = (
         "import numpy as np, torch; from deepkoco.graph import BatchedRuntime, draw_timing; "
-        "from experiments import rollout_work as w; g = w.make_graph(); "
+        "from experiments.benchmarks import rollout_work as w; g = w.make_graph(); "
         "t = draw_timing(g, np.random.default_rng(0), 200, 20, rows=20); "
         f"r = BatchedRuntime(g, t, executor='{executor}'); "
         "s, _ = r.reset(w.make_parameters(), torch.Generator().manual_seed(0), rows=np.zeros(64, int)); "

@@ -47,6 +47,7 @@ from experiments.benchmarks.topologies import (
 )
 
 ROOT = Path(__file__).resolve().parents[2]
+PEER_SCRIPT = Path(__file__).resolve().parent / "peers" / "supergraph_search.py"
 PEER_PYTHON = os.environ.get("DEEPKOCO_PEER_PYTHON", str(ROOT / ".venv-peers" / "bin" / "python"))
 METHODS: dict[str, Callable[[Partitions], Supergraph]] = {
     "ours": lambda parts: Supergraph.chain(find_slots(parts)),
@@ -126,7 +127,8 @@ def measure_peer(cell: Cell, generation: bool, python: str = PEER_PYTHON) -> dic
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "graphs.npz"
         export_graphs(path, cell, topology, episodes)
-        command = [python, "-m", "experiments.benchmarks.peers.supergraph_search", str(path)]
+        # By its path: as a module it would import the packages above it, which need what the peers do not have.
+        command = [python, str(PEER_SCRIPT), str(path)]
         # The peer's result depends on the hash of its vertices' names.
         environment = os.environ | {"PYTHONHASHSEED": str(cell.seed), "OMP_NUM_THREADS": "1"}
         run = subprocess.run(

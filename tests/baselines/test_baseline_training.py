@@ -81,7 +81,10 @@ def test_rows_have_the_names_of_all_agents(tmp_path):
     assert told[-1].completed == told[-1].total == 12
 
 
-@pytest.mark.parametrize(("name", "observed"), [("sac", "states"), ("deepmdp", "images")])
+@pytest.mark.parametrize(
+    ("name", "observed"),
+    [("sac", "states"), pytest.param("deepmdp", "images", marks=pytest.mark.study)],
+)
 def test_a_killed_run_goes_on_bit_for_bit(name, observed, tmp_path):
     command = [sys.executable, str(HERE / "tracking.py"), str(tmp_path / "killed"), name, observed]
     environment = {**os.environ, "PYTHONPATH": str(HERE.parents[1])}

@@ -39,7 +39,7 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("cause", studied(HIDDEN, ("coulomb",)))
+@pytest.mark.parametrize("cause", studied(HIDDEN, ()))
 def test_hidden_effect_is_found(cause):
     system, excitation, hidden = HIDDEN[cause]
     seed = 40 + list(HIDDEN).index(cause)

@@ -26,7 +26,7 @@ def diagnosed(folder: Path, unit: CartPoleUnit | MotorUnit, system: str, seconds
 @pytest.mark.parametrize(
     ("unit", "system"),
     [
-        pytest.param(CartPoleUnit(), CART, id="cart-pole"),
+        pytest.param(CartPoleUnit(), CART, id="cart-pole", marks=pytest.mark.study),
         pytest.param(MotorUnit(), MOTOR, id="motor", marks=pytest.mark.study),
     ],
 )

@@ -35,6 +35,7 @@ def smaller(source: str) -> str:
     return source
 
 
+@pytest.mark.study
 @pytest.mark.timeout(300)
 def test_the_cells_of_the_notebook_run_from_the_log_to_a_controller(runner, tmp_path):
     sources = [smaller(source) for source in runner.code_cells(NOTEBOOK)]

@@ -1,6 +1,6 @@
 """Runs the peer package `supergraph` on computation graphs given as arrays; started in an environment of its own.
 
-    PEER_PYTHON -m experiments.benchmarks.peers.supergraph_search GRAPHS.npz [--generate]
+    PEER_PYTHON experiments/benchmarks/peers/supergraph_search.py GRAPHS.npz [--generate]
 
 Reads the arrays that `export_graphs` of `experiments.benchmarks.supergraph_efficiency` wrote, prints one line of JSON.
 With `--generate` the peer also draws the graphs itself; those must be the same ones. Imports nothing of ours.
