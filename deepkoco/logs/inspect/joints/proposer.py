@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepkoco.logs.by_name import wanted_names
+from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, hold, track
@@ -17,7 +18,6 @@ from deepkoco.logs.inspect.joints.gravity import SLOW, JointEvidence, Slow, sign
 from deepkoco.logs.inspect.joints.log_joints import LogJoint, log_joints, loose_efforts, loose_goals
 from deepkoco.logs.inspect.joints.match import Match, match_joints
 from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
-from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
