@@ -49,6 +49,8 @@ def headline(diagnosis: Diagnosis) -> str:
 def _moved_value(moved: Moved) -> str:
     """Return a moved parameter as a clause, and the sum of which it is a part if only that sum shows."""
     text = new_value(moved.name, moved.given, moved.estimate)
+    for other in moved.instead:
+        text += f", or instead {new_value(other.name, other.given, other.estimate)}, which this log cannot tell apart"
     if not moved.sum_with:
         return text
     sums = [moved.sum_given + moved.estimate.value - moved.given, moved.sum_given]

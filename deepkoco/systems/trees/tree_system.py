@@ -97,11 +97,10 @@ class TreeSystem(System):
         tree = settings.applied_to(tree)
         self.tree, self.origin, self.notes, self.held = tree, origin, tree.notes, settings.held
         self.name, self.joints = tree.name, len(tree.joints)
-        names = tuple(joint.name for joint in tree.joints)
+        names = self._names = tuple(joint.name for joint in tree.joints)
         units = tuple("m" if joint.slides else "rad" for joint in tree.joints)
         self.state_names = (*(f"q_{n}" for n in names), *(f"dq_{n}" for n in names))
         self.state_units = (*units, *(f"{u}/s" for u in units))
-        self._names = names
         self.measurements = (
             *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
             *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
@@ -172,9 +171,8 @@ class TreeSystem(System):
     def command_joints(self) -> tuple[int, ...]:
         return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
 
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        return self._names
+    actuator_joints = property(lambda self: tuple(a.joint for a in self.tree.actuators))
+    joint_names = property(lambda self: self._names)
 
     @property
     def load_scale(self) -> float:
