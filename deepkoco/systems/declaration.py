@@ -100,7 +100,8 @@ def _check_states(who: str, system: Any) -> None:
         if position not in COORDINATES or speed != f"{position}/s":
             raise DeclarationError(
                 f"{who}: {system.joint_names[joint]} has the units {position} and {speed}; a joint that "
-                "turns has rad and rad/s, one that slides m and m/s"
+                "turns has rad and rad/s, one that slides m and m/s; a log may use other units of them, and other "
+                "quantities, such as a temperature or a pressure, are no joints"
             )
 
 

@@ -1,8 +1,11 @@
 """Proposed mappings of logs of robots that are classes of their users: names of single channels, goals, refusals."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
+from mcap.writer import Writer
 
 from deepkoco import Channel, Parameter, System
 from deepkoco.cli.command_line import main
@@ -111,3 +114,23 @@ def test_the_columns_are_shown_where_no_mapping_can_be_written(tmp_path, capsys)
     assert "foo" in said.out
     assert "no column fits the channel" in said.err
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("sensor_msgs/JointState", "rad"), ("my/State", "deg")])
+def test_joint_states_are_in_radians_by_their_definition_however_far_a_motor_turns(tmp_path, kind, unit):
+    path = tmp_path / "log.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        state, command = (
+            writer.register_channel(topic, "json", writer.register_schema(name, "jsonschema", b"{}"))
+            for topic, name in (("/joint_states", kind), ("/cmd", "my/Command"))
+        )
+        for now, motor, load in zip(T, 200.0 * FAST, 0.3 * SLOW, strict=True):
+            stamp = int(1e9 * now)
+            said = {"name": ["load", "motor"], "position": [load, motor]}
+            writer.add_message(state, stamp, json.dumps(said).encode(), stamp)
+            writer.add_message(command, stamp, json.dumps({"current_A": motor / 200.0}).encode(), stamp)
+        writer.finish()
+    proposal = propose(survey_log(open_log(path)), channels(DRIVE)).proposal
+    assert {c.channel.name: c.unit for c in proposal.choices}["motor_angle"] == unit

@@ -28,6 +28,7 @@ from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Channel, System
 
 NOTHING = 2.0  # evidence for a channel without a column [nats]
+SI_FIELDS = ("position", "velocity", "effort")  # of JointState
 FOLLOWED = 5.0  # evidence of a goal that explains all of a position [nats]
 BEST = 8  # largest number of columns that are tried for a measurement, the best names first
 
@@ -86,9 +87,16 @@ class Proposer:
             stated = column is not None and column.hints.unit is not None
             if column is not None and stated and factor_of(column.hints.unit or "") == factor_of(unit):
                 unit = column.hints.unit or unit
+            if column is not None and self._in_si(column):
+                unit, stated = channel.unit, True
             choices.append(Choice(channel, column, unit, stated, probability, tuple(best[place + 2]), rival))
         both = units is not None and best[1] is not None and best[2] is not None
         return choices, units if both else None, best[0]
+
+    def _in_si(self, column: ColumnSurvey) -> bool:
+        """Whether a column is of a message that is in SI by its definition; a motor turns many radians there."""
+        kind = self.survey.log.table(column.topic).kind
+        return kind.rpartition("/")[2] == "JointState" and column.name.split("[")[0] in SI_FIELDS
 
     def _command(
         self, channel: Channel, pair: Sequence[Choice], joint: int, system: System, taken: set[str]
