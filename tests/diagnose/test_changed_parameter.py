@@ -1,8 +1,10 @@
 """A wrong parameter of the simulation is named as what it is, and not as a mechanism that imitates it."""
 
+import io
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
@@ -58,6 +60,9 @@ def test_wrong_mass_within_a_wide_prior_is_the_headline_of_nothing(cart_log):
     assert result.verdict == "nothing"
     assert [m.name for m in result.moved] == ["pole_mass"]
     assert headline(result).startswith("pole mass is 0.2 kg, not 0.12 kg")
+    console = Console(width=160, file=io.StringIO(), record=True)
+    console.print(terminal_table(result))
+    assert "extended [m]" in console.export_text()
     assert result.to_json()["fit"]["moved"][0]["given"] == 0.12
 
 
