@@ -19,6 +19,7 @@ from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
+from tests.oracle.levitated_ball import Maglev, levitated_ball
 from tests.systems.cart_pole import POLE_MASS, CartPole, cart_pole_log
 
 
@@ -132,3 +133,16 @@ def test_changed_parameter_reads_names_with_brackets():
     assert changed_parameter("changed(damping(elbow))") == "damping(elbow)"
     assert changed_parameter("coulomb(joint 2)") is None
     assert spoken("changed(damping(elbow))") == "another value of damping (elbow)"
+
+
+def test_of_two_parameters_whose_ratio_alone_shows_the_less_known_one_is_named():
+    # The ball is 15 % heavier: 10 standard deviations of its mass, but 2.1 of the strength of its magnet.
+    result = diagnose([levitated_ball(0.075)], Maglev(), only=["gain_drift"])
+    (moved,) = result.moved
+    assert moved.name == "magnet"
+    assert moved.estimate.value == pytest.approx(6.5e-5 * 0.065 / 0.075, rel=2e-3)
+    (other,) = moved.instead
+    assert other.name == "mass"
+    assert other.estimate.value == pytest.approx(0.075, rel=2e-3)
+    assert other.estimate.low < 0.075 < other.estimate.high
+    assert "or instead mass is 75 g, not 65 g" in headline(result)

@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from deepkoco import Channel, Parameter, System
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.window_choice import SHARES, followed_length
 from deepkoco.fit.data.windows import window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, load_system, make_system
 from tests.fit.identify_logs import arm_log
+from tests.oracle.levitated_ball import Maglev, levitated_ball
 
 SHOULDER, ELBOW = "shoulder", "elbow"
 LINK = """<link name="{0}"><inertial><mass value="{1}"/><origin xyz="0 0 -0.15"/>
@@ -89,40 +89,6 @@ def test_friction_of_an_arm_is_named_though_its_file_says_nothing_of_its_drives(
     # The scale of all loads is known by priors alone; the ratio to what the motor delivers is known from the log.
     gain = found.to_json()["fit"]["final"]["gain(elbow)"]["value"]
     assert size.value / gain == pytest.approx(2.0, rel=0.03)
-
-
-def levitated_ball(mass: float, seconds: float = 4.0) -> Recording:
-    """A ball that a controller holds below a magnet, at 1 kHz: it falls twice as far every 16 ms on its own."""
-    rng, step, parts = np.random.default_rng(3), 1e-3, 20
-    t = step * np.arange(round(seconds / step))
-    gap, speed, before, rate, integral, rows = 0.01, 0.0, 0.01, 0.0, 0.0, np.zeros((len(t), 2))
-    for k, now in enumerate(t):
-        seen = gap + 6e-6 * rng.standard_normal()
-        rate, before = rate + 0.3 * ((seen - before) / step - rate), seen
-        error = seen - 0.01 - 5e-4 * (np.sin(3.0 * now) + np.sin(11.0 * now))
-        integral += step * error
-        current = 0.99 + 350.0 * error + 9.0 * rate + 800.0 * integral
-        rows[k] = seen, current
-        for _ in range(parts):
-            speed += step / parts * (9.81 - 6.5e-5 * current**2 / (mass * gap**2))
-            gap += step / parts * speed
-    return Recording(
-        {"gap": Series(t, rows[:, 0], "m", "measurement"), "current": Series(t, rows[:, 1], "A", "command")}
-    )
-
-
-class Maglev(System):
-    joint_units = "m"
-    parameters = (Parameter("mass", 0.065, "kg", 0.01, 0.5, 0.001, "of the ball"),)
-    commands = (Channel("current", "A", "command", 0.0, 4.0),)
-    measurements = (Channel("gap", "m", "measurement", noise_sd=1e-5),)
-
-    def accelerations(self, p):
-        def law(motion):
-            pull = 6.5e-5 * motion.efforts[0] ** 2 / motion.angles[0] ** 2
-            return ((p["mass"] * 9.81 - pull + motion.load(0)) / p["mass"],)
-
-        return law
 
 
 def test_an_unstable_plant_with_a_wrong_mass_gets_windows_in_which_it_does_not_run_away():
