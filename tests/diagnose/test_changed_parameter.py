@@ -13,7 +13,8 @@ from deepkoco.diagnose.diagnosis import Estimate
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.diagnose.report.text import headline, new_value, spoken, terminal_table
+from deepkoco.diagnose.report.text import headline, moved_value, new_value, spoken, terminal_table
+from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
@@ -137,12 +138,23 @@ def test_changed_parameter_reads_names_with_brackets():
 
 def test_of_two_parameters_whose_ratio_alone_shows_the_less_known_one_is_named():
     # The ball is 15 % heavier: 10 standard deviations of its mass, but 2.1 of the strength of its magnet.
-    result = diagnose([levitated_ball(0.075)], Maglev(), only=["gain_drift"])
-    (moved,) = result.moved
+    system, log = Maglev(), levitated_ball(0.075, 2.0)
+    windows = cut_windows([log], system, 0.03)
+    start = baseline_from(system, windows)
+    windows, found = refit_sharply(start, windows.take(moving(windows)))
+    (moved,) = moved_parameters(FitProblem(start.system, windows), start, found)
     assert moved.name == "magnet"
     assert moved.estimate.value == pytest.approx(6.5e-5 * 0.065 / 0.075, rel=2e-3)
     (other,) = moved.instead
     assert other.name == "mass"
+    assert other.estimate.low < other.estimate.value < other.estimate.high
     assert other.estimate.value == pytest.approx(0.075, rel=2e-3)
-    assert other.estimate.low < 0.075 < other.estimate.high
-    assert "or instead mass is 75 g, not 65 g" in headline(result)
+    assert moved.to_json()["instead"][0]["name"] == "mass"
+    assert "or instead mass is 75 g, not 65 g" in moved_value(moved)
+
+
+@pytest.mark.study
+def test_a_window_of_a_few_samples_is_diagnosed():
+    result = diagnose([levitated_ball(0.075)], Maglev(), only=["gain_drift"])
+    assert result.verdict == "nothing"
+    assert headline(result).startswith("magnet is")

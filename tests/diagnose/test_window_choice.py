@@ -6,7 +6,7 @@ import pytest
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.window_choice import SHARES, followed_length
-from deepkoco.fit.data.windows import window_length
+from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, load_system, make_system
 from tests.fit.identify_logs import arm_log
@@ -93,6 +93,13 @@ def test_friction_of_an_arm_is_named_though_its_file_says_nothing_of_its_drives(
 
 def test_an_unstable_plant_with_a_wrong_mass_gets_windows_in_which_it_does_not_run_away():
     system = Maglev()
-    shortest = SHARES[-1] * window_length(system)
-    assert followed_length([levitated_ball(0.065)], system) >= shortest
-    assert followed_length([levitated_ball(0.075)], system) < shortest
+    right, wrong = (followed_length([levitated_ball(mass)], system) for mass in (0.065, 0.075))
+    assert wrong < min(right, SHARES[-1] * window_length(system))
+
+
+def test_the_shortest_window_still_has_twenty_steps():
+    log = levitated_ball(0.065, 1.0)
+    for length in (0.02, 0.05, 1.0):
+        windows = cut_windows([log], Maglev(), length)
+        assert windows.steps >= 20
+        assert windows.length == pytest.approx(length, rel=0.05)

@@ -33,7 +33,7 @@ def headline(diagnosis: Diagnosis) -> str:
     named = _named(diagnosis.causes)
     explained = "The simulation explains this log up to noise"
     if diagnosis.moved:
-        values = " and ".join(_moved_value(m) for m in diagnosis.moved)
+        values = " and ".join(moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
     differs = "no cause of the catalogue explains the difference"
     if diagnosis.left_out:
@@ -47,7 +47,7 @@ def headline(diagnosis: Diagnosis) -> str:
     }[diagnosis.verdict]
 
 
-def _moved_value(moved: Moved) -> str:
+def moved_value(moved: Moved) -> str:
     """Return a moved parameter as a clause, and the sum of which it is a part if only that sum shows."""
     text = new_value(moved.name, moved.given, moved.estimate)
     for other in moved.instead:

@@ -9,7 +9,6 @@ from itertools import product
 import numpy as np
 
 from deepkoco.logs.checks.derivative import Relation, slip
-from deepkoco.logs.inspect.channel_groups import RATES, channel_groups
 from deepkoco.logs.inspect.channel_names import is_commanded, named_after
 from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.evidence import (
@@ -22,6 +21,7 @@ from deepkoco.logs.inspect.evidence import (
     drives,
     factor_of,
 )
+from deepkoco.logs.inspect.joint_groups import RATES, joint_groups
 from deepkoco.logs.inspect.joints.goals import track
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
@@ -47,7 +47,7 @@ class Proposer:
         taken: set[str] = set()
         choices: list[Choice] = []
         score, time = 0.0, "s"
-        for number, (position, rate, commands) in enumerate(channel_groups(system)):
+        for number, (position, rate, commands) in enumerate(joint_groups(system)):
             pair, units, gained = self._pair(position, rate, number, system, taken)
             score += gained
             time = units.time if units is not None else time

@@ -46,7 +46,8 @@ class TreeRollout:
 
     def run(self, given: RolloutInput) -> RolloutResult | None:
         """Simulate; None where a tensor is no plain number."""
-        from deepkoco.systems.trees.rollout_kernel import MOST_VALUES, tree_rollout
+        from deepkoco.systems.trees.effect_kernel import MOST_VALUES
+        from deepkoco.systems.trees.rollout_kernel import tree_rollout
 
         tensors = [*given.start, *given.begin, *given.slope, given.loads, *given.friction.steady]
         if not is_plain(tensors):

@@ -9,7 +9,7 @@ RATES = {"angle": "angular velocity", "length": "velocity"}
 Group = tuple[Channel | None, Channel | None, list[Channel]]
 
 
-def channel_groups(system: System) -> list[Group]:
+def joint_groups(system: System) -> list[Group]:
     """Position, speed and commands of each joint; channels without a joint form groups of their own."""
     quantity = {c.name: parse_unit(c.unit).quantity for c in system.measurements}
     positions = [c for c in system.measurements if quantity[c.name] in RATES]
