@@ -224,6 +224,9 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
         noise = noise_of(diagnosis)
         text = f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} extended (1 is {noise})"
         _add_row(table, "error / noise variance", text)
+    if diagnosis.verdict == "unknown":
+        for signature in diagnosis.unexplained.get("signatures") or ():
+            _add_row(table, "seen", signature["text"])
     if more := beside_causes(diagnosis):
         _add_row(table, "unexplained", more)
     learned = diagnosis.unexplained.get("residual_model")
