@@ -6,15 +6,22 @@ import math
 
 from numba import njit
 
+from deepkoco.systems.trees.learned_kernel import add_term
 from deepkoco.systems.trees.newton_euler_kernel import LANES
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "033bf3ca0fe49118"
+COMPILED_WITH = "b7c7b3b769631223"
 
-# Loads of effects that the loop knows; from STRIBECK on they are levels of dry friction.
-VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION = range(8)
-LEVELS = STRIBECK
-MOST_VALUES = 3  # of an effect
+# Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
+# on, each is a term of a learned load.
+VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION, LEARNED = range(9)
+MOST_VALUES = 5  # of an effect
+
+
+@njit(error_model="numpy", nogil=True)
+def is_level(kind):
+    """Whether an effect is a level of dry friction."""
+    return STRIBECK <= kind < LEARNED
 
 
 @njit(error_model="numpy", nogil=True)
@@ -50,8 +57,8 @@ def add_levels(kinds, places, values, drives, forces, speed, level):
 
 
 @njit(error_model="numpy", nogil=True)
-def add_loads(kinds, places, values, drives, forces, angle, speed, time, load):
-    """Add the loads of effects to ``load`` (J, LANES)."""
+def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort, load):
+    """Add the loads of effects to ``load`` (J, LANES); ``effort`` (LANES,) is overwritten."""
     for e in range(len(kinds)):
         kind, j = kinds[e], places[e, 0]
         if kind == VISCOUS:
@@ -73,3 +80,11 @@ def add_loads(kinds, places, values, drives, forces, angle, speed, time, load):
                 if drives[a] == places[e, 1]:
                     for i in range(LANES):
                         load[j, i] += values[e, 0, i] * forces[a, i]
+        elif kind >= LEARNED:
+            for i in range(LANES):
+                effort[i] = 0.0
+            for a in range(len(drives)):
+                if drives[a] == places[e, 1]:
+                    for i in range(LANES):
+                        effort[i] = forces[a, i]
+            add_term(kind - LEARNED, values[e], angle[j], speed[j], effort, load[j])

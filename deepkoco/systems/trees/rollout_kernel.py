@@ -14,13 +14,13 @@ from numba import njit
 
 from deepkoco.systems.dry_friction import HUGE
 from deepkoco.systems.dry_friction_loop import rub_element
-from deepkoco.systems.trees.effect_kernel import LEVELS, MOST_VALUES
+from deepkoco.systems.trees.effect_kernel import MOST_VALUES, is_level
 from deepkoco.systems.trees.mass_matrix_kernel import solve
 from deepkoco.systems.trees.newton_euler_kernel import LANES, LOAD, ROWS
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "6b5d290401f6cad3"
+COMPILED_WITH = "ceca5f8311389bce"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -55,7 +55,7 @@ def tree_rollout(
     # A variable that starts as False has a type of its own, for which all of the steps are compiled once more.
     varying = 0
     for e in range(len(kinds)):
-        varying += kinds[e] >= LEVELS
+        varying += is_level(kinds[e])
     varies = varying > 0
     s = np.empty((joints + 1, ROWS, LANES))
     masses = np.empty((2, joints, joints, LANES))

@@ -24,7 +24,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "1584d43ede09f9a8"
+COMPILED_WITH = "8313c901005e2fda"
 
 
 @njit(error_model="numpy", nogil=True)
@@ -89,7 +89,7 @@ def accelerations(
         for k in range(joints):
             for i in range(LANES):
                 level[k, i] = 0.0
-        add_loads(kinds, places, values, drives, forces, angle, speed, time, level)
+        add_loads(kinds, places, values, drives, forces, angle, speed, time, result[0], level)
         for k in range(joints):
             for i in range(LANES):
                 s[k, LOAD, i] += level[k, i]
