@@ -12,8 +12,8 @@ from deepkoco.cli.input_error import InputError
 from deepkoco.cli.logs import SYSTEM_HELP, add_episodes
 
 if TYPE_CHECKING:
+    from deepkoco.logs.inspect.choice import Proposal
     from deepkoco.logs.inspect.fitting import Fitting
-    from deepkoco.logs.inspect.proposal import Proposal
     from deepkoco.logs.inspect.survey import Survey
     from deepkoco.logs.recording import Recording
 
@@ -84,11 +84,10 @@ def run(args: argparse.Namespace) -> int:
     args.given, args.log, args.several = args.log, paths[0], len(paths)
     mapped = args.map is not None or find_sidecar(args.log) is not None
     propose = not mapped or args.system is not None or args.out is not None
-    fitting, refusal = _fitting(found, others, args.system, args.out) if propose else (None, None)
+    fitting, refusal = _fitting(found, others, args.system) if propose else (None, None)
     proposal = None if fitting is None else fitting.proposal
     recording, problem = _read(args) if mapped else (None, None)
-    if args.out is not None:
-        assert fitting is not None
+    if args.out is not None and fitting is not None:
         _write_mapping(args.out, found, fitting, args.system)
     if args.plot is not None:
         _plot(args.plot, found, proposal)
@@ -98,23 +97,22 @@ def run(args: argparse.Namespace) -> int:
         described = content(found, fitting, recording, refusal or problem)
         sys.stdout.write(json.dumps(described, indent=2, default=str, allow_nan=False) + "\n")
     else:
-        _print(args, found, fitting, recording, refusal)
+        # What the columns are is shown all the same: the sidecar is then written by hand.
+        _print(args, found, fitting, recording, None if args.out is not None else refusal)
+    if args.out is not None and refusal is not None:
+        raise InputError(refusal)
     if problem is not None:
         raise InputError(problem)
     return 0
 
 
-def _fitting(
-    found: Survey, others: list[Survey], system: str | None, out: Path | None
-) -> tuple[Fitting | None, str | None]:
+def _fitting(found: Survey, others: list[Survey], system: str | None) -> tuple[Fitting | None, str | None]:
     from deepkoco.cli.logs import named_system
     from deepkoco.logs.inspect.fitting import NoProposalError, propose
 
     try:
         return propose(found, None if system is None else named_system(system), others), None
     except NoProposalError as error:
-        if out is not None:
-            raise InputError(str(error)) from error
         return None, str(error)
 
 
@@ -145,7 +143,7 @@ def _read(args: argparse.Namespace) -> tuple[Recording | None, str | None]:
 
 
 def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | None) -> None:
-    from deepkoco.logs.inspect.proposal import mapping_of
+    from deepkoco.logs.inspect.choice import mapping_of
     from deepkoco.logs.sidecar import dump_sidecar
     from deepkoco.output.whole_file import system_error, write_whole_text
 

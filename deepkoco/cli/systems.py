@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console()
     for system in described:
@@ -57,15 +58,18 @@ def run(args: argparse.Namespace) -> int:
         for channel in system["channels"]:
             limits = f", {channel['low']:g} to {channel['high']:g}" if channel["kind"] == "command" else ""
             signal = f"{channel['name']} ({channel['unit']}{limits})"
-            console.print(f"  {channel['kind']:<12}{signal}: {channel['description']}", highlight=False)
+            text = f"  {channel['kind']:<12}{signal}"
+            text += f": {channel['description']}" if channel["description"] else ""
+            console.print(text, highlight=False, markup=False)
         table = Table()
         # Users copy names and values, so only the meaning is folded.
         table.add_column("parameter", no_wrap=True)
         table.add_column("value, bounds", no_wrap=True)
         table.add_column("meaning", overflow="fold")
         for p in system["parameters"]:
-            value = f"{p['value']:g} \\[{p['low']:g}, {p['high']:g}] {p['unit']}"
-            table.add_row(p["name"], value, p["description"])
+            value = f"{p['value']:g} [{p['low']:g}, {p['high']:g}] {p['unit']}"
+            # A unit in brackets is no markup.
+            table.add_row(*(Text(cell) for cell in (p["name"], value, p["description"])))
         console.print(table)
     return 0
 

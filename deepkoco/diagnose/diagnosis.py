@@ -50,6 +50,8 @@ class Moved:
         prior_sds: Distance in standard deviations of its prior.
         sum_with: Parameters that would do exactly the same: the data show only the sum of all of them.
         sum_given: That sum as given; 0 where there are none.
+        instead: Other parameters of which one new value, each alone, would do exactly the same: the data show only the
+            ratio or the product of them and this one.
     """
 
     name: str
@@ -58,12 +60,14 @@ class Moved:
     prior_sds: float
     sum_with: tuple[str, ...] = ()
     sum_given: float = 0.0
+    instead: tuple[Moved, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the parameter under the keys of report.json."""
         shared = {"sum_with": list(self.sum_with), "sum_given": self.sum_given} if self.sum_with else {}
+        other = {"instead": [m.to_json() for m in self.instead]} if self.instead else {}
         own = {"name": self.name, "given": self.given, "prior_sds": self.prior_sds}
-        return {**own, **vars(self.estimate), **shared}
+        return {**own, **vars(self.estimate), **shared, **other}
 
 
 @dataclass(frozen=True)

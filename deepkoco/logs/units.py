@@ -34,7 +34,7 @@ _TABLE: dict[str, tuple[str, dict[str, float]]] = {
     "current": ("A", {"A": 1.0, "mA": 1e-3}),
     "force": ("N", {"N": 1.0, "mN": 1e-3, "kN": 1e3}),
     "mass": ("kg", {"kg": 1.0, "g": 1e-3}),
-    "length": ("m", {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}),
+    "length": ("m", {"m": 1.0, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "km": 1e3}),
     "velocity": ("m/s", {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1.0 / 3.6}),
     "acceleration": ("m/s^2", {"m/s^2": 1.0, "mm/s^2": 1e-3, "cm/s^2": 1e-2}),
     "frequency": ("Hz", {"Hz": 1.0, "kHz": 1e3}),
@@ -57,6 +57,8 @@ _SYNONYMS = {
     "RPM": "rpm",
     "volt": "V",
     "ampere": "A",
+    "pct": "%",
+    "percent": "%",
     "-": "1",
     "": "1",
 }

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deepkoco.systems.channel import Channel
+from deepkoco.systems.named_joints import UNREADABLE
 from deepkoco.systems.parameter import Parameter
 
 COORDINATES = ("rad", "m")
@@ -99,7 +100,8 @@ def _check_states(who: str, system: Any) -> None:
         if position not in COORDINATES or speed != f"{position}/s":
             raise DeclarationError(
                 f"{who}: {system.joint_names[joint]} has the units {position} and {speed}; a joint that "
-                "turns has rad and rad/s, one that slides m and m/s"
+                "turns has rad and rad/s, one that slides m and m/s; a log may use other units of them, and other "
+                "quantities, such as a temperature or a pressure, are no joints"
             )
 
 
@@ -125,7 +127,14 @@ def _check_commands(who: str, system: Any) -> None:
     if len(driven) > len(system.commands) or any(not 0 <= joint < system.joints for joint in driven):
         raise DeclarationError(
             f"{who}: {len(system.commands)} commands on {system.joints} joints, command_joints = {driven}: give "
-            "the index of the joint that each command drives"
+            "the index of the joint that each command drives; two commands may drive one joint"
+        )
+    sharing = [c.name for c, joint in zip(system.commands, driven, strict=False) if driven.count(joint) > 1]
+    unclear = [name for name in sharing if name in system.joint_names or set(name) & set(UNREADABLE)]
+    if unclear:
+        raise DeclarationError(
+            f'{who}: the command "{unclear[0]}" drives a joint together with another one, so effects are named after '
+            f"it; give it a name that no joint has, without {UNREADABLE}"
         )
 
 

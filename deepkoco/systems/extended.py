@@ -231,9 +231,9 @@ class ExtendedSystem(WrappedSystem):
         zero = torch.zeros((), dtype=torch.float64)
         base = self.base.timing(parameters)
         sensing = base.sensing_delay + parameters.get("sensing_delay.delay", zero)
-        names = [self._command_effect("actuation_delay", k) for k in range(len(self.commands))]
+        names = [self.timing_at("actuation_delay", k) for k in range(len(self.commands))]
         delays = [parameters.get(f"{name}.delay", zero) for name in names]
-        names = [self._command_effect("lag", k) for k in range(len(self.commands))]
+        names = [self.timing_at("lag", k) for k in range(len(self.commands))]
         lags = [parameters.get(f"{name}.time_constant", zero) for name in names]
         if any(not torch.equal(x, y) for each in (delays, lags) for x, y in pairwise(each)):
             raise MemoryEffectError(f"the commands of {self.name} have delays or lags of their own")
@@ -246,9 +246,9 @@ class ExtendedSystem(WrappedSystem):
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
         delay = delay - parameters.get("stamp_lead.lead", zero)
-        delay = delay + parameters.get(f"{self._command_effect('actuation_delay', index)}.delay", zero)
-        names = [self._command_effect("lag", index)]
-        if index < len(self.command_joints):
+        delay = delay + parameters.get(f"{self.timing_at('actuation_delay', index)}.delay", zero)
+        names = [self.timing_at("lag", index)]
+        if index < len(self.actuator_joints):
             delay = delay + parameters.get(f"actuation_delay({COMMON}).delay", zero)
             names.append(f"lag({COMMON})")
         lags = [parameters[f"{n}.time_constant"] for n in names if f"{n}.time_constant" in parameters]
@@ -297,9 +297,6 @@ class ExtendedSystem(WrappedSystem):
     def _at_null(self, placed: PlacedEffect, parameters: Parameters) -> bool:
         own = own_values(placed.name, parameters)
         return all(bool((own[p.name] == p.value).all()) for p in placed.parameters(self.base))
-
-    def _command_effect(self, name: str, index: int) -> str:
-        return name if self.joints == 1 else self.at_joint(name, self.command_joints[index])
 
     def _at(self, where: str) -> list[PlacedEffect]:
         return [placed for placed in self.effects if placed.effect.place == where]

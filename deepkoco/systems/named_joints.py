@@ -47,10 +47,33 @@ class NamedJoints:
             )
         return f"{name}({names[joint]})"
 
+    def at_command(self, name: str, command: int) -> str:
+        """Name of an effect or a cause of one actuator: that of its joint, or its own where several drive this joint.
+
+        Two propellers tilt one beam, and one of them may be weak: ``gain(left)``.
+        """
+        joint = self.command_joints[command]
+        if self.command_joints.count(joint) == 1:
+            return self.at_joint(name, joint)
+        return f"{name}({self.commands[command].name})"
+
+    def timing_at(self, name: str, command: int) -> str:
+        """Name of the delay or lag of any command; empty for a switch of a system of several joints, which has none."""
+        if command < len(self.command_joints):
+            return self.at_command(name, command)
+        if self.joints > 1 and command >= len(self.actuator_joints):
+            return ""
+        return self.at_joint(name, 0 if self.joints == 1 else self.actuator_joints[command])
+
     @property
     def command_joints(self) -> tuple[int, ...]:
         """Joint that each command drives; commands beyond these only switch something."""
         return tuple(range(len(self.commands)))
+
+    @property
+    def actuator_joints(self) -> tuple[int, ...]:
+        """As `command_joints`, with further actuators of joints that have one, whose timing is that of the first."""
+        return self.command_joints
 
     @property
     def coupled_joints(self) -> tuple[tuple[int, int], ...]:

@@ -42,6 +42,10 @@ class WrappedSystem(System):
         return self.base.command_joints
 
     @property
+    def actuator_joints(self) -> tuple[int, ...]:
+        return self.base.actuator_joints
+
+    @property
     def measured_states(self) -> tuple[int, ...]:
         return self.base.measured_states
 

@@ -183,6 +183,14 @@ def test_the_arm_is_refused_where_one_joint_is_needed(tmp_path, capsys):
     assert error.count("\n") == 1
 
 
+def test_systems_shows_units_that_stand_in_brackets(capsys):
+    motor = Path(__file__).parents[2] / "docs/examples/motor.py"
+    assert main(["systems", f"{motor}:Motor"]) == 0
+    said = capsys.readouterr().out
+    assert "[Ohm]" in said
+    assert "0.05 [0.005, 0.5] N m/A" in said
+
+
 def test_systems_lists_names_units_and_bounds(capsys):
     assert main(["systems", "--json"]) == 0
     described = {s["name"]: s for s in json.loads(capsys.readouterr().out)}

@@ -1,8 +1,10 @@
 """A wrong parameter of the simulation is named as what it is, and not as a mechanism that imitates it."""
 
+import io
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
@@ -11,12 +13,14 @@ from deepkoco.diagnose.diagnosis import Estimate
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.diagnose.report.text import headline, new_value, spoken, terminal_table
+from deepkoco.diagnose.report.text import headline, moved_value, new_value, spoken, terminal_table
+from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
+from tests.oracle.levitated_ball import Maglev, levitated_ball
 from tests.systems.cart_pole import POLE_MASS, CartPole, cart_pole_log
 
 
@@ -58,6 +62,9 @@ def test_wrong_mass_within_a_wide_prior_is_the_headline_of_nothing(cart_log):
     assert result.verdict == "nothing"
     assert [m.name for m in result.moved] == ["pole_mass"]
     assert headline(result).startswith("pole mass is 0.2 kg, not 0.12 kg")
+    console = Console(width=160, file=io.StringIO(), record=True)
+    console.print(terminal_table(result))
+    assert "extended [m]" in console.export_text()
     assert result.to_json()["fit"]["moved"][0]["given"] == 0.12
 
 
@@ -127,3 +134,27 @@ def test_changed_parameter_reads_names_with_brackets():
     assert changed_parameter("changed(damping(elbow))") == "damping(elbow)"
     assert changed_parameter("coulomb(joint 2)") is None
     assert spoken("changed(damping(elbow))") == "another value of damping (elbow)"
+
+
+def test_of_two_parameters_whose_ratio_alone_shows_the_less_known_one_is_named():
+    # The ball is 15 % heavier: 10 standard deviations of its mass, but 2.1 of the strength of its magnet.
+    system, log = Maglev(), levitated_ball(0.075, 2.0)
+    windows = cut_windows([log], system, 0.03)
+    start = baseline_from(system, windows)
+    windows, found = refit_sharply(start, windows.take(moving(windows)))
+    (moved,) = moved_parameters(FitProblem(start.system, windows), start, found)
+    assert moved.name == "magnet"
+    assert moved.estimate.value == pytest.approx(6.5e-5 * 0.065 / 0.075, rel=2e-3)
+    (other,) = moved.instead
+    assert other.name == "mass"
+    assert other.estimate.low < other.estimate.value < other.estimate.high
+    assert other.estimate.value == pytest.approx(0.075, rel=2e-3)
+    assert moved.to_json()["instead"][0]["name"] == "mass"
+    assert "or instead mass is 75 g, not 65 g" in moved_value(moved)
+
+
+@pytest.mark.study
+def test_a_window_of_a_few_samples_is_diagnosed():
+    result = diagnose([levitated_ball(0.075)], Maglev(), only=["gain_drift"])
+    assert result.verdict == "nothing"
+    assert headline(result).startswith("magnet is")

@@ -68,6 +68,14 @@ def test_verdict_names_causes_that_leave_noise_unless_there_are_doubts(stage):
         (["coulomb"], 1.05, True, "cause"),
         (["event"], 3.0, False, "unknown"),  # a push leaves other windows as they are
         (["event"], 1.5, False, "cause"),
+        (
+            ["periodic"],
+            3.0,
+            False,
+            "unknown",
+        ),  # a tone describes most of a resonance that the simulation lacks
+        (["periodic"], 1.5, False, "cause"),
+        (["coulomb", "periodic"], 3.0, False, "cause"),
         (["coulomb", "viscous", "gain"], 3.0, False, "unknown"),  # the search ended at its limit
         (["coulomb", "viscous", "gain"], 1.0, False, "cause"),
     ],

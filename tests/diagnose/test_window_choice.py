@@ -6,10 +6,11 @@ import pytest
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.window_choice import SHARES, followed_length
-from deepkoco.fit.data.windows import window_length
+from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, load_system, make_system
 from tests.fit.identify_logs import arm_log
+from tests.oracle.levitated_ball import Maglev, levitated_ball
 
 SHOULDER, ELBOW = "shoulder", "elbow"
 LINK = """<link name="{0}"><inertial><mass value="{1}"/><origin xyz="0 0 -0.15"/>
@@ -88,3 +89,17 @@ def test_friction_of_an_arm_is_named_though_its_file_says_nothing_of_its_drives(
     # The scale of all loads is known by priors alone; the ratio to what the motor delivers is known from the log.
     gain = found.to_json()["fit"]["final"]["gain(elbow)"]["value"]
     assert size.value / gain == pytest.approx(2.0, rel=0.03)
+
+
+def test_an_unstable_plant_with_a_wrong_mass_gets_windows_in_which_it_does_not_run_away():
+    system = Maglev()
+    right, wrong = (followed_length([levitated_ball(mass)], system) for mass in (0.065, 0.075))
+    assert wrong < min(right, SHARES[-1] * window_length(system))
+
+
+def test_the_shortest_window_still_has_twenty_steps():
+    log = levitated_ball(0.065, 1.0)
+    for length in (0.02, 0.05, 1.0):
+        windows = cut_windows([log], Maglev(), length)
+        assert windows.steps >= 20
+        assert windows.length == pytest.approx(length, rel=0.05)

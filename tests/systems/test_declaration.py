@@ -162,7 +162,8 @@ ENDLESS = Channel("force", "N", "command")
 BRAKE = Channel("brake", "N", "command", 0.0, 1.0)
 WRONG = [
     ({"joint_units": None}, r"joint_units = \(\"m\", \"rad\"\)"),
-    ({"joint_units": "deg"}, "has the units deg and deg/s"),
+    ({"joint_units": "deg"}, "has the units deg and deg/s.* a log may use other units"),
+    ({"joint_units": "K"}, "other quantities, such as a temperature or a pressure, are no joints"),
     ({"joint_names": ("a", "b")}, "a name for each of 1 joints"),
     ({"parameters": None}, "Mine lacks parameters: write parameters ="),
     ({"parameters": MASS}, "parameters is one Parameter, not a tuple: put a comma"),

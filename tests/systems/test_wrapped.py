@@ -11,6 +11,7 @@ from deepkoco.systems.wrapped import WrappedSystem
 
 # Computed from the joints and channels of the system itself.
 OWN = {
+    "at_command",
     "at_joint",
     "coupled_joints",
     "default_parameters",
@@ -20,6 +21,7 @@ OWN = {
     "per_speed_squared_units",
     "per_speed_units",
     "shows_states",
+    "timing_at",
 }
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.diagnose.causes import Cause, Hint
+from deepkoco.diagnose.causes.driving import driving_command
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.systems import System
@@ -39,10 +40,9 @@ class Hints:
         self.seconds = float(sum(c.t[-1] - c.t[0] for c in windows.commands))
 
     def for_cause(self, cause: Cause) -> Hint:
-        """Return the data for one cause: commands and speeds of its own joint."""
+        """Return the data for one cause: its command, and speeds of its joint."""
         joint = cause.joint or 0
-        driven = self.system.command_joints
-        command = driven.index(joint) if joint in driven else 0
+        command = driving_command(self.system, joint, cause)
         values = np.concatenate([c.column(command) for c in self.windows.commands])
         pushes = tuple(p for p in self.pushes if p["joint"] == joint)
         return Hint(

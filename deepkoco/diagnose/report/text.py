@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from rich.markup import escape
 from rich.table import Table
 
 from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
@@ -32,7 +33,7 @@ def headline(diagnosis: Diagnosis) -> str:
     named = _named(diagnosis.causes)
     explained = "The simulation explains this log up to noise"
     if diagnosis.moved:
-        values = " and ".join(_moved_value(m) for m in diagnosis.moved)
+        values = " and ".join(moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
     differs = "no cause of the catalogue explains the difference"
     if diagnosis.left_out:
@@ -46,9 +47,11 @@ def headline(diagnosis: Diagnosis) -> str:
     }[diagnosis.verdict]
 
 
-def _moved_value(moved: Moved) -> str:
+def moved_value(moved: Moved) -> str:
     """Return a moved parameter as a clause, and the sum of which it is a part if only that sum shows."""
     text = new_value(moved.name, moved.given, moved.estimate)
+    for other in moved.instead:
+        text += f", or instead {new_value(other.name, other.given, other.estimate)}, which this log cannot tell apart"
     if not moved.sum_with:
         return text
     sums = [moved.sum_given + moved.estimate.value - moved.given, moved.sum_given]
@@ -196,52 +199,64 @@ def beside_causes(diagnosis: Diagnosis) -> str:
 def terminal_table(diagnosis: Diagnosis) -> Table:
     """Return verdict, causes, parameters and gain as a table for the terminal."""
     table = Table(
-        title=headline(diagnosis), title_justify="left", box=None, show_header=False, padding=(0, 2, 0, 0)
+        title=escape(headline(diagnosis)),
+        title_justify="left",
+        box=None,
+        show_header=False,
+        padding=(0, 2, 0, 0),
     )
     table.add_column(style="bold")
     table.add_column()
-    table.add_row("verdict", diagnosis.verdict)
+    _add_row(table, "verdict", diagnosis.verdict)
     for cause in diagnosis.causes:
         _add_cause(table, cause)
     gain = diagnosis.gain
     if gain is not None:
         for c in gain.channels:
             text = f"{c.baseline:.4g} as given, {c.refit:.4g} refitted, {c.extended:.4g} extended [{c.unit}]"
-            table.add_row(f"held-out error of {c.name}", text)
+            _add_row(table, f"held-out error of {c.name}", text)
         if diagnosis.verdict in ("cause", "ambiguous"):
             text = f"{100 * gain.reduction:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f})"
-            table.add_row("gain", f"{text} less error than {rival_of(diagnosis)}. {diagnosis.gain_note}")
+            _add_row(table, "gain", f"{text} less error than {rival_of(diagnosis)}. {diagnosis.gain_note}")
         elif gain.as_given:
-            table.add_row("gain", f"None. {diagnosis.gain_note}")
+            _add_row(table, "gain", f"None. {diagnosis.gain_note}")
     if diagnosis.verdict != "insufficient":
         noise = noise_of(diagnosis)
         text = f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} extended (1 is {noise})"
-        table.add_row("error / noise variance", text)
+        _add_row(table, "error / noise variance", text)
+    if diagnosis.verdict == "unknown":
+        for signature in diagnosis.unexplained.get("signatures") or ():
+            _add_row(table, "seen", signature["text"])
     if more := beside_causes(diagnosis):
-        table.add_row("unexplained", more)
+        _add_row(table, "unexplained", more)
     learned = diagnosis.unexplained.get("residual_model")
     if learned is not None:
         names = ", ".join(t["name"].split(".")[-1] for t in learned["terms"]) or "none"
         kept = "kept in model.yaml" if learned["accepted"] else "rejected"
-        table.add_row("learned term", f"{names}; {kept}: {learned['reason']}")
+        _add_row(table, "learned term", f"{names}; {kept}: {learned['reason']}")
     for text in diagnosis.data.get("model", ()):
-        table.add_row("model file", text)
+        _add_row(table, "model file", text)
     for log in diagnosis.data["logs"]:
         for text in log["warnings"]:
-            table.add_row("assumed", text)
+            _add_row(table, "assumed", text)
     for text in diagnosis.advice:
-        table.add_row("next experiment" if diagnosis.verdict != "insufficient" else "needed", text)
+        _add_row(table, "next experiment" if diagnosis.verdict != "insufficient" else "needed", text)
     if missing := cut_short(diagnosis):
-        table.add_row("not checked", missing)
-    table.add_row("time", f"{diagnosis.seconds:.1f} s")
+        _add_row(table, "not checked", missing)
+    _add_row(table, "time", f"{diagnosis.seconds:.1f} s")
     return table
 
 
 def _add_cause(table: Table, cause: Finding) -> None:
     if cause.name == "unknown":
         return
-    table.add_row("cause", f"{spoken(cause.name)} ({cause.family}), delta BIC {cause.delta_bic:.0f}")
+    _add_row(table, "cause", f"{spoken(cause.name)} ({cause.family}), delta BIC {cause.delta_bic:.0f}")
     if len(cause.members) > 1:
-        table.add_row("indistinguishable", ", ".join(spoken(n) for n in cause.members))
+        _add_row(table, "indistinguishable", ", ".join(spoken(n) for n in cause.members))
     for name, e in cause.parameters.items():
-        table.add_row(f"  {name}", f"{e.value:.4g}  [{e.low:.4g}, {e.high:.4g}] {e.unit}")
+        _add_row(table, f"  {name}", f"{e.value:.4g}  [{e.low:.4g}, {e.high:.4g}] {e.unit}")
+
+
+def _add_row(table: Table, name: str, text: str) -> None:
+    """Add a row; brackets around units and names of columns are no markup."""
+    table.add_row(escape(name), escape(text))

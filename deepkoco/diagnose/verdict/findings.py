@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.causes import Cause, Motion, is_changed
+from deepkoco.diagnose.causes.driving import driving_command
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
@@ -64,10 +65,12 @@ def _shown(problem: FitProblem, cause: Cause) -> tuple[str, ...]:
     return tuple(p.name for p in problem.system.parameters if p.name.startswith(f"{cause.effect}."))
 
 
-def motion_of(windows: Windows, missing: MissingTorque, system: System) -> Motion:
-    """Return position, speed and command of a joint in the slots of its missing load, flattened over windows."""
-    driven = system.command_joints
-    index = driven.index(missing.joint) if missing.joint in driven else 0
+def motion_of(windows: Windows, missing: MissingTorque, system: System, cause: Cause | None = None) -> Motion:
+    """Return position, speed and command of a joint in the slots of its missing load, flattened over windows.
+
+    Several actuators of one joint have a command each; it is that of the cause, if one is given.
+    """
+    index = driving_command(system, missing.joint, cause)
     command = np.empty_like(missing.time)
     rate = np.empty_like(missing.time)
     for w, log in enumerate(missing.log):

@@ -177,7 +177,7 @@ def _named(explanation: Explanation, system: System, missing: Sequence[MissingTo
         # The reported values are fitted together with the causes accepted later.
         best = replace(ranking.best, fit=found.final)
         own = missing[best.cause.joint or 0]
-        motion = motion_of(base.train, own, system)
+        motion = motion_of(base.train, own, system, best.cause)
         evidence = evidence_for(best.cause, best, ranking, motion, own, places)
         if not is_changed(best.cause):
             evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)

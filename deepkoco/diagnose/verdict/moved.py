@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -105,40 +105,65 @@ def _moved(
 ) -> Moved:
     """Return a changed parameter, or the likeliest of those that would do the same.
 
-    Only the sum of two inertias on one shaft shows in the motion. The change is then most likely in the one that is
-    known least.
+    Only the sum of two inertias on one shaft shows in the motion, and only the ratio of a ball's mass and the strength
+    of its magnet. The change is then most likely in the one that is known least.
     """
-    change = best.values[name] - start.values[name]
-    alike = _same_change(problem, best, name, start.values[name], sd)
-    likely = min((name, *alike), key=lambda n: abs(change) / sd[n])
-    given = start.values[likely]
-    shift = given - start.values[name]
-    estimate = Estimate(found.value + shift, found.low + shift, found.high + shift, found.unit)
-    others = tuple(n for n in (name, *alike) if n != likely)
-    total = sum(start.values[n] for n in (name, *alike)) if others else 0.0
-    return Moved(likely, given, estimate, abs(change) / sd[likely], others, total)
+    change, given = best.values[name] - start.values[name], start.values
+    others = [n for n in sd if n != name and "." not in n and n not in best.free]
+    unit = problem.system.parameter(name).unit
+    added = {n: best.values[n] + change for n in others if problem.system.parameter(n).unit == unit}
+    summed = _same_measurements(problem, best, name, given[name], added)
+    powers: dict[str, int] = {}
+    for power in (1, -1):
+        scaled = {}
+        if given[name] * best.values[name] > 0.0:
+            factor = (best.values[name] / given[name]) ** power
+            scaled = {n: best.values[n] * factor for n in others if n not in summed and best.values[n] != 0.0}
+        powers |= dict.fromkeys(_same_measurements(problem, best, name, given[name], scaled), power)
+    shifts = {n: given[n] - given[name] for n in (name, *summed)}
+    found_of = {
+        n: Estimate(found.value + d, found.low + d, found.high + d, found.unit) for n, d in shifts.items()
+    }
+    for n, power in powers.items():
+        ends = [given[n] * (v / given[name]) ** power for v in (found.low, found.high)]
+        value = given[n] * (found.value / given[name]) ** power
+        found_of[n] = Estimate(value, min(ends), max(ends), problem.system.parameter(n).unit)
+    away = {n: abs(e.value - given[n]) / sd[n] for n, e in found_of.items()}
+    likely = min(away, key=lambda n: away[n])
+    instead = tuple(
+        Moved(n, given[n], found_of[n], away[n])
+        for n in sorted(away, key=lambda n: away[n])
+        if n != likely and (n in powers or likely in powers)
+    )
+    alike = tuple(n for n in shifts if n != likely) if likely in shifts else ()
+    total = sum(given[n] for n in shifts) if alike else 0.0
+    return Moved(likely, given[likely], found_of[likely], away[likely], alike, total, instead)
 
 
-def _same_change(
-    problem: FitProblem, fit: Fit, name: str, given: float, names: Iterable[str]
+def _same_measurements(
+    problem: FitProblem, fit: Fit, name: str, given: float, instead: Mapping[str, float]
 ) -> tuple[str, ...]:
-    """Return the other parameters of which the same change gives the same measurements."""
-    size, unit, system = fit.values[name] - given, problem.system.parameter(name).unit, problem.system
-    others = []
-    for n in names:
-        p = system.parameter(n)
-        if n != name and "." not in n and p.unit == unit and p.low <= fit.values[n] + size <= p.high:
-            others.append(n)
-    if not others:
+    """Return the parameters whose new value, in place of that of the named one, gives the same measurements.
+
+    Args:
+        problem: The windows.
+        fit: Fit with the new value of the named parameter.
+        name: That parameter.
+        given: Its value as given.
+        instead: Other parameters, each with the value that might do the same.
+    """
+    bounds = {n: problem.system.parameter(n) for n in instead}
+    tried = {n: v for n, v in instead.items() if bounds[n].low <= v <= bounds[n].high}
+    if not tried:
         return ()
     without = {**fit.values, name: given}
-    lanes = [fit.values, without, *({**without, n: fit.values[n] + size} for n in others)]
+    lanes = [fit.values, without, *({**without, n: v} for n, v in tried.items())]
     theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
     shown = problem.predict(theta, fit.state.repeat(len(lanes), 1, 1), fit.nuisance.repeat(len(lanes), 1))
     shown = shown * problem.weight
     moved = (shown[1] - shown[0]).norm()
     return tuple(
-        n for n, own in zip(others, shown[2:], strict=True) if (own - shown[0]).norm() <= SAME * moved
+        n for n, own in zip(tried, shown[2:], strict=True) if (own - shown[0]).norm() <= SAME * moved
     )
 
 

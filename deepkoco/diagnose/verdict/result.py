@@ -10,7 +10,7 @@ import numpy as np
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, describe_data
 from deepkoco.diagnose.data_sheet import with_usual_spread
-from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Finding, Moved
+from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Evidence, Finding, Moved
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.healthy import describe_healthy
 from deepkoco.diagnose.lost_commands.search import why_not_searched
@@ -28,6 +28,7 @@ from deepkoco.diagnose.verdict.advice import (
 )
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
 from deepkoco.diagnose.verdict.judgement import Judgement
+from deepkoco.diagnose.verdict.midway import changed_midway
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
@@ -147,9 +148,22 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
         "allowed_by_healthy_logs": list(explanation.joined),
         "not_fitted": list(judgement.unfitted),
         "lost_commands_not_searched": why_not_searched(train, base.start.losing),
-        "signatures": [vars(e) for e in signatures(request.system, train, final)],
+        "signatures": [vars(e) for e in _signatures(request, explanation, judgement)],
         **({} if learned is None else {"residual_model": learned.to_json()}),
     }
+
+
+def _signatures(
+    request: DiagnosisRequest, explanation: Explanation, judgement: Judgement
+) -> tuple[Evidence, ...]:
+    """Return properties of the residuals, and whether the unit changed in the middle of a log that nothing explains."""
+    base = explanation.base
+    found = signatures(request.system, base.train, judgement.final)
+    if judgement.verdict != "unknown" or not request.limit.allows("a change in the middle of the log"):
+        return found
+    request.progress("a change in the middle of the log")
+    changed = changed_midway(base.start, base.train)
+    return found if changed is None else (changed, *found)
 
 
 def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:

@@ -28,8 +28,9 @@ MIN_EXPLAINED = 0.6
 MIN_REDUCTION = 0.5
 # The share is higher where healthy logs give the model error, and where there are no held-out windows.
 MIN_EXPLAINED_STRICT = 0.98
-# The share for pushes alone is higher, because a push can improve any single window.
-MIN_EXPLAINED_PUSHES = 0.9
+# The share for pushes, tones and detents alone is higher: a push can improve any single window, and a tone near a
+# resonance that the simulation lacks describes most of its answer.
+MIN_EXPLAINED_FLEXIBLE = 0.9
 CARRY_OVER_FROM = 0.1  # fall of chi2 per sample from which the causes must also improve the held-out windows
 
 
@@ -84,9 +85,8 @@ def verdict_of(
             excess = before.chi2 - start.floor * train.samples
             share = max(share, (before.cost - after.cost) / max(excess + strayed, 1e-12))
         worth = 1.0 if gain is None else gain.reduction
-        if share < (most if lasting else max(most, MIN_EXPLAINED_PUSHES)) or worth <= (
-            0.0 if white else MIN_REDUCTION
-        ):
+        enough = max(most, MIN_EXPLAINED_FLEXIBLE) if only_flexible(found) else most
+        if share < enough or worth <= (0.0 if white else MIN_REDUCTION):
             return "unknown"
     plain = before.chi2 - after.chi2 > CARRY_OVER_FROM * train.samples
     if gain is not None and (left or plain):

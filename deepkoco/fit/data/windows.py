@@ -21,6 +21,7 @@ LONGEST_STEP = 0.01  # integration step [s]
 # Smallest number of integration steps in a period of the fastest small motion. The classical Runge-Kutta method then
 # shifts its phase by 2 pi (2 pi / 50)^4 / 120 = 1.3e-5 rad in a period.
 STEPS_PER_PERIOD = 50
+FEWEST_STEPS = 20  # of a window: its missing load is shown in as many pieces
 HISTORY = 0.1  # commands must be known for this time before a window, because of delays and lags [s]
 WARM_UP = 0.15  # or this share of a window; a slow lag then forgets commands from before the log
 SLIGHTLY = 0.01  # share by which a step may be longer, so that a window has whole periods of the commands
@@ -173,7 +174,8 @@ def cut_windows(
         LogError: A log lacks a command or every measurement.
     """
     channels = [channel_series(recording, system) for recording in recordings]
-    step, steps, regular = _grid([command.t for command, _ in channels], length, integration_step(system))
+    longest = min(integration_step(system), length / FEWEST_STEPS)
+    step, steps, regular = _grid([command.t for command, _ in channels], length, longest)
     length = step * steps
     names = [channel.name for channel in system.measurements]
     noise = estimate_channels(recordings, system) if noise is None else noise

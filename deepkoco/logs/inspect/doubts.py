@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from deepkoco.logs.checks.derivative import slip
+from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.clock import Clock
 from deepkoco.logs.inspect.evidence import AGREES
-from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
 

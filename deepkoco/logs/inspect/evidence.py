@@ -18,7 +18,7 @@ MOST_COLUMNS = 48  # up to this number all pairs are compared, above it only pai
 STRIDE = 0.2  # changes of speed are explained over this time [s]; sensor noise dominates shorter changes
 AGREES = 0.6  # agreement above which the ratio is significant
 TOLERANCE = 0.08  # standard deviation of the logarithm of a ratio of units
-POSITIONS = {"angle": ("rad", "deg", "rev", "mrad"), "length": ("m", "mm", "cm")}
+POSITIONS = {"angle": ("rad", "deg", "rev", "mrad"), "length": ("m", "mm", "cm", "um")}
 SPEEDS = {
     "angular velocity": ("rad/s", "deg/s", "rpm", "rev/s", "mrad/s"),
     "velocity": ("m/s", "mm/s", "cm/s"),

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
+from deepkoco.logs.inspect.choice import Proposal
 from deepkoco.logs.inspect.evidence import samples_of
 from deepkoco.logs.inspect.joints import has_named_joints, propose_joints
 from deepkoco.logs.inspect.misfit import misfit
-from deepkoco.logs.inspect.proposal import Proposal, Proposer
+from deepkoco.logs.inspect.proposal import Proposer
 from deepkoco.logs.inspect.survey import Survey
 from deepkoco.systems import System, UnknownSystemError, any_system, make_system, system_names
 

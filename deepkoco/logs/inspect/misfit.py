@@ -8,9 +8,9 @@ import numpy as np
 import torch
 
 from deepkoco.logs.checks.derivative import slip
+from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS, STRIDE, Samples
 from deepkoco.logs.inspect.joints.goals import track
-from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Motion, ParameterError, System

@@ -37,6 +37,10 @@ WORDS: dict[str, dict[str, float]] = {
         **dict.fromkeys(("force", "thrust"), 3.0),
         **dict.fromkeys(("u", "input", "command", "cmd"), 1.0),
     },
+    "ratio": {
+        **dict.fromkeys(("throttle", "duty", "pwm", "dutycycle"), 3.0),
+        **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "data"), 1.0),
+    },
     "length": dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position"), 2.0),
     "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed"), 2.0),
     "time": {
@@ -82,7 +86,9 @@ SUFFIXES = {
     "mnm": "mN m", "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms",
     "us": "us",
     "usec": "us", "micros": "us", "ns": "ns", "nsec": "ns", "nanos": "ns", "volt": "V", "volts": "V", "mv": "mV",
-    "v": "V", "m": "m", "mm": "mm", "cm": "cm", "m_s": "m/s", "mps": "m/s", "ma": "mA", "turns": "rev", "rev": "rev",
+    "v": "V", "m": "m", "mm": "mm", "cm": "cm", "um": "um", "pct": "%", "percent": "%",
+    "mm_s": "mm/s", "mmps": "mm/s", "cm_s": "cm/s", "m_s": "m/s", "mps": "m/s", "ma": "mA", "turns": "rev",
+    "rev": "rev",
 }  # fmt: skip
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from deepkoco.logs.inspect.choice import Proposal
 from deepkoco.logs.inspect.clock import stamps
-from deepkoco.logs.inspect.proposal import Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.output.picture import Picture, house_style
 from deepkoco.output.whole_file import whole_file

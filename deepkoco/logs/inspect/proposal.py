@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepkoco.logs.checks.derivative import Relation, slip
+from deepkoco.logs.inspect.channel_names import is_commanded, named_after
+from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.evidence import (
     AGREES,
     POSITIONS,
@@ -22,77 +22,15 @@ from deepkoco.logs.inspect.evidence import (
     factor_of,
 )
 from deepkoco.logs.inspect.joint_groups import RATES, joint_groups
+from deepkoco.logs.inspect.joints.goals import track
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
-from deepkoco.logs.sidecar import ChannelColumn, Column
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Channel, System
 
-if TYPE_CHECKING:
-    from deepkoco.logs.inspect.joints.finding import JointFinding
-
 NOTHING = 2.0  # evidence for a channel without a column [nats]
+SI_FIELDS = ("position", "velocity", "effort")  # of JointState
+FOLLOWED = 5.0  # evidence of a goal that explains all of a position [nats]
 BEST = 8  # largest number of columns that are tried for a measurement, the best names first
-SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
-
-
-@dataclass(frozen=True)
-class Choice:
-    """The column proposed for one channel.
-
-    Attributes:
-        channel: channel of the system.
-        column: proposed column, None if none fits.
-        unit: unit of the column's values.
-        stated: whether the name of the column states the unit.
-        probability: weight of the choice among all columns and "none".
-        reasons: reasons in words.
-        rival: label of the next best column, None if all others are much worse.
-        scale, offset: factor, and what is added then, in the unit of the column.
-    """
-
-    channel: Channel
-    column: ColumnSurvey | None
-    unit: str
-    stated: bool
-    probability: float
-    reasons: tuple[str, ...]
-    rival: str | None = None
-    scale: float = 1.0
-    offset: float = 0.0
-
-    @property
-    def sureness(self) -> str:
-        """ "sure", "likely", "a guess" or "none"."""
-        if self.column is None:
-            return "none"
-        return "sure" if self.probability >= SURE else "likely" if self.probability >= LIKELY else "a guess"
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A mapping of a whole log.
-
-    Attributes:
-        system: name of the system.
-        choices: one per channel, in the order of the system, commands last.
-        time: unit of the times.
-        score: sum of the evidence of all channels [nats].
-        relations: labels (position, speed) -> relation of each compared pair.
-        joints: what was found of each joint, for systems with named joints.
-    """
-
-    system: str
-    choices: tuple[Choice, ...]
-    time: str
-    score: float
-    relations: dict[tuple[str, str], Relation]
-    joints: tuple[JointFinding, ...] = ()
-
-    @property
-    def complete(self) -> bool:
-        """Whether at least one command and one measurement have a column."""
-        kinds = {c.channel.kind for c in self.choices if c.column is not None}
-        return kinds == {"command", "measurement"}
 
 
 class Proposer:
@@ -149,14 +87,22 @@ class Proposer:
             stated = column is not None and column.hints.unit is not None
             if column is not None and stated and factor_of(column.hints.unit or "") == factor_of(unit):
                 unit = column.hints.unit or unit
+            if column is not None and self._in_si(column):
+                unit, stated = channel.unit, True
             choices.append(Choice(channel, column, unit, stated, probability, tuple(best[place + 2]), rival))
         both = units is not None and best[1] is not None and best[2] is not None
         return choices, units if both else None, best[0]
+
+    def _in_si(self, column: ColumnSurvey) -> bool:
+        """Whether a column is of a message that is in SI by its definition; a motor turns many radians there."""
+        kind = self.survey.log.table(column.topic).kind
+        return kind.rpartition("/")[2] == "JointState" and column.name.split("[")[0] in SI_FIELDS
 
     def _command(
         self, channel: Channel, pair: Sequence[Choice], joint: int, system: System, taken: set[str]
     ) -> tuple[Choice, float]:
         shares = self._shares(pair)
+        followed = self._followed(channel, pair)
         top = max(shares.values(), default=0.0)
         scored = []
         for column, said, why in self._ranked(channel, joint, system, taken):
@@ -168,6 +114,11 @@ class Proposer:
                     *why,
                     f"explains {100 * share:.0f} % of the motion that gravity and friction do not{best}",
                 ]
+            if column is not None and column.label in followed:
+                more += FOLLOWED * followed[column.label]
+                why = [*why, "the position follows it"]
+            elif column is not None and followed:
+                more -= FOLLOWED
             scored.append((said + more, column, None, why, []))
         scored.sort(key=lambda entry: -entry[0])
         probability, rival = _weight(scored, 1)
@@ -175,6 +126,16 @@ class Proposer:
         unit = channel.unit if column is None else column.hints.unit or channel.unit
         stated = column is not None and column.hints.unit is not None
         return Choice(channel, column, unit, stated, probability, tuple(scored[0][3]), rival), scored[0][0]
+
+    def _followed(self, channel: Channel, pair: Sequence[Choice]) -> dict[str, float]:
+        """Label of each column that the position follows as its goal -> share of the position that it explains."""
+        position = next((c for c in pair if c.channel.unit == channel.unit and c.column is not None), None)
+        if position is None or position.column is None or channel.unit not in ("rad", "m"):
+            return {}
+        own = self.samples[position.column.label]
+        others = [c.label for c in self.columns if c.label != position.column.label and is_commanded(c)]
+        found = {label: track(*own, *self.samples[label]) for label in others}
+        return {label: r.explained for label, r in found.items() if r is not None and r.follows}
 
     def _shares(self, pair: Sequence[Choice]) -> dict[str, float]:
         """Column label -> share of the acceleration of a joint that it explains."""
@@ -227,8 +188,13 @@ class Proposer:
         if column.name == channel.name:
             score += 4.0
             why.append("it has the name of the channel")
+        else:
+            alike = named_after(column, channel, (*system.commands, *system.measurements))
+            score += alike
+            if alike > 1.0:
+                why.append("its words are those of the channel")
         if channel.kind == "command":
-            named = hints.commanded or (hints.wanted and not hints.measured)
+            named = is_commanded(column)
             score += 1.0 * named - 0.5 * hints.measured
             # A command that is an angle is a goal, so its name must differ from that of the measured angle.
             score += (2.0 * named - 2.0 * (not named)) * (quantity in POSITIONS)
@@ -280,35 +246,6 @@ class Proposer:
         relation = self.relations.get((a.label, b.label), Relation(math.nan, 0.0, 0.0, 0.0))
         time = clock.unit if clock.unit in ("s", "ms", "us", "ns") else "s"
         return choose_units(a, b, (quantity, RATES[quantity]), relation, time, clock.named)
-
-
-def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
-    """Convert a proposal to channels of a sidecar; channels without a column are left out."""
-    channels = {}
-    for choice in proposal.choices:
-        column = choice.column
-        if column is None:
-            continue
-        clock = survey.clock(column)
-        time = None
-        if clock is not None:
-            unit = proposal.time if not clock.named and clock.unit != "iso8601" else clock.unit
-            usual = survey.log.table(column.topic).times[:1] == (clock.column,)
-            time = None if column.topic and usual else Column(clock.column, unit)
-        channels[choice.channel.name] = ChannelColumn(
-            Column(column.name, choice.unit),
-            choice.channel.kind,
-            time,
-            column.topic,
-            scale=choice.scale,
-            offset=choice.offset,
-        )
-    return channels
-
-
-def restrict(proposal: Proposal, names: Sequence[str]) -> Proposal:
-    """Restrict a proposal to these channels."""
-    return replace(proposal, choices=tuple(c for c in proposal.choices if c.channel.name in names))
 
 
 def _weight(scored: list, place: int) -> tuple[float, str | None]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.table import Table
 from rich.text import Text
 
+from deepkoco.logs.inspect.choice import Proposal
 from deepkoco.logs.inspect.fitting import Fitting
-from deepkoco.logs.inspect.proposal import Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
 

@@ -166,12 +166,14 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     elif effect.site == "channel":
         names = [f"{effect.name}({c.name})" for c in system.measurements]
     else:
-        joints = range(system.joints) if effect.site == "joint" else system.command_joints
-        names = [system.at_joint(effect.name, j) for j in joints]
+        at, sites = system.at_joint, system.joints
+        if effect.site == "command":
+            at, sites = system.at_command, len(system.command_joints)
+        names = [at(effect.name, k) for k in range(sites)]
     placed = [PlacedEffect(name, effect, i) for i, name in enumerate(names) if name]
     if effect.place == "load":
         placed = [p for p in placed if p.joint(system) in system.loaded_joints]
-    several = len(set(system.command_joints)) > 1 and COMMON not in system.joint_names
+    several = len(system.command_joints) > 1 and COMMON not in system.joint_names
     if effect.shared and several:
         placed.append(PlacedEffect(f"{effect.name}({COMMON})", effect, ALL))
     return tuple(p for p in placed if p.parameters(system))

@@ -147,9 +147,8 @@ class TreeSystem(System):
     def command_joints(self) -> tuple[int, ...]:
         return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
 
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        return self._names
+    actuator_joints = property(lambda self: tuple(a.joint for a in self.tree.actuators))
+    joint_names = property(lambda self: self._names)
 
     @property
     def load_scale(self) -> float:

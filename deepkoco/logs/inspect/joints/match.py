@@ -115,14 +115,15 @@ def _shared(a: Sequence[str], b: Sequence[str]) -> float:
         return 0.0
     free, total = list(b), 0.0
     for word in a:
-        weights = [_alike(word, other) for other in free]
+        weights = [words_alike(word, other) for other in free]
         if weights and max(weights) > 0:
             total += max(weights)
             free.pop(int(np.argmax(weights)))
     return total / (0.5 * (len(a) + len(b)))
 
 
-def _alike(a: str, b: str) -> float:
+def words_alike(a: str, b: str) -> float:
+    """1 for the same word, less for words of one meaning, else 0."""
     if a == b:
         return 1.0
     return 0.6 if any(a in group and b in group for group in _ALIKE) else 0.0

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.logs.by_name import wanted_names
+from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, track
@@ -25,7 +26,6 @@ from deepkoco.logs.inspect.joints.proposed_joint import (
 )
 from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
 from deepkoco.logs.inspect.joints.slow_samples import gravity_evidence
-from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System

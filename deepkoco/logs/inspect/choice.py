@@ -1,0 +1,106 @@
+"""A proposed mapping: which column is which channel, with unit, confidence and reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from deepkoco.logs.checks.derivative import Relation
+from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
+from deepkoco.logs.sidecar import ChannelColumn, Column
+from deepkoco.systems import Channel
+
+if TYPE_CHECKING:
+    from deepkoco.logs.inspect.joints.finding import JointFinding
+
+SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The column proposed for one channel.
+
+    Attributes:
+        channel: channel of the system.
+        column: proposed column, None if none fits.
+        unit: unit of the column's values.
+        stated: whether the name of the column states the unit.
+        probability: weight of the choice among all columns and "none".
+        reasons: reasons in words.
+        rival: label of the next best column, None if all others are much worse.
+        scale, offset: factor, and what is added then, in the unit of the column.
+    """
+
+    channel: Channel
+    column: ColumnSurvey | None
+    unit: str
+    stated: bool
+    probability: float
+    reasons: tuple[str, ...]
+    rival: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def sureness(self) -> str:
+        """ "sure", "likely", "a guess" or "none"."""
+        if self.column is None:
+            return "none"
+        return "sure" if self.probability >= SURE else "likely" if self.probability >= LIKELY else "a guess"
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A mapping of a whole log.
+
+    Attributes:
+        system: name of the system.
+        choices: one per channel, in the order of the system, commands last.
+        time: unit of the times.
+        score: sum of the evidence of all channels [nats].
+        relations: labels (position, speed) -> relation of each compared pair.
+        joints: what was found of each joint, for systems with named joints.
+    """
+
+    system: str
+    choices: tuple[Choice, ...]
+    time: str
+    score: float
+    relations: dict[tuple[str, str], Relation]
+    joints: tuple[JointFinding, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether at least one command and one measurement have a column."""
+        kinds = {c.channel.kind for c in self.choices if c.column is not None}
+        return kinds == {"command", "measurement"}
+
+
+def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
+    """Convert a proposal to channels of a sidecar; channels without a column are left out."""
+    channels = {}
+    for choice in proposal.choices:
+        column = choice.column
+        if column is None:
+            continue
+        clock = survey.clock(column)
+        time = None
+        if clock is not None:
+            unit = proposal.time if not clock.named and clock.unit != "iso8601" else clock.unit
+            usual = survey.log.table(column.topic).times[:1] == (clock.column,)
+            time = None if column.topic and usual else Column(clock.column, unit)
+        channels[choice.channel.name] = ChannelColumn(
+            Column(column.name, choice.unit),
+            choice.channel.kind,
+            time,
+            column.topic,
+            scale=choice.scale,
+            offset=choice.offset,
+        )
+    return channels
+
+
+def restrict(proposal: Proposal, names: Sequence[str]) -> Proposal:
+    """Restrict a proposal to these channels."""
+    return replace(proposal, choices=tuple(c for c in proposal.choices if c.channel.name in names))

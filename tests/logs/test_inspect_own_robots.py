@@ -1,0 +1,136 @@
+"""Proposed mappings of logs of robots that are classes of their users: names of single channels, goals, refusals."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from mcap.writer import Writer
+
+from deepkoco import Channel, Parameter, System
+from deepkoco.cli.command_line import main
+from deepkoco.logs.formats import open_log
+from deepkoco.logs.inspect import propose, survey_log
+
+T = np.arange(0.0, 8.0, 0.01)
+FAST, SLOW = np.sin(2.0 * T) + np.sin(3.7 * T), np.cos(0.9 * T) + np.sin(1.3 * T)
+
+
+def channels(system):
+    class Robot(System):
+        parameters = (Parameter("inertia", 1.0, "kg m2", 0.1, 10.0, 0.1, "J"),)
+        joint_units, joint_names = system["units"], system["names"]
+        command_joints = system["driven"]
+        commands = tuple(Channel(n, unit, "command", -1.0, 1.0) for n, unit in system["commands"])
+        measurements = tuple(
+            Channel(n, u, "measurement", noise_sd=1e-3)
+            for n, u in zip(system["shown"], system["units"], strict=True)
+        )
+
+        def accelerations(self, p):
+            def law(motion):
+                drive = sum(motion.efforts)
+                return tuple((drive + motion.load(k)) / p["inertia"] for k in range(self.joints))
+
+            return law
+
+    return Robot()
+
+
+DRIVE = {
+    "units": ("rad", "rad"),
+    "names": ("motor", "load"),
+    "shown": ("motor_angle", "load_angle"),
+    "commands": (("current", "A"),),
+    "driven": (0,),
+}
+ARM = {
+    "units": ("rad", "rad"),
+    "names": ("shoulder", "elbow"),
+    "shown": ("shoulder", "elbow"),
+    "commands": (("goal_shoulder", "rad"), ("goal_elbow", "rad")),
+    "driven": (0, 1),
+}
+SEESAW = {
+    "units": ("rad",),
+    "names": ("roll",),
+    "shown": ("roll",),
+    "commands": (("left", "1"), ("right", "1")),
+    "driven": (0, 0),
+}
+
+
+def columns(tmp_path, frame, system):
+    path = tmp_path / "log.csv"
+    pd.DataFrame(frame).to_csv(path, index=False)
+    proposal = propose(survey_log(open_log(path)), channels(system)).proposal
+    return {c.channel.name: None if c.column is None else (c.column.name, c.unit) for c in proposal.choices}
+
+
+def test_joints_of_a_message_go_to_the_channels_of_their_names_in_any_order(tmp_path):
+    frame = {"t": T, "position[load]": 0.2 * SLOW, "position[motor]": FAST, "current_A": np.gradient(FAST, T)}
+    found = columns(tmp_path, frame, DRIVE)
+    assert (found["motor_angle"][0], found["load_angle"][0]) == ("position[motor]", "position[load]")
+
+
+def test_two_actuators_of_one_joint_are_told_apart_by_the_letters_of_their_sides(tmp_path):
+    frame = {
+        "t": T,
+        "throttle_R_pct": 40 + 20 * FAST,
+        "throttle_L_pct": 40 - 20 * FAST,
+        "roll_deg": 30 * SLOW,
+    }
+    found = columns(tmp_path, frame, SEESAW)
+    assert found == {
+        "roll": ("roll_deg", "deg"),
+        "left": ("throttle_L_pct", "%"),
+        "right": ("throttle_R_pct", "%"),
+    }
+
+
+def test_goals_without_names_go_to_the_joints_that_follow_them(tmp_path):
+    motion = {"elbow": np.sin(5.0 * T) + np.sin(9.3 * T), "shoulder": np.cos(1.9 * T) + np.sin(3.1 * T)}
+    late = {f"position[{k}]": np.interp(T - 0.05, T, v) for k, v in motion.items()}
+    found = columns(
+        tmp_path, {"t": T, "cmd.data[0]": motion["elbow"], "cmd.data[1]": motion["shoulder"], **late}, ARM
+    )
+    assert found["goal_elbow"][0] == "cmd.data[0]"
+    assert found["goal_shoulder"][0] == "cmd.data[1]"
+    assert found["elbow"][0] == "position[elbow]"
+
+
+@pytest.mark.parametrize(("name", "unit"), [("gap_um", "um"), ("gap [um]", "um"), ("gap_mm", "mm")])
+def test_micrometres_in_a_name_are_understood(tmp_path, name, unit):
+    system = {**DRIVE, "units": ("m",), "names": ("gap",), "shown": ("gap",)}
+    found = columns(tmp_path, {"t": T, name: 9000 + 100 * SLOW, "current_mA": 1000 * FAST}, system)
+    assert found == {"gap": (name, unit), "current": ("current_mA", "mA")}
+
+
+def test_the_columns_are_shown_where_no_mapping_can_be_written(tmp_path, capsys):
+    pd.DataFrame({"t": T, "foo": FAST}).to_csv(tmp_path / "log.csv", index=False)
+    out = tmp_path / "map.yaml"
+    assert main(["inspect", str(tmp_path / "log.csv"), "--system", "rod_pendulum", "--out", str(out)]) == 2
+    said = capsys.readouterr()
+    assert "foo" in said.out
+    assert "no column fits the channel" in said.err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("sensor_msgs/JointState", "rad"), ("my/State", "deg")])
+def test_joint_states_are_in_radians_by_their_definition_however_far_a_motor_turns(tmp_path, kind, unit):
+    path = tmp_path / "log.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        state, command = (
+            writer.register_channel(topic, "json", writer.register_schema(name, "jsonschema", b"{}"))
+            for topic, name in (("/joint_states", kind), ("/cmd", "my/Command"))
+        )
+        for now, motor, load in zip(T, 200.0 * FAST, 0.3 * SLOW, strict=True):
+            stamp = int(1e9 * now)
+            said = {"name": ["load", "motor"], "position": [load, motor]}
+            writer.add_message(state, stamp, json.dumps(said).encode(), stamp)
+            writer.add_message(command, stamp, json.dumps({"current_A": motor / 200.0}).encode(), stamp)
+        writer.finish()
+    proposal = propose(survey_log(open_log(path)), channels(DRIVE)).proposal
+    assert {c.channel.name: c.unit for c in proposal.choices}["motor_angle"] == unit
