@@ -24,6 +24,10 @@ from deepkoco.fit.tangent import Tangent
 STEPS = 25
 STATIONARY = 0.1  # predicted fall of -2 log posterior at which a point is stationary
 HARDEST = 1e8  # damping from which a refit stops
+# A refit ends early where three times what its step promises leaves it this far behind the best one, in -2 log
+# posterior: what the evidence adds to that differs by a few nats between explanations.
+BEHIND = 80.0
+TRUST = 3.0
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,7 @@ def theta_of(problem: FitProblem, fixed: Fixed, refit: Refit, value: np.ndarray)
 
 
 def refined(problem: FitProblem, fixed: Fixed, refits: Sequence[Refit], steps: int = STEPS) -> list[Refit]:
-    """Run all refits until each is stationary or cannot go on.
+    """Run all refits until each is stationary, cannot go on, or cannot catch up with the best one.
 
     Args:
         problem: The windows.
@@ -167,6 +171,9 @@ def refined(problem: FitProblem, fixed: Fixed, refits: Sequence[Refit], steps: i
             move, weights, states, promise = kept.step(refit.damping, *_room(problem, fixed, refit))
             if promise < STATIONARY:
                 refit.stationary = refit.done = True
+                continue
+            if refit.cost - TRUST * promise > min(r.cost for r in refits) + BEHIND:
+                refit.done = True
                 continue
             trials[k] = (refit.value + move, refit.weights + weights, refit.state + torch.from_numpy(states))
     return refits
