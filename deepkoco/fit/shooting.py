@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.data.per_log_differences import effects_in
+from deepkoco.fit.data.usual_steps import with_usual_steps
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.simulate.push import Push, push_torque
@@ -56,6 +57,7 @@ class ShootingProblem:
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
+        self._usual: Self | None = None
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
@@ -104,7 +106,21 @@ class ShootingProblem:
         """The same problem with some of its windows only; systems that were made for simulations are shared."""
         part = copy.copy(self)
         part.windows, part.weight = self.windows.take(index.numpy()), self.weight[index]
+        part._usual = None
         return part
+
+    @property
+    def with_usual_steps(self) -> Self:
+        """The same problem without cuts of its integration steps, for differences of simulations.
+
+        The error of a step hardly changes from one simulation to the next, so it hardly shows in their difference.
+        """
+        if self._usual is None:
+            windows = with_usual_steps(self.windows, self.system)
+            usual = self if windows is self.windows else copy.copy(self)
+            usual.windows = windows
+            self._usual = usual
+        return self._usual
 
     def nuisance_slopes(self, parameters: Tensor) -> Tensor:
         """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""

@@ -11,11 +11,11 @@ import torch
 
 from deepkoco.diagnose.lost_commands.sequence import Responses, innovations
 from deepkoco.diagnose.residuals.residuals import acting_system, push_of
-from deepkoco.fit.data.windows import SLIGHTLY, CommandSeries, Windows, integration_step
+from deepkoco.fit.data.usual_steps import with_usual_steps
+from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.simulate.simulator import predict
-from deepkoco.systems import System
 
 BEFORE = 0.15  # time before a window, as a share of its length, whose commands still act in it (lags, delays)
 SMALL = 1e-3  # simulated offset where a command does not change, as a share of the largest command
@@ -96,20 +96,6 @@ def simulated(
         for w, response in zip(picked, change.split([len(spans[w]) for w in picked]), strict=True):
             is_there = windows.valid[w].flatten().numpy()
             yield Simulated(slopes[w].numpy()[is_there], response.mT.numpy()[is_there])
-
-
-def with_usual_steps(windows: Windows, system: System) -> Windows:
-    """Return windows without the cuts of their steps that the size of the noise asks for.
-
-    Args:
-        windows: Windows, perhaps with steps that are cut into a power of two.
-        system: Their system.
-    """
-    gaps = [float(np.median(np.diff(c.t))) for c in windows.commands if len(c.t) > 1]
-    longest = (1.0 + SLIGHTLY) * min(integration_step(system), *gaps)
-    while 2.0 * windows.step <= longest and windows.steps % 2 == 0:
-        windows = replace(windows, step=2.0 * windows.step, steps=windows.steps // 2)
-    return windows
 
 
 def responses_to(
