@@ -47,7 +47,12 @@ def ticks_of(windows: Windows) -> list[np.ndarray]:
 
 
 def simulated(
-    problem: FitProblem, fit: Fit, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
+    problem: FitProblem,
+    fit: Fit,
+    index: int,
+    spans: Sequence[np.ndarray],
+    sent: Sequence[np.ndarray],
+    asked: Sequence[np.ndarray] | None = None,
 ) -> Iterator[Simulated]:
     """Yield for each window how its measurements change with the command in each of its ticks.
 
@@ -57,6 +62,7 @@ def simulated(
         index: Index of the command channel.
         spans: Ticks of each window, of :func:`ticks_of`.
         sent: Sent commands of each log.
+        asked: Ticks of each window that are simulated, of its ``spans``; None for all.
     """
     problem, fit = problem.as_fitted(fit)
     # Responses are differences of simulations, whose errors of the step are nearly the same.
@@ -75,6 +81,7 @@ def simulated(
     at = predict(system, windows, named, initial, push)
     slopes = ((at[1:] - at[0]) * problem.weight).flatten(2).permute(1, 2, 0)  # (W, samples, states)
     ring = max(len(own) for own in spans)
+    spans = spans if asked is None else asked
     commands, sizes = _with_offsets(windows, index, ring, sent)
     block = max(LANES // ring, 1)
     for begin in range(0, len(windows), block):
