@@ -32,10 +32,10 @@ def refit():
     return start, windows, replace(fit, residual=noise, chi2=float(windows.samples))
 
 
-def asked(refit, promise: float, penalty: float = 0.0, wanted: float = 24.0) -> bool:
+def asked(refit, promise: float, penalty: float = 7.0, wanted: float = 24.0) -> bool:
     start, windows, fit = refit
     fit = replace(fit, penalty=penalty)
-    return can_gain(start, windows, fit, [COULOMB], {COULOMB.name: promise}, wanted)
+    return can_gain(start, windows, fit, fit, [COULOMB], {COULOMB.name: promise}, wanted)
 
 
 def test_small_promises_beside_noise_cannot_be_named(refit):
@@ -57,7 +57,16 @@ def test_the_less_is_wanted_the_more_is_asked_for(refit):
 def test_slopes_bound_nothing_where_more_than_noise_is_left(refit):
     start, windows, fit = refit
     more = replace(fit, chi2=2.0 * fit.chi2, residual=2.0**0.5 * fit.residual)
-    assert can_gain(start, windows, more, [COULOMB], {COULOMB.name: 0.0}, 24.0)
+    assert can_gain(start, windows, more, more, [COULOMB], {COULOMB.name: 0.0}, 24.0)
+
+
+def test_beside_a_fit_that_leaves_noise_near_its_prior_nothing_can_be_gained(refit):
+    start, windows, fit = refit
+    reference = replace(fit, chi2=2.0 * fit.chi2, residual=2.0**0.5 * fit.residual, penalty=300.0)
+    promised = {COULOMB.name: 300.0}
+    strained = replace(fit, penalty=100.0)
+    assert not can_gain(start, windows, reference, replace(fit, penalty=1.0), [COULOMB], promised, 24.0)
+    assert can_gain(start, windows, reference, strained, [COULOMB], promised, 24.0)
 
 
 def test_causes_that_promise_nothing_as_given_are_not_fitted_there():

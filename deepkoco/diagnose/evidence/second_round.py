@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.screening import StartPoint
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
@@ -27,26 +28,33 @@ def can_gain(
     start: Baseline,
     windows: Windows,
     reference: Fit,
+    best: Fit,
     causes: Sequence[Cause],
     promised: Mapping[str, float],
     wanted: float,
 ) -> bool:
-    """Return whether any cause could still be named, whatever it is fitted from.
+    """Return whether any other cause could still be named, whatever it is fitted from.
 
-    Where a refit leaves more than noise, slopes there are no bound.
+    A fit that leaves only noise and has hardly left its prior leaves nothing to gain. Where a refit leaves more than
+    noise, slopes there are no bound.
 
     Args:
         start: The baseline.
         windows: The windows.
         reference: The refit.
+        best: The best fit so far, with a cause or without.
         causes: Causes that compete.
         promised: Cause -> largest fall of the cost by slopes, or by a fit.
         wanted: Fall of the BIC from which a cause is named.
     """
+    if more_than_noise(best, windows, start) is not None:
+        return True
+    spread = dispersion(best, windows)
+    deflation = max(spread.deflation, start.least_deflation)
+    if best.converged and best.penalty <= APART * deflation:
+        return False
     if more_than_noise(reference, windows, start) is not None:
         return True
-    spread = dispersion(reference, windows)
-    deflation = max(spread.deflation, start.least_deflation)
     samples, places = windows.samples / spread.correlation, SLOTS * len(windows)
     most = [
         (MARGIN * promised[c.name] + reference.penalty) / deflation - penalty(c, samples, places)

@@ -128,7 +128,8 @@ def rank(
     if far_away:
         gained = {n: reference.cost - f.cost for n, f in fits.items() if not f.diverged}
         most = {n: max(p, gained.get(n, 0.0)) for n, p in largest_promises(promises).items()}
-        far_away = can_gain(start, problem.windows, reference, tried, most, wanted)
+        best = min([reference, *fits.values()], key=lambda fit: fit.cost)
+        far_away = can_gain(start, problem.windows, reference, best, tried, most, wanted)
     if far_away and limit is not None:
         far_away = limit.allows(f"fits of causes from the values as given{in_company_of(names)}")
     there = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
