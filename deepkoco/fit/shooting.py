@@ -18,7 +18,8 @@ from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
-from deepkoco.systems import ExtendedSystem, Parameter
+from deepkoco.systems import ExtendedSystem, Parameter, System
+from deepkoco.systems.effects.effect import PlacedEffect
 
 SENSING_RANGE = 0.1  # longest delay of one channel [s]
 
@@ -146,8 +147,9 @@ class ShootingProblem:
             self._columns: dict[str, list[int]] = {}
             base = self.system.base
             slow = {e.name for e in self.system.effects if not base.rolls(e.effect)}
+            idle = {f"{e.name}.{n}" for e in self.system.effects for n in _idle(e, base)}
             for j, p in enumerate(bare.parameters):
-                if "." in p.name:
+                if "." in p.name and p.name not in idle:
                     self._columns.setdefault(p.name.split(".")[0], []).append(j)
             self._slow_columns = [columns for effect, columns in self._columns.items() if effect in slow]
         return self._nulls
@@ -157,6 +159,13 @@ class ShootingProblem:
         if effects not in self._kept:
             self._kept[effects] = ExtendedSystem(self.system.base, effects)
         return self._kept[effects]
+
+
+def _idle(placed: PlacedEffect, base: System) -> set[str]:
+    """Parameters of an effect that change nothing while all others are null: the ranges by which loads are scaled."""
+    null = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in placed.parameters(base)}
+    kept = set(placed.effect.acting(null))
+    return kept if len(kept) < len(null) else set()
 
 
 def channel_delays(channels: Sequence[str]) -> tuple[Parameter, ...]:
