@@ -108,10 +108,11 @@ def simulated(problem: ShootingProblem, tangents: Sequence[Tangent], nuisance: T
     exact = ~many
     exact[first] = True
     result = torch.empty(len(theta), *problem.windows.value.shape, dtype=torch.float64)
-    result[exact] = problem.predict(theta[exact], state[exact], nuisance[owner[exact]])
-    roughly = usual.predict(theta[many], state[many], nuisance[owner[many]])
-    error = result[first[sizes > FEW]] - roughly[np.unique(owner[many], return_index=True)[1]]
-    roughly += error[np.unique(owner[many], return_inverse=True)[1]]
-    moved = many & ~exact
-    result[moved] = roughly[torch.from_numpy(moved[many])]
+    one, all_of_many = torch.from_numpy(exact), torch.from_numpy(many)
+    result[one] = problem.predict(theta[exact], state[one], nuisance[owner[exact]])
+    roughly = usual.predict(theta[many], state[all_of_many], nuisance[owner[many]])
+    _, begin, number = np.unique(owner[many], return_index=True, return_inverse=True)
+    error = result[first[sizes > FEW]] - roughly[begin]
+    roughly += error[number]
+    result[torch.from_numpy(many & ~exact)] = roughly[torch.from_numpy(~exact[many])]
     return result
