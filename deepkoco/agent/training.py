@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from deepkoco.agent.kept_weights import KeptWeights
 from deepkoco.agent.learner import Learner
 from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.planner_metrics import planner_metrics
+from deepkoco.agent.progress import Progress
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
@@ -45,25 +46,6 @@ from deepkoco.koopman.model.model import KoopmanModel
 
 CHECKPOINT_FILE = "checkpoint.pt"
 LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale", "inverse")
-
-
-@dataclass
-class Progress:
-    """Where a run stands.
-
-    Attributes:
-        iteration: Finished iterations.
-        collected: Whether the present iteration's episodes are in the buffer.
-        iteration_updates: Updates done in the present iteration.
-        updates: Updates done in all.
-        seconds: Time spent, over all resumptions [s].
-    """
-
-    iteration: int = 0
-    collected: bool = False
-    iteration_updates: int = 0
-    updates: int = 0
-    seconds: float = 0.0
 
 
 class Trainer:

@@ -22,9 +22,9 @@ from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.result import diagnosis_of, insufficient
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.judgement import judge
+from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.weighed import weigh
 from deepkoco.diagnose.window_choice import followed_length
 from deepkoco.fit.data.windows import window_length

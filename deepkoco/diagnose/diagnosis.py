@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -229,9 +230,7 @@ class Diagnosis:
         Raises:
             FolderExistsError: The folder exists.
         """
-        from deepkoco.diagnose.report.folder import write_report
-
-        return write_report(self, folder)
+        return _report_writers[-1](self, folder)
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of report.json: plain lists, numbers and text."""
@@ -287,6 +286,19 @@ class Diagnosis:
             "windows": g.windows,
             "note": self.gain_note,
         }
+
+
+_report_writers: list[Callable[[Diagnosis, Path | str], Path]] = []
+Writer = TypeVar("Writer", bound=Callable[..., Path])
+
+
+def saves_diagnoses(write: Writer) -> Writer:
+    """Decorate the function that :meth:`Diagnosis.save` calls.
+
+    The report is made of the diagnosis, so the diagnosis does not import the report.
+    """
+    _report_writers.append(write)
+    return write
 
 
 def _plain(value: Any) -> Any:

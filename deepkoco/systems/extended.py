@@ -147,6 +147,7 @@ class ExtendedSystem(WrappedSystem):
                     placed.effect.name,
                     placed.joint(self),
                     placed.source(self),
+                    tuple(p.name for p in placed.parameters(self.base)),
                     tuple(
                         torch.as_tensor(parameters[f"{placed.name}.{p.name}"], dtype=torch.float64)
                         for p in placed.parameters(self.base)

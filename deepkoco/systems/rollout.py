@@ -30,12 +30,14 @@ class EffectLoad(NamedTuple):
         kind: Name of the effect, without its place.
         joint: Joint on which it acts.
         source: Joint whose actuators it follows.
-        values: Its parameters, in the order of their declarations.
+        names: Of its parameters, without the effect's, in the order of their declarations.
+        values: Of these parameters.
     """
 
     kind: str
     joint: int
     source: int
+    names: tuple[str, ...]
     values: tuple[Tensor, ...]
 
 

@@ -15,7 +15,7 @@ STAGES = (
     "deepkoco.diagnose.refitted",
     "deepkoco.diagnose.explanation",
     "deepkoco.diagnose.verdict.judgement",
-    "deepkoco.diagnose.result",
+    "deepkoco.diagnose.verdict.result",
     "deepkoco.diagnose.diagnose",
 )
 

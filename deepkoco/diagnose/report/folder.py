@@ -11,7 +11,7 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
-from deepkoco.diagnose.diagnosis import Diagnosis
+from deepkoco.diagnose.diagnosis import Diagnosis, saves_diagnoses
 from deepkoco.diagnose.report.figures.all_figures import draw_all
 from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE
 from deepkoco.diagnose.report.page import render
@@ -29,6 +29,7 @@ DPI = 130  # of the picture files in the folder of the page
 COLOURS_OF_A_PICTURE = 128  # enough for lines and text; the file is a third as large
 
 
+@saves_diagnoses
 def write_report(
     diagnosis: Diagnosis,
     out_dir: str | Path,

@@ -10,10 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.data.even_stamps import with_even_stamps
 from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
-from deepkoco.logs.recording import LogError, Recording
+from deepkoco.fit.data.rest import resting_stamps
+from deepkoco.fit.data.series import CommandSeries, channel_series
+from deepkoco.logs.recording import Recording
 from deepkoco.systems import Motion, System
 
 LONGEST_STEP = 0.01  # integration step [s]
@@ -30,26 +31,7 @@ ONE_RATE = 1e-3  # relative difference of the rates of two logs up to which they
 EARLY = 1e-6  # share of a step by which a command may be before the start of a window
 MIN_SAMPLES = 6  # smallest number of samples of a channel in a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
-DWELL = 0.1  # share of a window over which rest is tested
-REST = 5.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests for that time
 MIN_MOVING_WINDOWS = 4  # windows with rest are used too if fewer windows than this are without
-
-
-@dataclass(frozen=True)
-class CommandSeries:
-    """Zero-order-hold commands of one log.
-
-    Attributes:
-        t: (n,) stamps [s].
-        value: (n,), or (n, M) for M commands, in the commands' units.
-    """
-
-    t: np.ndarray
-    value: np.ndarray
-
-    def column(self, index: int) -> np.ndarray:
-        """(n,) values of one command."""
-        return self.value if self.value.ndim == 1 else self.value[:, index]
 
 
 @dataclass(frozen=True)
@@ -190,7 +172,7 @@ def cut_windows(
     Raises:
         LogError: A log lacks a command or every measurement.
     """
-    channels = [_channels(recording, system) for recording in recordings]
+    channels = [channel_series(recording, system) for recording in recordings]
     step, steps, regular = _grid([command.t for command, _ in channels], length, integration_step(system))
     length = step * steps
     names = [channel.name for channel in system.measurements]
@@ -199,7 +181,7 @@ def cut_windows(
     for index, recording in enumerate(recordings):
         command, series = channels[index]
         commands.append(command)
-        still = _resting(system, series, noise, length)
+        still = resting_stamps(system, series, noise, length)
         history = 0.0 if cover else max(HISTORY, WARM_UP * length)
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         if regular and start < command.t[-1]:
@@ -282,7 +264,7 @@ def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[
     for channel in system.measurements:
         parts = []
         for recording in recordings:
-            _, series = _channels(recording, system)
+            _, series = channel_series(recording, system)
             if channel.name in series:
                 parts.append(
                     (len(series[channel.name][0]), estimate_noise(*series[channel.name], channel.noise_sd))
@@ -313,16 +295,6 @@ def moving(windows: Windows) -> np.ndarray:
     return keep if keep.sum() >= max(MIN_MOVING_WINDOWS, 0.3 * moves.sum()) else moves
 
 
-def _rest_stamps(t: np.ndarray, value: np.ndarray, seconds: float, reach: float) -> np.ndarray:
-    """Stamps of samples in stretches of ``seconds`` whose values span less than ``reach``."""
-    count = max(4, math.ceil(seconds * (len(t) - 1) / max(t[-1] - t[0], 1e-9)))
-    if len(t) < count:
-        return np.zeros(0)
-    runs = np.lib.stride_tricks.sliding_window_view(value, count)
-    begins = np.flatnonzero(runs.max(-1) - runs.min(-1) < reach)
-    return t[np.unique(begins[:, None] + np.arange(count))]
-
-
 def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray:
     """Starts of the windows between two times; with ``cover``, up to 2 % of a window may stay uncovered."""
     fit = (stop - start) / length
@@ -331,71 +303,6 @@ def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray
     if cover:
         return np.linspace(start, stop - length, math.ceil(fit - 0.02))
     return start + length * np.arange(int(fit + 1e-9))
-
-
-def _resting(
-    system: System,
-    series: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    noise: tuple[Noise, ...],
-    length: float,
-) -> np.ndarray | None:
-    """Stamps at which a joint rests; None without dry friction or without a measured position."""
-    if not system.dry_friction:
-        return None
-    found = []
-    for channel, state, own in zip(system.measurements, system.measured_states, noise, strict=True):
-        if state < system.joints and channel.name in series:
-            found.append(_rest_stamps(*series[channel.name], DWELL * length, REST * own.sd))
-    return np.concatenate(found) if found else None
-
-
-def _channels(
-    recording: Recording, system: System
-) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    where = recording.path or "the recording"
-    for command in system.commands:
-        if command.name not in recording.channels and command.default is None:
-            raise LogError(
-                f'{where}: the command "{command.name}" of {system.name} is missing; map it in the sidecar'
-            )
-    for channel in (*system.commands, *system.measurements):
-        logged = recording.channels.get(channel.name)
-        if logged is not None and (
-            wrong := int((~(np.isfinite(logged.value) & np.isfinite(logged.t))).sum())
-        ):
-            raise LogError(
-                f'{where}: the channel "{channel.name}" has {wrong} of {len(logged.t)} samples that are not finite; '
-                "leave these samples out"
-            )
-    series = {}
-    for channel in system.measurements:
-        if channel.name in recording.channels:
-            measured = recording.channels[channel.name]
-            # A range of more than one turn shows that the angle is not wrapped. It may also be in a wrong unit.
-            wrapped = channel.angle and np.ptp(measured.value) <= 2.02 * math.pi
-            value = np.unwrap(measured.value) if wrapped else measured.value
-            series[channel.name] = (measured.t, value)
-    if not series:
-        wanted = ", ".join(c.name for c in system.measurements)
-        raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
-    names = [command.name for command in system.commands if command.name in recording.channels]
-    series, moved = with_even_stamps(series, [recording.channels[name].t for name in names])
-    logged = [replace(recording.channels[name], t=t) for name, t in zip(names, moved, strict=True)]
-    if not logged:
-        # A log of a free motion: every command is at its default.
-        ends = [(t[0], t[-1]) for t, _ in series.values()]
-        defaults = np.array([command.default for command in system.commands], dtype=float)
-        t = np.array([min(first for first, _ in ends), max(last for _, last in ends)])
-        value = np.tile(defaults, (2, 1))
-        return CommandSeries(t, value[:, 0] if value.shape[1] == 1 else value), series
-    if len(system.commands) == 1:
-        return CommandSeries(logged[0].t, logged[0].value), series
-    # Each command holds until its next stamp: on the union of all stamps they are one series.
-    t = np.unique(np.concatenate([command.t for command in logged]))
-    t = t[t >= max(command.t[0] for command in logged)]
-    held = {name: command.hold(t) for name, command in zip(names, logged, strict=True)}
-    columns = [held.get(command.name, np.full(len(t), command.default)) for command in system.commands]
-    return CommandSeries(t, np.column_stack(columns)), series
 
 
 def _piece(t: np.ndarray, value: np.ndarray, start: float, stop: float) -> tuple[np.ndarray, np.ndarray]:

@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.delay import exact_seconds
+from deepkoco.graph.episodes.compared import compared_names, recorded_readings, showing_connection
 from deepkoco.graph.episodes.episode import Episode, record_episodes, windows_for
 from deepkoco.graph.episodes.played import PlayedNode, ReplaySupervisor
 from deepkoco.graph.episodes.storage.description import RecordedNode
 from deepkoco.graph.episodes.storage.read import RecordedRun, read_episodes
 from deepkoco.graph.execution.runtime import BatchedRuntime, NodeParameters
-from deepkoco.graph.model.connection import LONGEST_WINDOW, Connection
+from deepkoco.graph.model.connection import Connection
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError, Node, State, Supervisor
 from deepkoco.graph.timing.computation_graph import ComputationGraph
@@ -141,8 +142,8 @@ def replay_record(
         t_received={c.key: recorded.t_received[c.key] for c in kept},
         windows={c.key: recorded.windows[c.key] for c in kept if c.key in recorded.windows},
     )
-    names = _compared_names(graph, running, recorded, compare)
-    showing = [_showing(graph, recorded, name) for name in names]
+    names = compared_names(graph, running, recorded, compare)
+    showing = [showing_connection(graph, recorded, name) for name in names]
     nodes = [
         _supervisor(graph, node, recorded, initial_outputs or {}, {str(c.name): c.sender for c in showing})
         if node.name == graph.supervisor
@@ -159,7 +160,7 @@ def replay_record(
     actions = torch.from_numpy(np.asarray(recorded.outputs[graph.supervisor]))[: timing.steps, None]
     compared: dict[str, np.ndarray] = {}
     for connection in showing:
-        compared |= _shown(whole, timing, recorded, connection)
+        compared |= recorded_readings(whole, timing, recorded, connection)
     return AugmentedReplay(whole, timing, actions, compared, recorded, added, seed)
 
 
@@ -251,22 +252,6 @@ def _check_connections(graph: Graph, running: Mapping[str, Node], connect: tuple
             )
 
 
-def _compared_names(
-    graph: Graph, running: Mapping[str, Node], recorded: Episode, compare: Iterable[str] | None
-) -> tuple[str, ...]:
-    replaced = [name for name in running if name in graph.index]
-    if compare is None:
-        return tuple(name for name in replaced if name in recorded.outputs)
-    names = tuple(compare)
-    for name in names:
-        if name not in replaced or name not in recorded.outputs:
-            raise GraphError(
-                f'compare "{name}": it is no recorded node that runs in the replay; those are '
-                f"{', '.join(replaced) or 'none'}"
-            )
-    return names
-
-
 def _options(graph: Graph, node: Node) -> dict[str, Any]:
     """Options of a recorded node; its phase stays what it was, whatever is connected to it now."""
     phase = graph.phases[graph.index[node.name]]
@@ -297,35 +282,6 @@ def _supervisor(
     return ReplaySupervisor(
         node.name, node.rate, initial_action=action, compared=compared, **_options(graph, node)
     )
-
-
-def _showing(graph: Graph, recorded: Episode, sender: str) -> Connection:
-    """A connection that shows the supervisor, at each of its steps, all messages since the one before."""
-    acts, sent = recorded.t_start[graph.supervisor], recorded.t_end[sender]
-    window = int(np.diff(np.searchsorted(sent, acts)).max(initial=1))
-    name = f"{sender} compared"
-    # It skips, so that it cannot close a cycle.
-    return Connection(sender, graph.supervisor, window=min(window, LONGEST_WINDOW), skip=True, name=name)
-
-
-def _shown(
-    graph: Graph, timing: ComputationGraph, recorded: Episode, connection: Connection
-) -> dict[str, np.ndarray]:
-    """By reading, (steps, window, ...) what was recorded of the messages that it shows, each of them once."""
-    edge = timing.layout.connections.index(connection.key)
-    seen = timing.windows_of(edge)
-    new = seen[1:] > np.maximum(seen[:-1].max(axis=1, keepdims=True), -1)
-    outputs = recorded.outputs[connection.sender]
-    parts = graph.parts.get(connection.sender)
-    name = connection.sender
-    values = {name: outputs} if parts is None else {
-        f"{name}.{part}": value for part, value in parts.split_array(outputs).items()
-    }  # fmt: skip
-    shown = {}
-    for reading, value in values.items():
-        taken = value[np.clip(seen[1:], 0, len(value) - 1)].astype(np.float64)
-        shown[reading] = np.where(new.reshape(*new.shape, *(1,) * (value.ndim - 1)), taken, np.nan)
-    return shown
 
 
 def _timing_of(

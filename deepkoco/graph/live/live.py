@@ -22,9 +22,10 @@ from deepkoco.graph.live.episode_start import received_outputs, reset_nodes, sta
 from deepkoco.graph.live.failure import Ending, NodeFailure, failure_of
 from deepkoco.graph.live.plan import Plan
 from deepkoco.graph.live.recorder import Record, Recorder
-from deepkoco.graph.live.runner import InitialStateError, Runner
+from deepkoco.graph.live.runner import Runner
 from deepkoco.graph.live.seat import make_driver
 from deepkoco.graph.live.state import Policy, RunningState, check_step, running_state
+from deepkoco.graph.live.stopping import Stopping
 from deepkoco.graph.model.contract import NotFiniteError
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import Input, State
@@ -119,7 +120,7 @@ class LiveRuntime(ABC):
                 self.finish()  # the recording wants the whole of the episode that is given up
             self._recorder.open()
         self._plan_episode(timing, row)
-        with _Stopping(self):
+        with Stopping(self._stop_after):
             if self._crew is None:
                 self._crew = Crew(self.graph, self._options)
                 # A caller who forgets to close wants the file all the same, and must hear of a failure.
@@ -151,7 +152,7 @@ class LiveRuntime(ABC):
         assert self._driver is not None
         assert self._crew is not None
         action = self._driver.runner.act(action, self._driver.tick)
-        with _Stopping(self):
+        with Stopping(self._stop_after):
             if self._crew.failure is not None:
                 raise self._crew.failure  # before the action goes anywhere
             self._check_finite(self._driver, action)
@@ -163,7 +164,7 @@ class LiveRuntime(ABC):
         if self._running is None:
             raise ValueError("run before reset: call reset first")
         for _ in range(steps):
-            with _Stopping(self):
+            with Stopping(self._stop_after):
                 action = policy(self._seen)
             self.step(self._running, action)
         return self._running
@@ -184,7 +185,7 @@ class LiveRuntime(ABC):
         assert self._driver is not None
         assert self._crew is not None
         step = int(self._running.step[0])
-        with _Stopping(self):
+        with Stopping(self._stop_after):
             logs = self._crew.ask({name: ("end", self._last(name, step)) for name in self._others})
         self._running = None
         logs[self.graph.supervisor] = self._driver.log()
@@ -334,18 +335,3 @@ class LiveRuntime(ABC):
     def _unled(self) -> list[str]:
         """Nodes that need credit, for they would run ahead without end."""
         return []
-
-
-class _Stopping:
-    """Stops everything where what is inside fails: a node, the policy, Ctrl-C."""
-
-    def __init__(self, runtime: LiveRuntime) -> None:
-        self._runtime = runtime
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        # A mistake of the caller at a reset finds the nodes idle, and leaves them so.
-        if error is not None and not isinstance(error, InitialStateError):
-            self._runtime._stop_after(error)

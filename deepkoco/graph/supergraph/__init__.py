@@ -1,6 +1,7 @@
 """Supergraphs: one sequence of slots in which the steps of all environments run under masks."""
 
 from deepkoco.graph.supergraph.baselines import generational, topological
+from deepkoco.graph.supergraph.bounds import count_bound, window_bound
 from deepkoco.graph.supergraph.efficiency import Efficiency, efficiency_bound, measure, measure_sequential
 from deepkoco.graph.supergraph.embedding import Embedding, Supergraph, embed, grow
 from deepkoco.graph.supergraph.mcs import grow_common
@@ -8,10 +9,8 @@ from deepkoco.graph.supergraph.merge import MergedSlots, join_slots, merge_slots
 from deepkoco.graph.supergraph.partition import (
     GraphCycleError,
     Partitions,
-    count_bound,
     partition_graphs,
     partition_timing,
-    window_bound,
 )
 from deepkoco.graph.supergraph.search import find_slots
 

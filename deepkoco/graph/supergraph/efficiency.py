@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deepkoco.graph.supergraph.bounds import count_bound, window_bound
 from deepkoco.graph.supergraph.embedding import Supergraph, embed
-from deepkoco.graph.supergraph.partition import Partitions, count_bound, window_bound
+from deepkoco.graph.supergraph.partition import Partitions
 
 
 class Efficiency(NamedTuple):

@@ -11,7 +11,7 @@ from deepkoco.graph.supergraph.search import find_slots
 from deepkoco.graph.timing.computation_graph import ComputationGraph
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "c87828e557ca330a"
+COMPILED_WITH = "42efd0a1e8a16b07"
 
 EFFORT = 30
 """Effort of the search for the slots of a timing; it runs where someone waits for an environment."""

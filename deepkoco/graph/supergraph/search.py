@@ -13,15 +13,10 @@ of time: the same episodes give the same supergraph on any machine.
 import numpy as np
 from numba import njit
 
-from deepkoco.graph.supergraph.embedding import (
-    LONGEST,
-    MOST,
-    embed_episode,
-    fill_next,
-    grow,
-    grow_slots,
-)
-from deepkoco.graph.supergraph.partition import Partitions, window_bound
+from deepkoco.graph.supergraph.bounds import window_bound
+from deepkoco.graph.supergraph.embedding import MOST, embed_episode, fill_next, grow, grow_slots
+from deepkoco.graph.supergraph.partition import Partitions
+from deepkoco.graph.supergraph.shortening import FILL, count_use, shorten
 from deepkoco.graph.supergraph.windows import (
     add_window,
     count_all_late,
@@ -32,7 +27,7 @@ from deepkoco.graph.supergraph.windows import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "6a572c927e7c73f7"
+COMPILED_WITH = "32c950b54b294f57"
 
 EFFORT = 75
 """Visits of every vertex that a search may spend; more for chains of many slots of a kind, and in tiny problems."""
@@ -41,7 +36,6 @@ _LEAST = 30_000  # visits that every search may spend: few enough for no wait, e
 _TRY = 10  # a try to reach one length may spend this part of the budget
 _PATIENCE = 5  # tries without any gain after which it ends
 _UPHILL = (8, 80)  # of 2048 moves, those that may leave 2 and 1 more vertices late
-_FILL = 48  # entries of the table of next slots that take as long as a visit
 _FAILURES = 8  # further windows from an embedding of all episodes
 
 
@@ -129,10 +123,10 @@ def _search(parts, best, bound, pass_base, pass_first, windows, budget, generato
         for k in best:
             count[k] += 1
         if not measured:
-            _count_use(parts, slots, size, next_slot, position, last, use)
+            count_use(parts, slots, size, next_slot, position, last, use)
             visited[0] += len(parts.kind)
             measured = True
-        size = _shorten(
+        size = shorten(
             slots,
             size,
             max(least, size - step),
@@ -175,98 +169,6 @@ def _search(parts, best, bound, pass_base, pass_first, windows, budget, generato
 
 
 @njit(cache=True)
-def _count_use(parts, slots, size, next_slot, position, last, use):
-    """Count the vertices that each slot runs."""
-    fill_next(slots, size, next_slot)
-    use[:size] = 0
-    for e in range(len(parts.passes)):
-        embed_episode(parts, e, size, next_slot, position, last)
-        for v in range(parts.first[e], parts.first[e + 1]):
-            if parts.kind[v] != parts.supervisor:
-                use[position[v] & (LONGEST - 1)] += 1
-
-
-@njit(cache=True)
-def _shorten(slots, size, target, bound, count, use, windows, next_slot, late, spare, generator, visited):
-    """Delete slots until `target` are left: those that no window uses, else those that fewest miss."""
-    while size > target:
-        shorter = _delete_unused(slots, size, target, bound, count, use, windows, next_slot, visited)
-        if shorter > target:
-            chosen = _choose_deletion(
-                slots, shorter, bound, count, use, windows, next_slot, late, spare, generator, visited
-            )
-            if chosen < 0:
-                return shorter
-            shorter = _delete(slots, shorter, chosen, count, use)
-        size = shorter
-    return size
-
-
-@njit(cache=True)
-def _delete(slots, size, slot, count, use):
-    count[slots[slot]] -= 1
-    for i in range(slot, size - 1):
-        slots[i], use[i] = slots[i + 1], use[i + 1]
-    return size - 1
-
-
-@njit(cache=True)
-def _delete_unused(slots, size, target, bound, count, use, windows, next_slot, visited):
-    """Delete slots that run nothing in any window, so that all windows stay as they are; the idlest first."""
-    fill_next(slots, size, next_slot)
-    taken = np.zeros(size, np.bool_)
-    for w in range(windows.size[0]):
-        count_late(windows, w, next_slot, 1 << 60)
-        n = windows.first[w + 1] - windows.first[w]
-        visited[0] += n
-        for v in range(n):
-            taken[windows.position[v] & (LONGEST - 1)] = True
-    order = np.argsort(use[:size], kind="mergesort")
-    deleted = np.zeros(size, np.bool_)
-    surplus = size - target
-    for i in order:
-        if surplus > 0 and not taken[i] and count[slots[i]] > bound[slots[i]]:
-            deleted[i] = True
-            count[slots[i]] -= 1
-            surplus -= 1
-    n = 0
-    for i in range(size):
-        if not deleted[i]:
-            slots[n], use[n] = slots[i], use[i]
-            n += 1
-    return n
-
-
-@njit(cache=True)
-def _choose_deletion(slots, size, bound, count, use, windows, next_slot, late, spare, generator, visited):
-    """Choose the slot without which fewest vertices are late; -1 if all kinds are down to the bound."""
-    tried = np.zeros(size, np.bool_)
-    chosen, fewest = -1, np.int64(1 << 60)
-    while fewest > 0:
-        slot = np.int64(-1)
-        for _look in range(3):  # three draws, the least used of them
-            drawn, open_ = np.int64(-1), 0
-            for i in range(size):
-                if not tried[i] and count[slots[i]] > bound[slots[i]]:
-                    open_ += 1
-                    if draw(generator, open_) == 0:
-                        drawn = i
-            if drawn >= 0 and (slot < 0 or use[drawn] < use[slot]):
-                slot = drawn
-        if slot < 0:
-            break
-        tried[slot] = True
-        spare[:slot] = slots[:slot]
-        spare[slot : size - 1] = slots[slot + 1 : size]
-        fill_next(spare, size - 1, next_slot)
-        visited[0] += size * len(count) // _FILL
-        missed = count_all_late(windows, next_slot, fewest - 1, late, visited)
-        if missed < fewest:
-            chosen, fewest = slot, missed
-    return chosen
-
-
-@njit(cache=True)
 def _repair(slots, size, bound, count, windows, next_slot, late, spare, generator, visited, limit):
     """Move slots until no window has a late vertex; return whether that was reached."""
     fill_next(slots, size, next_slot)
@@ -296,7 +198,7 @@ def _repair(slots, size, bound, count, windows, next_slot, late, spare, generato
                 spare[n] = slots[i]
                 n += 1
         fill_next(spare, size, next_slot)
-        visited[0] += 2 * size * len(count) // _FILL
+        visited[0] += 2 * size * len(count) // FILL
         uphill = 0
         chance = draw(generator, 2048)
         if chance < _UPHILL[0]:

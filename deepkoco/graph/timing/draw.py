@@ -15,10 +15,11 @@ from deepkoco.graph.delay import DelayError, RankCorrelation, RecordedDelays, St
 from deepkoco.graph.model.graph import Graph, check_coupling
 from deepkoco.graph.timing.computation_graph import ComputationGraph
 from deepkoco.graph.timing.drawn import DrawnDelays
-from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, Draws, Measured, Times, run_rows
+from deepkoco.graph.timing.kernel import DONE, FULL, UNSTALLED, run_rows
 from deepkoco.graph.timing.origin import Origin
 from deepkoco.graph.timing.overrides import ChannelLaws, Delays, TimingError, read_overrides
 from deepkoco.graph.timing.plan import plan_of
+from deepkoco.graph.timing.rule_tables import Draws, Measured, Times
 from deepkoco.graph.timing.waiting import Waiting
 
 __all__ = ["Delays", "TimingError", "draw_timing", "extend_timing"]

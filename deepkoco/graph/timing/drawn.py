@@ -5,10 +5,11 @@ import numpy as np
 from deepkoco.graph.delay import DelayError
 from deepkoco.graph.delay.source import DelaySource
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.timing.kernel import LOST, Draws
+from deepkoco.graph.timing.kernel import LOST
 from deepkoco.graph.timing.origin import Origin
 from deepkoco.graph.timing.overrides import TimingError
 from deepkoco.graph.timing.plan import plan_of
+from deepkoco.graph.timing.rule_tables import Draws
 
 _BLOCK = 64  # supervisor steps in the first block; each further one doubles what there is
 _STALLS = 4  # drawn at a time

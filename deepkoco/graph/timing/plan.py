@@ -8,8 +8,8 @@ import numpy as np
 
 from deepkoco.graph.delay import Delay, exact_fraction, exact_seconds
 from deepkoco.graph.model.graph import Graph
-from deepkoco.graph.timing.kernel import Columns, Rules
 from deepkoco.graph.timing.layout import Layout, layout_of
+from deepkoco.graph.timing.rule_tables import Columns, Rules
 
 NANO = 10**9
 _FINEST = 10**13  # ticks per second: beyond, int64 would not hold a day

@@ -12,10 +12,11 @@ from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.timing.computation_graph import ComputationGraph, Layout
 from deepkoco.graph.timing.draw import MOST_STRETCH, draw_seed, empty_times, laws_of, resolution_of
 from deepkoco.graph.timing.drawn import DrawnDelays
-from deepkoco.graph.timing.kernel import DONE, FULL, LOST, UNSTALLED, Draws, Measured, Times, run_rows
+from deepkoco.graph.timing.kernel import DONE, FULL, LOST, UNSTALLED, run_rows
 from deepkoco.graph.timing.origin import Origin
 from deepkoco.graph.timing.overrides import Delays, TimingError
 from deepkoco.graph.timing.plan import plan_of
+from deepkoco.graph.timing.rule_tables import Draws, Measured, Times
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from deepkoco.logs.inspect.evidence import (
     drives,
     factor_of,
 )
+from deepkoco.logs.inspect.joint_groups import RATES, joint_groups
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.sidecar import ChannelColumn, Column
 from deepkoco.logs.units import factor_between, parse_unit
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 NOTHING = 2.0  # evidence for a channel without a column [nats]
 BEST = 8  # largest number of columns that are tried for a measurement, the best names first
 SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
-_RATES = {"angle": "angular velocity", "length": "velocity"}
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Proposer:
         taken: set[str] = set()
         choices: list[Choice] = []
         score, time = 0.0, "s"
-        for number, (position, rate, commands) in enumerate(_joints(system)):
+        for number, (position, rate, commands) in enumerate(joint_groups(system)):
             pair, units, gained = self._pair(position, rate, number, system, taken)
             score += gained
             time = units.time if units is not None else time
@@ -279,7 +279,7 @@ class Proposer:
             return None
         relation = self.relations.get((a.label, b.label), Relation(math.nan, 0.0, 0.0, 0.0))
         time = clock.unit if clock.unit in ("s", "ms", "us", "ns") else "s"
-        return choose_units(a, b, (quantity, _RATES[quantity]), relation, time, clock.named)
+        return choose_units(a, b, (quantity, RATES[quantity]), relation, time, clock.named)
 
 
 def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
@@ -309,27 +309,6 @@ def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
 def restrict(proposal: Proposal, names: Sequence[str]) -> Proposal:
     """Restrict a proposal to these channels."""
     return replace(proposal, choices=tuple(c for c in proposal.choices if c.channel.name in names))
-
-
-def _joints(system: System) -> list[tuple[Channel | None, Channel | None, list[Channel]]]:
-    """Position, speed and commands of each joint; channels without a joint form groups of their own."""
-    quantity = {c.name: parse_unit(c.unit).quantity for c in system.measurements}
-    positions = [c for c in system.measurements if quantity[c.name] in _RATES]
-    rates = [c for c in system.measurements if c not in positions]
-    groups: list[tuple[Channel | None, Channel | None, list[Channel]]] = []
-    commands = list(system.commands)
-    for k, position in enumerate(positions):
-        wanted = _RATES[quantity[position.name]]
-        rate = next((c for c in rates if quantity[c.name] == wanted), None)
-        if rate is not None:
-            rates.remove(rate)
-        mine = [commands[k]] if k < len(commands) else []
-        groups.append((position, rate, mine))
-    groups += [(None, rate, []) for rate in rates]
-    left = commands[len(positions) :]
-    if left and groups:
-        groups[-1][2].extend(left)
-    return groups
 
 
 def _weight(scored: list, place: int) -> tuple[float, str | None]:

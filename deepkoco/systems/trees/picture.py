@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from deepkoco.systems import drawing
 from deepkoco.systems.drawing import Point
 from deepkoco.systems.trees.tree import Tree
 
@@ -103,3 +105,27 @@ def lines(tree: Tree, angles: np.ndarray, view: View) -> tuple[list[tuple[Point,
     points = [seen(origin) for origin in origins]
     found = [(base if j.parent < 0 else points[j.parent], points[k]) for k, j in enumerate(tree.joints)]
     return [*found, *((points[k], seen(place)) for k, place in ends)], points
+
+
+def draw_robot(
+    image: np.ndarray,
+    tree: Tree,
+    angles: np.ndarray,
+    view: View,
+    driven: Sequence[int] = (),
+    fractions: Sequence[float] | None = None,
+) -> None:
+    """Draw a robot, and its commands, into an image.
+
+    Args:
+        image: (H, W, 3) of bytes, changed in place.
+        tree: The description.
+        angles: (J,) joint positions [rad, m].
+        view: From where it is seen.
+        driven: Joint of each command.
+        fractions: Each command as a share of its limit; None draws none.
+    """
+    links, points = lines(tree, angles, view)
+    drawing.draw_tree(image, links, points, [end for _, end in links[len(tree.joints) :]], view.reach)
+    if fractions is not None:
+        drawing.draw_joint_commands(image, [points[j] for j in driven], fractions, view.reach)

@@ -35,3 +35,12 @@ def link_line(tree: Tree, site: Site) -> tuple[np.ndarray, float]:
     end: np.ndarray = max(ends, key=lambda x: float(np.linalg.norm(x)))
     length = float(np.linalg.norm(end))
     return (end / length if length > 0.0 else end), length
+
+
+def tip_place(tree: Tree) -> str:
+    """Name of the site where a robot carries things: on the joint that is farthest from the base."""
+    depth = []
+    for joint in tree.joints:
+        depth.append(1 + (depth[joint.parent] if joint.parent >= 0 else 0))
+    deepest = max(depth[site.joint] for site in tree.sites)
+    return next(site.name for site in tree.sites if depth[site.joint] == deepest)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.dry_friction import CLOSE, SWEEPS
+from deepkoco.systems.effects.learned import TERMS
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.rollout import EffectLoad, RolloutInput, RolloutResult
 from deepkoco.systems.trees.fast import FastLaw, common_shape
@@ -18,6 +19,8 @@ from deepkoco.systems.trees.tree import OutsideForce
 
 KINDS = ("viscous", "quadratic", "spring", "cogging", "periodic", "crosstalk", "stribeck", "load_friction")
 """Effects whose loads the loop knows, in the order of its constants."""
+LEARNED = "learned"
+KNOWN = {kind: k for k, kind in enumerate((*KINDS, *(f"{LEARNED}.{term}" for term in TERMS)))}
 
 
 class TreeRollout:
@@ -36,17 +39,19 @@ class TreeRollout:
 
     def knows(self, kind: str) -> bool:
         """Whether the loop can add the loads of effects of this name."""
-        return kind in KINDS or kind == "constant_load"
+        return kind in KINDS or kind in ("constant_load", LEARNED)
 
     def with_loads(self, loads: Sequence[EffectLoad]) -> TreeRollout | None:
         """The same with loads of effects; None where their values are no plain numbers."""
         if not is_plain([v for load in loads for v in load.values]):
             return None
-        return TreeRollout(self._law, self._forces, (*self._loads, *map(_as_known, loads)))
+        known = (own for load in loads for own in _as_known(load))
+        return TreeRollout(self._law, self._forces, (*self._loads, *known))
 
     def run(self, given: RolloutInput) -> RolloutResult | None:
         """Simulate; None where a tensor is no plain number."""
-        from deepkoco.systems.trees.rollout_kernel import MOST_VALUES, tree_rollout
+        from deepkoco.systems.trees.effect_kernel import MOST_VALUES
+        from deepkoco.systems.trees.rollout_kernel import tree_rollout
 
         tensors = [*given.start, *given.begin, *given.slope, given.loads, *given.friction.steady]
         if not is_plain(tensors):
@@ -89,7 +94,7 @@ class TreeRollout:
         time = np.array(np.broadcast_to(given.time.numpy(), shape)).ravel()
         tree_rollout(
             tree, group, own,
-            np.array([KINDS.index(load.kind) for load in self._loads], np.int64),
+            np.array([KNOWN[load.kind] for load in self._loads], np.int64),
             np.array([(load.joint, load.source) for load in self._loads], np.int64).reshape(-1, 2),
             values.reshape(len(self._loads), MOST_VALUES, groups),
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
@@ -100,12 +105,24 @@ class TreeRollout:
         return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))
 
 
-def _as_known(load: EffectLoad) -> EffectLoad:
-    """Write a constant load as a periodic one of frequency 0."""
-    if load.kind != "constant_load":
-        return load
+def _as_known(load: EffectLoad) -> list[EffectLoad]:
+    """Write a load as those that the loop knows.
+
+    A constant load is a periodic one of frequency 0; a learned load is one load for each term that acts.
+    """
     nothing = torch.zeros((), dtype=torch.float64)
-    return load._replace(kind="periodic", values=(nothing, *load.values, nothing))
+    if load.kind == "constant_load":
+        return [load._replace(kind="periodic", values=(nothing, *load.values, nothing))]
+    if load.kind != LEARNED:
+        return [load]
+    own = dict(zip(load.names, load.values, strict=True))
+    one = torch.ones((), dtype=torch.float64)
+    scales = tuple(own.get(n, one) for n in ("speed_scale", "effort_scale", "angle_scale", "angle_middle"))
+    return [
+        load._replace(kind=f"{LEARNED}.{name}", values=(own[name], *scales))
+        for name in TERMS
+        if name in own and bool((own[name] != 0.0).any())
+    ]
 
 
 def _stacked(values: Sequence[Tensor], shape: tuple[int, int, int]) -> np.ndarray:

@@ -9,248 +9,18 @@ Source: the steps of :mod:`deepkoco.fit.simulate.step`.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
 from deepkoco.systems.dry_friction import HUGE
 from deepkoco.systems.dry_friction_loop import rub_element
-from deepkoco.systems.trees.force_kernel import add_joint_loads
-from deepkoco.systems.trees.kernel import (
-    COS,
-    INERTIA,
-    LANES,
-    LOAD,
-    PULL,
-    ROWS,
-    SPIN,
-    SWING,
-    _factorise,
-    _fill_mass,
-    _gather_forces,
-    _gather_inertias,
-    _move_frames,
-    _place_frames,
-    _solve,
-)
+from deepkoco.systems.trees.effect_kernel import MOST_VALUES, is_level
+from deepkoco.systems.trees.mass_matrix_kernel import solve
+from deepkoco.systems.trees.newton_euler_kernel import LANES, LOAD, ROWS
+from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "32ff66942caa213c"
-
-# Loads of effects that the loop knows; from STRIBECK on they are levels of dry friction.
-VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION = range(8)
-LEVELS = STRIBECK
-MOST_VALUES = 3  # of an effect
-
-
-@njit(error_model="numpy", nogil=True)
-def _delivered(drives, gear, force_limits, law, angle, speed, effort, forces):
-    """Forces (M, LANES) of the actuators on their joints."""
-    for a in range(len(drives)):
-        k, ratio, low, high = drives[a], gear[a], force_limits[a, 0], force_limits[a, 1]
-        for i in range(LANES):
-            length, rate = ratio * angle[k, i], ratio * speed[k, i]
-            scale = law[a, 0, i] + law[a, 1, i] * length + law[a, 2, i] * rate
-            # A servo's stiff force is the difference of two large ones: the same as kp times the error.
-            force = scale * effort[a, i] + (law[a, 3, i] + law[a, 4, i] * length + law[a, 5, i] * rate)
-            force = high if force > high else force
-            force = low if force < low else force
-            forces[a, i] = ratio * force
-
-
-@njit(error_model="numpy", nogil=True)
-def _add_levels(kinds, places, values, drives, forces, speed, level):
-    """Add the levels of dry friction that depend on the motion to ``level`` (J, LANES)."""
-    for e in range(len(kinds)):
-        j = places[e, 0]
-        if kinds[e] == STRIBECK:
-            for i in range(LANES):
-                if values[e, 0, i] != 0.0 or values[e, 1, i] != 0.0:
-                    ratio = speed[j, i] / values[e, 2, i]
-                    level[j, i] += values[e, 0, i] + values[e, 1, i] * math.exp(-ratio * ratio)
-        elif kinds[e] == LOAD_FRICTION:
-            for a in range(len(drives)):
-                if drives[a] == places[e, 1]:
-                    for i in range(LANES):
-                        level[j, i] += values[e, 0, i] * abs(forces[a, i])
-
-
-@njit(error_model="numpy", nogil=True)
-def _add_loads(kinds, places, values, drives, forces, angle, speed, time, load):
-    """Add the loads of effects to ``load`` (J, LANES)."""
-    for e in range(len(kinds)):
-        kind, j = kinds[e], places[e, 0]
-        if kind == VISCOUS:
-            for i in range(LANES):
-                load[j, i] -= values[e, 0, i] * speed[j, i]
-        elif kind == QUADRATIC:
-            for i in range(LANES):
-                load[j, i] -= values[e, 0, i] * speed[j, i] * abs(speed[j, i])
-        elif kind == SPRING:
-            for i in range(LANES):
-                load[j, i] -= values[e, 0, i] * (angle[j, i] - values[e, 1, i])
-        elif kind in (COGGING, PERIODIC):
-            for i in range(LANES):
-                if values[e, 0, i] != 0.0 or values[e, 1, i] != 0.0:
-                    phase = values[e, 2, i] * (angle[j, i] if kind == COGGING else time[i])
-                    load[j, i] += values[e, 0, i] * math.sin(phase) + values[e, 1, i] * math.cos(phase)
-        elif kind == CROSSTALK:
-            for a in range(len(drives)):
-                if drives[a] == places[e, 1]:
-                    for i in range(LANES):
-                        load[j, i] += values[e, 0, i] * forces[a, i]
-
-
-@njit(error_model="numpy", nogil=True)
-def _accelerations(
-    tree,
-    own,
-    effects,
-    s,
-    mass,
-    which,
-    forces,
-    level,
-    angle,
-    speed,
-    effort,
-    time,
-    push,
-    steady,
-    direction,
-    result,
-):
-    """Write the accelerations (J, LANES) of a block; the factors of the mass matrix stay in ``mass``."""
-    parent, turns, rotation, offset, reference, limits, drives, gear, force_limits = tree
-    inertia, gravity, passive, law = own
-    kinds, places, values, varies, pulled, pulls = effects
-    joints = len(turns)
-    for i in range(LANES):
-        for row in range(3):
-            s[joints, SPIN + row, i] = 0.0
-            s[joints, SWING + row, i] = 0.0
-            s[joints, PULL + row, i] = -gravity[row, i]
-    for k in range(joints):
-        for i in range(LANES):
-            s[k, COS, i] = angle[k, i]
-            s[k, LOAD, i] = 0.0
-        for row in range(10):
-            for i in range(LANES):
-                s[k, INERTIA + row, i] = inertia[k, row, i]
-    _delivered(drives, gear, force_limits, law, angle, speed, effort, forces)
-    for a in range(len(drives)):
-        k = drives[a]
-        for i in range(LANES):
-            s[k, LOAD, i] += forces[a, i]
-    for k in range(joints):
-        low, high = limits[k, 0], limits[k, 1]
-        for i in range(LANES):
-            load = s[k, LOAD, i]
-            load = high if load > high else load
-            load = low if load < low else load
-            load -= passive[k, 1, i] * speed[k, i]
-            load -= passive[k, 2, i] * (angle[k, i] - passive[k, 3, i])
-            s[k, LOAD, i] = load + (push[k, i] - steady[k, i] * direction[k, i])
-    if len(pulled):
-        for k in range(joints):
-            for i in range(LANES):
-                level[k, i] = 0.0
-        add_joint_loads(parent, turns, rotation, offset, reference, pulled, pulls, which, angle, level)
-        for k in range(joints):
-            for i in range(LANES):
-                s[k, LOAD, i] += level[k, i]
-    if len(kinds):
-        for k in range(joints):
-            for i in range(LANES):
-                level[k, i] = 0.0
-        _add_loads(kinds, places, values, drives, forces, angle, speed, time, level)
-        for k in range(joints):
-            for i in range(LANES):
-                s[k, LOAD, i] += level[k, i]
-                level[k, i] = 0.0
-        if varies:
-            _add_levels(kinds, places, values, drives, forces, speed, level)
-            for k in range(joints):
-                for i in range(LANES):
-                    s[k, LOAD, i] -= level[k, i] * direction[k, i]
-    _place_frames(s, turns, rotation, offset, reference, angle, 0, LANES)
-    _move_frames(s, parent, turns, rotation, speed)
-    _gather_forces(s, parent, turns, rotation)
-    _gather_inertias(s, parent, rotation)
-    _fill_mass(s, mass, parent, turns, rotation, passive, which)
-    _factorise(mass, parent)
-    _solve(s, mass, parent)
-    for k in range(joints):
-        for i in range(LANES):
-            result[k, i] = s[k, LOAD, i]
-
-
-@njit(error_model="numpy", nogil=True)
-def _runge_kutta(
-    tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
-    direction, step, end_angle, end_speed, first, last,
-):  # fmt: skip
-    """One step of a block; ``masses[0]`` keeps the factors at its start."""
-    joints = len(angle)
-    v1, v2, v3, v4 = stages[0], stages[1], stages[2], stages[3]
-    a1, a2, a3, a4, q = stages[4], stages[5], stages[6], stages[7], stages[8]
-    for k in range(joints):
-        for i in range(LANES):
-            q[k, i], v1[k, i] = angle[k, i], speed[k, i]
-    # One call in a loop: the compiler would repeat the equations of motion for each call.
-    for stage in range(4):
-        when, mass = (stage + 1) // 2, masses[min(stage, 1)]
-        _accelerations(
-            tree, own, effects, s, mass, which, forces, level, q, stages[stage], efforts[when], times[when], push,
-            steady, direction, stages[4 + stage],
-        )  # fmt: skip
-        if stage < 3:
-            part = step if stage == 2 else 0.5 * step
-            for k in range(joints):
-                for i in range(LANES):
-                    q[k, i] = angle[k, i] + part * stages[stage, k, i]
-                    stages[stage + 1, k, i] = speed[k, i] + part * stages[4 + stage, k, i]
-    sixth = step / 6.0
-    for k in range(joints):
-        for i in range(LANES):
-            end_angle[k, i] = angle[k, i] + sixth * (v1[k, i] + 2.0 * (v2[k, i] + v3[k, i]) + v4[k, i])
-            end_speed[k, i] = speed[k, i] + sixth * (a1[k, i] + 2.0 * (a2[k, i] + a3[k, i]) + a4[k, i])
-            first[k, i] = a1[k, i]
-            last[k, i] = a4[k, i]
-
-
-@njit(error_model="numpy", nogil=True)
-def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, scratch, level):
-    """Levels of dry friction (J, LANES) at a share of the speed."""
-    drives, gear, force_limits = tree[6:]
-    kinds, places, values, varies = effects[:4]
-    joints = len(angle)
-    for k in range(joints):
-        for i in range(LANES):
-            level[k, i] = steady[k, i]
-    if varies:
-        for k in range(joints):
-            for i in range(LANES):
-                scratch[k, i] = share * speed[k, i]
-        _delivered(drives, gear, force_limits, own[3], angle, scratch, effort, forces)
-        _add_levels(kinds, places, values, drives, forces, scratch, level)
-
-
-@njit(error_model="numpy", nogil=True)
-def _mean_levels(tree, own, effects, forces, steady, angle, speed, share, efforts, scratch, room, level):
-    """Levels as :func:`_levels_at`, over the step by Simpson's rule; ``room`` (J, LANES) is overwritten."""
-    _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[1], scratch, level)
-    if not effects[3]:
-        return
-    for when in (0, 2):
-        _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[when], scratch, room)
-        for k in range(len(angle)):
-            for i in range(LANES):
-                level[k, i] = (level[k, i] if when else 4.0 * level[k, i]) + room[k, i]
-    for k in range(len(angle)):
-        for i in range(LANES):
-            level[k, i] /= 6.0
+COMPILED_WITH = "ceca5f8311389bce"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -285,7 +55,7 @@ def tree_rollout(
     # A variable that starts as False has a type of its own, for which all of the steps are compiled once more.
     varying = 0
     for e in range(len(kinds)):
-        varying += kinds[e] >= LEVELS
+        varying += is_level(kinds[e])
     varies = varying > 0
     s = np.empty((joints + 1, ROWS, LANES))
     masses = np.empty((2, joints, joints, LANES))
@@ -353,7 +123,7 @@ def tree_rollout(
                 j = rubbing[r]
                 for i in range(LANES):
                     direction[j, i] = np.sign(speed[j, i]) + held[j, i]
-            _runge_kutta(
+            runge_kutta(
                 tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                 own_steady, direction, step, q, v, first, last,
             )  # fmt: skip
@@ -375,14 +145,14 @@ def tree_rollout(
                     for k in range(joints):
                         for i in range(LANES):
                             s[k, LOAD, i] = 1.0 if j == k else 0.0
-                    _solve(s, masses[0], parent)
+                    solve(s, masses[0], parent)
                     for k in range(joints):
                         for i in range(LANES):
                             inverse[k, j, i] = s[k, LOAD, i]
-                _mean_levels(
+                mean_levels(
                     tree, own, effects, forces, own_steady, angle, speed, 0.5, efforts, scratch, end, slide
                 )
-                _mean_levels(
+                mean_levels(
                     tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts, scratch, end, stick
                 )
                 for r in range(len(rubbing)):
@@ -407,7 +177,7 @@ def tree_rollout(
                                     push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
                             else:
                                 load[r, i] = 0.0
-                _runge_kutta(
+                runge_kutta(
                     tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                     own_steady, direction, step, q, v, first, last,
                 )  # fmt: skip

@@ -6,13 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems import drawing
 from deepkoco.systems.channel import Channel
 from deepkoco.systems.drawn import Outline
 from deepkoco.systems.dry_friction import Levels
@@ -30,41 +28,35 @@ from deepkoco.systems.motion import (
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import System
+from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
+from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
 from deepkoco.systems.trees.compile_tree import compile_tree
-from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics, inverse_mass, mass_matrix
-from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
-from deepkoco.systems.trees.geometry import geometry_parameters, shaped, turned_forces, turned_inertias
-from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
+from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
+from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
+from deepkoco.systems.trees.fast import TreeArrays
+from deepkoco.systems.trees.geometry import geometry_parameters
+from deepkoco.systems.trees.loads import actuator_forces, clipped
 from deepkoco.systems.trees.model_file import read_model
-from deepkoco.systems.trees.outside_forces import force_name, outside_forces, with_forces
+from deepkoco.systems.trees.outside_forces import force_name
 from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
-    control_unit,
     declared_parameters,
-    is_servo,
-    is_speed_servo,
     joint_value,
-    link_inertias,
     payload_name,
     payload_place_name,
     time_constant,
 )
-from deepkoco.systems.trees.picture import choose_view, lines
+from deepkoco.systems.trees.picture import choose_view, draw_robot, lines
 from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
+from deepkoco.systems.trees.places import tip_place
 from deepkoco.systems.trees.rollout import KINDS, TreeRollout
-from deepkoco.systems.trees.scalars import Scalar, Triple, add, cross, mul, scaled, sub, total
+from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
-from deepkoco.systems.trees.stiffness import added_armatures, least_inertias, longest_step, refuse_redundant
-from deepkoco.systems.trees.tree import Actuator, Joint, OutsideForce, Tree, TreeError
+from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
+from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
-
-LONGEST_STEP = 0.01  # of a fit [s]; see deepkoco.fit.data.windows
-ANGLE_NOISE, PLACE_NOISE = 1e-3, 1e-4  # of usual encoders [rad, m]
-SPEED_NOISE, RATE_NOISE = 0.05, 5e-3  # [rad/s, m/s]
-TILT_SD, LARGEST_TILT = 0.05, 0.5  # of the base [rad]
-ABOUT = ("about_x", "about_y", "about_z")
 
 
 class TreeSystem(System):
@@ -97,32 +89,15 @@ class TreeSystem(System):
         tree = settings.applied_to(tree)
         self.tree, self.origin, self.notes, self.held = tree, origin, tree.notes, settings.held
         self.name, self.joints = tree.name, len(tree.joints)
-        names = tuple(joint.name for joint in tree.joints)
+        names = self._names = tuple(joint.name for joint in tree.joints)
         units = tuple("m" if joint.slides else "rad" for joint in tree.joints)
         self.state_names = (*(f"q_{n}" for n in names), *(f"dq_{n}" for n in names))
         self.state_units = (*units, *(f"{u}/s" for u in units))
-        self._names = names
-        self.measurements = (
-            *(_position(f"q_{j.name}", j.slides, j.name) for j in tree.joints),
-            *(_speed(f"dq_{j.name}", j.slides, j.name) for j in tree.joints),
-        )
-        self.measurements = settings.channels(self.measurements)
+        self.measurements = settings.channels(joint_channels(tree))
         loads = motion_loads(tree)
         controls = tuple(command_range(a, tree.joints[a.joint], loads[a.joint]) for a in tree.actuators)
-        self._commands = tuple(
-            Channel(
-                a.name,
-                control_unit(a, tree.joints[a.joint]),
-                "command",
-                low,
-                # Sizes of effects are taken from the upper limit.
-                high if high > 0.0 else -low,
-                description=_drives(a, tree),
-                default=0.0 if tree.without_actuators and not is_servo(a) else None,
-            )
-            for a, (low, high) in zip(tree.actuators, controls, strict=True)
-        )
-        self._refuse_clashes()
+        self._commands = command_channels(tree, controls)
+        refuse_clashes((*self._commands, *self.measurements), self.origin or self.name)
         self._load_scales = load_scales(tree, loads, controls)
         self._delivered = tuple(
             delivered(a, tree.joints[a.joint], control)
@@ -131,14 +106,14 @@ class TreeSystem(System):
         self.payload_sites = tuple(site.name for site in tree.sites)
         self.force_sites = tuple(body.name for body in tree.bodies)
         refuse_redundant(tree, self.origin or self.name)
-        self._least_inertias = least_inertias(tree)
-        self._longest_step = 0.0  # of the nominal values, which follow
-        nominal = _Numbers.of(self, {}, steady=True)
+        least = least_inertias(tree)
+        nominal = Numbers.of(tree, {}, Steadying(least, 0.0))
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
-        self.tip = settings.tip(self.payload_sites, self.payload_sites[_tip(tree)])
+        self._steadying = Steadying(least, self._longest_step)
+        self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        declared = visible_parameters(self, tree, declared_parameters(tree, self._least_inertias))
+        declared = visible_parameters(self, tree, declared_parameters(tree, least))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
     @classmethod
@@ -197,11 +172,7 @@ class TreeSystem(System):
 
     @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:
-        text = "angle by which the base is turned about its {} axis"
-        return tuple(
-            Parameter(ABOUT[k], 0.0, "rad", -LARGEST_TILT, LARGEST_TILT, TILT_SD, text.format("xyz"[k]))
-            for k in self._tilt_axes()
-        )
+        return tilt_parameters(self.tree.gravity)
 
     def effort_of(self, commands: Tensor) -> Tensor:
         return commands[..., 0] if len(self._commands) == 1 else commands
@@ -230,7 +201,7 @@ class TreeSystem(System):
     def delivery(self, parameters: Parameters) -> Delivery:
         laws = [actuator_law(actuator, parameters) for actuator in self.tree.actuators]
         forces = actuator_forces(self.tree.actuators, laws)
-        drives = self._drives()
+        drives = actuators_of_joints(self.tree)
 
         def deliver(motion: Motion) -> tuple[Tensor, ...]:
             given = forces(motion)
@@ -244,22 +215,19 @@ class TreeSystem(System):
 
     def dry_friction_limits(self, parameters: Parameters) -> Levels:
         return tuple(
-            _as_tensor(limit) if isinstance(limit, Tensor) or limit != 0.0 else None
+            torch.as_tensor(limit, dtype=torch.float64) if isinstance(limit, Tensor) or limit != 0.0 else None
             for limit in (joint_value(parameters, "frictionloss", joint) for joint in self.tree.joints)
         )
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
-        return self._law(_Numbers.of(self, parameters))
+        return self._law(Numbers.of(self.tree, parameters))
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        numbers = _Numbers.of(self, parameters, steady=True)
-        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
-        return self._law(numbers._replace(passive=passive))
+        return self._law(Numbers.of(self.tree, parameters, self._steadying).without_dry_friction())
 
     def rollout(self, parameters: Parameters) -> TreeRollout | None:
-        numbers = _Numbers.of(self, parameters, steady=True)
-        passive = {**numbers.passive, "frictionloss": [0.0] * self.joints}
-        fast = numbers._replace(passive=passive).without_forces().fast(self._arrays)
+        numbers = Numbers.of(self.tree, parameters, self._steadying).without_dry_friction()
+        fast = numbers.without_forces().fast(self._arrays)
         if fast is None or not is_plain([x for force in numbers.forces for x in force.force]):
             return None
         return TreeRollout(fast, numbers.forces)
@@ -270,7 +238,7 @@ class TreeSystem(System):
         return effect.place != "memory"
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        own = _Numbers.of(self, parameters, steady=True)
+        own = Numbers.of(self.tree, parameters, self._steadying)
         joints, fast = own.joints, own.without_forces().fast(self._arrays)
 
         def inverse(motion: Motion) -> tuple[tuple[Tensor, ...], ...]:
@@ -284,7 +252,7 @@ class TreeSystem(System):
         self, parameters: Parameters
     ) -> Callable[[Motion, Sequence[Tensor]], tuple[Tensor, ...]]:
         """(motion, accelerations) -> outside load on each joint [N m or N] under which it moves so."""
-        own = _Numbers.of(self, parameters)
+        own = Numbers.of(self.tree, parameters)
         law = self._law(own)
 
         def loads(motion: Motion, accelerations: Sequence[Tensor]) -> tuple[Tensor, ...]:
@@ -295,37 +263,18 @@ class TreeSystem(System):
 
         return loads
 
-    def _law(self, numbers: _Numbers) -> Acceleration:
-        tree, passive = self.tree, numbers.passive
-        smooth = self.smoothing_speeds
-        fast = numbers.without_forces().fast(self._arrays)
-        arrays = self._arrays if numbers.as_given else None
-        dynamics = forward_dynamics(numbers.joints, numbers.inertias, passive["armature"], numbers.gravity)
-        forces = actuator_forces(tree.actuators, numbers.laws)
-        resisting = passive_loads(passive, smooth)
-        drives = self._drives()
+    def gravity(self, parameters: Parameters) -> Triple:
+        """Gravity in the frame of the base, which may be turned about two of its axes [m/s2]."""
+        return turned_gravity(self.tree.gravity, parameters)
 
-        def acceleration(motion: Motion) -> tuple[Tensor, ...]:
-            motion = with_forces(motion, numbers.joints, numbers.forces, arrays)
-            if fast is not None and is_plain(_all_of(motion)):
-                return fast(motion, smooth)
-            given = forces(motion)
-            loads: list[Scalar] = []
-            for j, joint in enumerate(tree.joints):
-                load = clipped(total([given[k] for k in drives[j]]), joint.force_low, joint.force_high)
-                load = add(load, resisting(motion, j))
-                if motion.loads is not None and (outside := motion.loads[j]) is not None:
-                    load = add(load, outside)
-                loads.append(load)
-            return dynamics(motion.angles, motion.speeds, loads)
-
-        return acceleration
+    def _law(self, numbers: Numbers) -> Acceleration:
+        return equations_of_motion(self.tree, numbers, self._arrays, self.smoothing_speeds)
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         parts = state.unbind(-1)
         speeds = parts[self.joints :]
         efforts = (effort,) if len(self._commands) == 1 else effort.unbind(-1)
-        law = self._law(_Numbers.of(self, parameters, steady=True))
+        law = self._law(Numbers.of(self.tree, parameters, self._steadying))
         accelerations = law(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
@@ -390,134 +339,12 @@ class TreeSystem(System):
         self, image: np.ndarray, measurement: np.ndarray, command: np.ndarray | float | None = None
     ) -> None:
         angles = np.nan_to_num(np.asarray(measurement, dtype=float)[: self.joints])
-        links, points = lines(self.tree, angles, self._view)
-        ends = [end for _, end in links[self.joints :]]
-        drawing.draw_tree(image, links, points, ends, self._view.reach)
+        fractions = None
         if command is not None and self._commands:
-            given = np.ravel(command)
             sizes = [max(abs(c.low), abs(c.high)) for c in self._commands]
-            fractions = [u / size for u, size in zip(given, sizes, strict=True)]
-            where = [points[j] for j in self.command_joints]
-            drawing.draw_joint_commands(image, where, fractions, self._view.reach)
-
-    def _drives(self) -> list[list[int]]:
-        """Actuators of each joint."""
-        found: list[list[int]] = [[] for _ in range(self.joints)]
-        for k, actuator in enumerate(self.tree.actuators):
-            found[actuator.joint].append(k)
-        return found
+            fractions = [u / size for u, size in zip(np.ravel(command), sizes, strict=True)]
+        draw_robot(image, self.tree, angles, self._view, self.command_joints, fractions)
 
     def _cut(self, index: int, value: Tensor) -> Tensor:
         low, high = self.tree.actuators[index].low, self.tree.actuators[index].high
         return clipped(value, low, high)
-
-    def _tilt_axes(self) -> tuple[int, ...]:
-        """The two axes of the base that lie most across gravity; none without gravity."""
-        size = np.abs(self.tree.gravity)
-        return tuple(sorted(np.argsort(size, kind="stable")[:2].tolist())) if size.any() else ()
-
-    def gravity(self, parameters: Parameters) -> Triple:
-        """Gravity in the frame of the base, which may be turned about two of its axes."""
-        gravity: Triple = self.tree.gravity
-        for k in self._tilt_axes():
-            if (angle := parameters.get(ABOUT[k])) is not None:
-                axis: Triple = tuple(float(i == k) for i in range(3))  # pyright: ignore[reportAssignmentType]
-                # Seen from a base that turns by the angle, gravity turns back.
-                across = cross(axis, gravity)
-                along = mul(gravity[k], 1.0)
-                c, s = torch.cos(angle), torch.sin(angle)
-                gravity = tuple(  # pyright: ignore[reportAssignmentType]
-                    along if i == k else sub(mul(c, gravity[i]), mul(s, across[i])) for i in range(3)
-                )
-        return scaled(1.0, gravity)
-
-    def _refuse_clashes(self) -> None:
-        names = [c.name for c in (*self._commands, *self.measurements)]
-        for name in names:
-            if names.count(name) > 1:
-                where = self.origin or self.name
-                raise TreeError(
-                    f'{where}: two channels are called "{name}"; rename the actuator or the joint in the model'
-                )
-
-
-class _Numbers(NamedTuple):
-    """What the equations of motion make of a set of parameters."""
-
-    inertias: list[Inertia]
-    gravity: Triple
-    passive: dict[str, list[Scalar]]
-    laws: list[Law]
-    forces: tuple[OutsideForce, ...]
-    joints: tuple[Joint, ...]
-    as_given: bool  # whether the joints are those of the file
-
-    @staticmethod
-    def of(system: TreeSystem, parameters: Parameters, steady: bool = False) -> _Numbers:
-        """Numbers of a system under named values; ``steady`` with the armatures that simulations add."""
-        tree = system.tree
-        passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
-        laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
-        if steady:
-            step = min(system.longest_step, LONGEST_STEP)
-            added = added_armatures(tree.actuators, system._least_inertias, passive, laws, step)
-            passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
-        inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
-        gravity, shape = system.gravity(parameters), shaped(tree, parameters)
-        if shape is None:
-            return _Numbers(inertias, gravity, passive, laws, forces, tree.joints, True)
-        inertias, forces = turned_inertias(shape, inertias), turned_forces(shape, forces)
-        return _Numbers(inertias, gravity, passive, laws, forces, shape.joints, False)
-
-    def without_forces(self) -> _Numbers:
-        """The same, for callers that add the loads of the forces themselves."""
-        return self._replace(forces=())
-
-    def fast(self, arrays: TreeArrays) -> FastLaw | None:
-        """The compiled loop; None where it cannot be used: it knows the joints of the file, and no outside forces."""
-        if not self.as_given or self.forces:
-            return None
-        flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
-        flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
-        flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
-        if not is_plain(flat):
-            return None
-        return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)
-
-
-def _as_tensor(value: Scalar) -> Tensor:
-    return torch.as_tensor(value, dtype=torch.float64)
-
-
-def _all_of(motion: Motion) -> list[Tensor | None]:
-    parts = [*motion.angles, *motion.speeds, *motion.efforts]
-    return [*parts, *(motion.loads or ()), *(motion.smoothing or ())]
-
-
-def _position(name: str, slides: bool, joint: str) -> Channel:
-    unit, noise = ("m", PLACE_NOISE) if slides else ("rad", ANGLE_NOISE)
-    text = f"place of {joint}" if slides else f"angle of {joint}"
-    return Channel(name, unit, "measurement", noise_sd=noise, description=text, angle=not slides)
-
-
-def _speed(name: str, slides: bool, joint: str) -> Channel:
-    unit, noise = ("m/s", RATE_NOISE) if slides else ("rad/s", SPEED_NOISE)
-    return Channel(name, unit, "measurement", noise_sd=noise, description=f"speed of {joint}")
-
-
-def _drives(actuator: Actuator, tree: Tree) -> str:
-    joint = tree.joints[actuator.joint]
-    if is_servo(actuator):
-        return f"goal of the position of {joint.name}"
-    if is_speed_servo(actuator):
-        return f"goal of the speed of {joint.name}"
-    return f"command of {actuator.name} to {joint.name}"
-
-
-def _tip(tree: Tree) -> int:
-    """Index of the site where a robot carries things: on the joint that is farthest from the base."""
-    depth = []
-    for joint in tree.joints:
-        depth.append(1 + (depth[joint.parent] if joint.parent >= 0 else 0))
-    deepest = max(depth[site.joint] for site in tree.sites)
-    return next(i for i, site in enumerate(tree.sites) if depth[site.joint] == deepest)

@@ -24,6 +24,7 @@ POINT = 1e-8  # inertia of a point mass in the file, per mass [m2]: a body needs
 FITTED = "fitted"  # why a value of the model itself changed
 NEAR = 1e-6  # distance between two points that are one [m]
 Note = Callable[[str, str, float, float, str, str], None]
+Values = Mapping[str, float]
 LeaveOut = Callable[[str, str], None]
 
 

@@ -12,6 +12,7 @@ from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.simulate.simulator import integrate
 from deepkoco.systems import ExtendedSystem
 from deepkoco.systems.effects import effects_of
+from deepkoco.systems.effects.learned import is_weight
 from deepkoco.systems.trees import TreeSystem
 from deepkoco.systems.trees.rollout import KINDS, TreeRollout
 
@@ -90,6 +91,38 @@ def test_compiled_rollout_takes_the_steps_of_the_simulator(arm, kind, monkeypatc
             torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
     sticks = (expected.value[3] == 0.0).double().mean()
     assert 0.0 < sticks < 1.0
+
+
+@pytest.mark.parametrize(
+    "joint", ["cart", "shoulder", "elbow"]
+)  # one slides, one has a servo, one has no actuator
+def test_compiled_rollout_has_every_term_of_a_learned_load(arm, joint, monkeypatch):
+    rng = np.random.default_rng(6)
+    system = ExtendedSystem(arm, (f"learned({joint})",))
+    weights = [p for p in system.parameters if is_weight(p.name)]
+    lanes = len(weights) + 1  # each term alone, and all together
+    values = {p.name: torch.full((lanes,), p.value, dtype=torch.float64) for p in system.parameters}
+    for k, p in enumerate(weights):
+        values[p.name][k] = values[p.name][-1] = 0.4 * p.prior_sd * rng.uniform(-1.0, 1.0)
+    for name, scale in (("speed", 0.4), ("effort", 1.5), ("angle", 0.1)):
+        if f"learned({joint}).{name}_scale" in values:
+            values[f"learned({joint}).{name}_scale"].fill_(scale)
+    values[f"learned({joint}).angle_middle"].fill_(0.1)
+    windows = three_windows(arm, rng)
+    start = torch.from_numpy(rng.normal(size=(3, 6)) * [0.1, 0.5, 0.5, 0.5, 1.0, 1.0])
+    start[:, arm.joint_names.index(joint)] = torch.tensor([-0.4, 0.1, 0.6])
+    start = start.repeat(lanes, 1, 1)
+    assert system.rollout(values) is not None
+    compiled = integrate(system, windows, values, start)
+    monkeypatch.setattr(TreeSystem, "rollout", lambda *_: None)
+    expected = integrate(system, windows, values, start)
+    none = integrate(arm, windows, {p.name: values[p.name] for p in arm.parameters}, start)
+    j = arm.joint_names.index(joint)
+    moved = (expected.value[3 + j] - none.value[3 + j]).abs().amax((0, 1))
+    assert (moved > 1e-4).all()
+    for part, other in zip(compiled, expected, strict=True):
+        for own, wanted in zip(part, other, strict=True):
+            torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
 
 
 def test_one_push_may_act_on_all_lanes(arm, monkeypatch):

@@ -11,8 +11,8 @@ from torch import Tensor
 from deepkoco.graph.execution.fused.compiler import load
 from deepkoco.graph.execution.fused.kernel import Kernel, RolloutCall
 from deepkoco.graph.execution.fused.memory import address
+from deepkoco.graph.execution.fused.policy_source import policy_source
 from deepkoco.graph.execution.fused.program import input_examples, make_inputs, part, traced
-from deepkoco.graph.execution.fused.source import policy_source
 from deepkoco.graph.execution.fused.state import FusedState
 from deepkoco.graph.execution.policy import PolicyFunction
 from deepkoco.graph.execution.state import HorizonError

@@ -1,40 +1,32 @@
-"""Sources: the C++ text of a graph's kernel and of a policy."""
+"""The C++ text of a graph's kernel, and where its numbers lie."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from importlib.resources import files
+from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from deepkoco.graph.execution.fused.body import (
-    REGISTERS,
-    SCALARS,
-    VECTORS,
-    Array,
-    Body,
-    Value,
-    contiguous,
-    loops_over,
-    position,
-    supported,
+from deepkoco.graph.execution.fused.body import Body
+from deepkoco.graph.execution.fused.lowered import (
+    check_stack,
+    header_text,
+    load_tensor,
+    lower_trace,
+    pool_lines,
+    seen_messages,
+    store_tensor,
 )
-from deepkoco.graph.execution.fused.operations import lower
-from deepkoco.graph.execution.fused.operations.views import fill
 from deepkoco.graph.execution.fused.pool import Pool
-from deepkoco.graph.execution.fused.program import TIMES, Program
+from deepkoco.graph.execution.fused.program import Program
 from deepkoco.graph.execution.fused.record import Field, Spec, lay_out
-from deepkoco.graph.execution.fused.trace import Ref, Trace, TraceError
+from deepkoco.graph.execution.fused.trace import Trace
+from deepkoco.graph.execution.fused.value import Value
 from deepkoco.graph.model.graph import Graph
 
 _ARGUMENTS = (
     "const char *P, const char *H, const char *S, const char *const *X, const VL *Q, const VD *T, "
     "const char *A, char *S2, char *Y, const char *K"
 )
-
-MOST_STACK = 3 << 20
-"""Bytes that a kernel and the policy that it calls may each take from a thread's stack, often 8 MB."""
 
 
 @dataclass(frozen=True)
@@ -100,19 +92,19 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
         own = {key: place for (m, key), place in moving.items() if m == n}
         uses[n] = p.trace.used()
         inputs = _node_inputs(body, graph, n, p.trace, uses[n], places, kept, own, state_start[n])
-        outputs = _run(body, f'node "{n}"', p.trace, inputs)
+        outputs = lower_trace(body, f'node "{n}"', p.trace, inputs)
         staged[n] = any(outputs[f"s.{k}"].array or inputs[f"s.{k}"].array for k in own if f"s.{k}" in inputs)
         for key, place in own.items():
-            _store(body, f"S2 + {place.offset - state_start[n]} * W", outputs[f"s.{key}"])
+            store_tensor(body, f"S2 + {place.offset - state_start[n]} * W", outputs[f"s.{key}"])
         for key, place in readings.items() if n == graph.supervisor else ():
-            _store(body, f"Y + {place.offset} * W", outputs[f"r.{key}"])
+            store_tensor(body, f"Y + {place.offset} * W", outputs[f"r.{key}"])
         if "output" in outputs:
-            _store(body, "Y", outputs["output"])
+            store_tensor(body, "Y", outputs["output"])
         deepest = max(deepest, body.bytes)
         early, lines = body.finish(hoisted.place)
         prologues += [f"  {{ // {n}", *(f"    {line}" for line in early), "  }"] if early else []
         texts += [f"static void body_{index}({_ARGUMENTS}) {{ // {n}"]
-        texts += [f"  {line}" for line in _pool_lines(body, pool, "K")]
+        texts += [f"  {line}" for line in pool_lines(body, pool, "K")]
         texts += [f"  {line}" for line in lines] + ["}", ""]
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
     sizes = {node.name: _bytes(by_name[node.name].output) for node in graph.nodes}
@@ -128,14 +120,14 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
         "HOISTED": max(8, hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
-    _check_stack(
+    check_stack(
         lanes * (deepest + sum(defines[k] for k in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")))
     )
     text = "\n".join(
         [
             f"#define W {lanes}",
-            _text("lanes.h"),
-            _text("functions.h"),
+            header_text("lanes.h"),
+            header_text("functions.h"),
             *(f"#define {name} {number}" for name, number in defines.items()),
             *texts,
             f"typedef void (*Body)({_ARGUMENTS});",
@@ -143,8 +135,8 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
             "static void prologue(const char *P, char *H) {",
             *prologues,
             "}",
-            _text("model.h"),
-            _text("driver.h"),
+            header_text("model.h"),
+            header_text("driver.h"),
         ]
     )
     return KernelSource(
@@ -162,93 +154,6 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
         staged=staged,
         uses=uses,
     )
-
-
-@dataclass(frozen=True)
-class PolicySource:
-    """A policy's function and how its parameters are packed.
-
-    Attributes:
-        text: C++.
-        order: parameters in the order of the pool, and whether each is packed transposed.
-        constants: large constants, packed behind the parameters.
-        uses: names of the trace's inputs that it reads.
-    """
-
-    text: str
-    order: tuple[tuple[str, bool], ...]
-    constants: np.ndarray
-    uses: set[str]
-
-    def pool(self, parameters: Mapping[str, Tensor]) -> tuple[np.ndarray, dict[str, Tensor]]:
-        """The parameters as the kernel reads them, and views by name into which later ones are copied."""
-        pool, starts = Pool(), {}
-        for name, transposed in self.order:
-            value = parameters[name].detach().to("cpu")
-            starts[name] = pool.add((value.t() if transposed else value).contiguous())
-        weights, views = np.concatenate([pool.join(), self.constants]), {}
-        for name, transposed in self.order:
-            value = parameters[name]
-            size = value.numel() * value.element_size()
-            flat = torch.from_numpy(weights[starts[name] : starts[name] + size]).view(value.dtype)
-            views[name] = flat.view(value.t().shape).t() if transposed else flat.view(value.shape)
-        return weights, views
-
-
-def policy_source(
-    graph: Graph, trace: Trace, readings: Mapping[str, Field], action: Spec, lanes: int
-) -> PolicySource:
-    """Write a policy: parameters are shared by all environments.
-
-    Args:
-        trace: inputs "p.<parameter>", "r.<reading>" and those of the supervisor; output "action".
-    """
-    body, pool = Body("policy"), Pool()
-    uses = trace.used()
-    order, inputs, heads = [], {}, []
-    for name, ref in trace.inputs.items():
-        if not name.startswith("p."):
-            continue
-        turned = ref.example.ndim == 2 and any(
-            call.name.split(".")[1] in ("t", "transpose", "permute") and ref in call.arguments
-            for call in trace.calls
-        )
-        order.append((name[2:], turned))
-        start = pool.add((ref.example.t() if turned else ref.example).contiguous())
-        dtype, shape = ref.example.dtype, tuple(ref.example.shape)
-        pointer = body.fresh("k")
-        heads.append(f"const {SCALARS[dtype]} *{pointer} = (const {SCALARS[dtype]} *)(weights + {start});")
-        strides = (1, shape[0]) if turned else contiguous(shape)
-        inputs[name] = Value(shape, dtype, array=Array(pointer, "shared", strides))
-    inputs |= _seen(body, graph, graph.supervisor, trace, uses)
-    for key, place in readings.items():
-        if f"r.{key}" in uses:
-            inputs[f"r.{key}"] = _load(body, f"R + {place.offset} * W", trace.inputs[f"r.{key}"])
-    (output,) = _run(body, "policy", trace, inputs).values()
-    if (output.dtype, output.shape[1:]) != action:
-        output = body.cast_value(output, action[0])
-        if output.shape[1:] != action[1]:
-            raise TraceError(f"policy: an action is {action[1]}, not {output.shape[1:]}")
-    _store(body, "Y", output)
-    _check_stack(lanes * body.bytes)
-    early, lines = body.finish(lambda _: 0)
-    assert not early, "a policy has no parameters of single environments"
-    behind = Pool(size=pool.size)
-    heads += _pool_lines(body, behind, "weights")
-    text = "\n".join(
-        [
-            f"#define W {lanes}",
-            _text("lanes.h"),
-            _text("functions.h"),
-            f"static const int PLACES = {max(1, sum(c.window for c in graph.inputs_of(graph.supervisor)))};",
-            'extern "C" void policy(const char *weights, const char *R, const char *const *X, const VL *Q, '
-            "const VD *T, char *Y) {",
-            *(f"  {line}" for line in heads + lines),
-            "}",
-            "",
-        ]
-    )
-    return PolicySource(text, tuple(order), behind.join(), uses)
 
 
 class _Hoisted:
@@ -274,115 +179,26 @@ def _node_inputs(
     states: Mapping[str, Field],
     state_start: int,
 ) -> dict[str, Value]:
-    inputs = _seen(body, graph, name, trace, uses)
+    inputs = seen_messages(body, graph, name, trace, uses)
     for key, place in parameters.items():
         if f"p.{key}" in uses:
-            inputs[f"p.{key}"] = _load(body, f"P + {place.offset} * W", trace.inputs[f"p.{key}"], early=True)
+            inputs[f"p.{key}"] = load_tensor(
+                body, f"P + {place.offset} * W", trace.inputs[f"p.{key}"], early=True
+            )
     for key, place in constants.items():
         if f"s.{key}" in uses:
-            inputs[f"s.{key}"] = _load(body, f"P + {place.offset} * W", trace.inputs[f"s.{key}"], early=True)
+            inputs[f"s.{key}"] = load_tensor(
+                body, f"P + {place.offset} * W", trace.inputs[f"s.{key}"], early=True
+            )
     for key, place in states.items():
         if f"s.{key}" in uses:
-            inputs[f"s.{key}"] = _load(
+            inputs[f"s.{key}"] = load_tensor(
                 body, f"S + {place.offset - state_start} * W", trace.inputs[f"s.{key}"]
             )
     if "action" in uses:
-        inputs["action"] = _load(body, "A", trace.inputs["action"])
+        inputs["action"] = load_tensor(body, "A", trace.inputs["action"])
     return inputs
-
-
-def _seen(body: Body, graph: Graph, name: str, trace: Trace, uses: set[str]) -> dict[str, Value]:
-    """The messages in the windows of a node."""
-    inputs: dict[str, Value] = {}
-    if "t_start" in uses:
-        inputs["t_start"] = Value((1,), torch.float64, (body.emit(torch.float64, "T[0]"),))
-    first = 0
-    for edge in graph.inputs_of(name):
-        places = range(first, first + edge.window)
-        first += edge.window
-        where = {"seq": "Q[{}]", "t_sent": "T[1 + {}]", "t_received": "T[1 + PLACES + {}]"}
-        for field_name in TIMES:
-            key = f"i.{edge.name}.{field_name}"
-            if key in uses:
-                dtype = trace.inputs[key].example.dtype
-                names = tuple(body.emit(dtype, where[field_name].format(j)) for j in places)
-                inputs[key] = Value((1, edge.window), dtype, names)
-        key = f"i.{edge.name}.data"
-        if key in uses:
-            ref = trace.inputs[key]
-            each = [_load(body, f"X[{j}]", Ref(ref.example[:, 0])) for j in places]
-            if all(value.array is None for value in each):
-                elements = tuple(e for value in each for e in value.elements)
-                value = Value(tuple(ref.example.shape), ref.example.dtype, elements)
-                inputs[key] = body.stored(value) if value.size > REGISTERS else value
-            elif edge.window == 1:
-                inputs[key] = body.rearrange(each, lambda t: t.unsqueeze(1))
-            else:
-                inputs[key] = value = body.local(ref.example.shape, ref.example.dtype)
-                assert value.array is not None
-                for j, message in enumerate(each):
-                    start = j * value.array.strides[1]
-                    fill(
-                        body,
-                        replace(value.array, offset=start),
-                        body.rearrange([message], lambda t: t[:, None]),
-                    )
-    return inputs
-
-
-def _load(body: Body, pointer: str, ref: Ref, early: bool = False) -> Value:
-    """A tensor of a record."""
-    shape, dtype = tuple(ref.example.shape), supported(ref.example.dtype)
-    if ref.example.numel() > REGISTERS:
-        return Value(shape, dtype, array=Array(pointer, "lanes", contiguous(shape)))
-    add = body.parameter if early else body.emit
-    names = (add(dtype, f"ld<{VECTORS[dtype]}>({pointer}, {i})") for i in range(ref.example.numel()))
-    return Value(shape, dtype, tuple(names))
-
-
-def _run(body: Body, who: str, trace: Trace, inputs: Mapping[str, Value]) -> dict[str, Value]:
-    """Lower all operations; return the outputs."""
-    values = {id(trace.inputs[name]): value for name, value in inputs.items()}
-    try:
-        for call in trace.calls:
-            lower(body, call, values)
-    except TraceError as error:
-        raise TraceError(f"{who}: {error}") from None
-    return {
-        name: values[id(out)] if isinstance(out, Ref) else body.constant(out)
-        for name, out in trace.outputs.items()
-        if not isinstance(out, Ref) or id(out) in values
-    }
-
-
-def _store(body: Body, pointer: str, value: Value) -> None:
-    if value.array is None:
-        body.lines += [f"st({pointer}, {i}, {element});" for i, element in enumerate(value.elements)]
-        return
-    loops, index = loops_over(value.shape)
-    target = position(Array("", "lanes", contiguous(value.shape)), index)
-    element = value.array.at(position(value.array, index), value.dtype)
-    body.lines.append(f"{loops} st({pointer}, {target}, {element});")
-
-
-def _pool_lines(body: Body, pool: Pool, base: str) -> list[str]:
-    lines = []
-    for name, tensor in body.shared.items():
-        scalar = SCALARS[tensor.dtype]
-        lines.append(f"const {scalar} *{name} = (const {scalar} *)({base} + {pool.add(tensor)});")
-    return lines
-
-
-def _check_stack(size: int) -> None:
-    if size > MOST_STACK:
-        raise TraceError(
-            f"{size / 2**20:.0f} MB are worked on at once, more than the {MOST_STACK / 2**20:.0f} MB of a kernel"
-        )
 
 
 def _bytes(kind: Spec) -> int:
     return -(-int(np.prod(kind[1], dtype=np.int64)) * kind[0].itemsize // 8) * 8
-
-
-def _text(name: str) -> str:
-    return files("deepkoco.graph.execution.fused").joinpath(name).read_text()

@@ -5,39 +5,35 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
-from deepkoco.logs.inspect.joints.goals import Tracking, hold, track
-from deepkoco.logs.inspect.joints.gravity import SLOW, JointEvidence, Slow, signs_and_zeros
+from deepkoco.logs.inspect.joints.goals import Tracking, track
+from deepkoco.logs.inspect.joints.gravity import JointEvidence
 from deepkoco.logs.inspect.joints.log_joints import LogJoint, log_joints, loose_efforts, loose_goals
 from deepkoco.logs.inspect.joints.match import Match, match_joints
+from deepkoco.logs.inspect.joints.proposed_joint import (
+    ProposedJoint,
+    driving_commands,
+    effort_column,
+    joint_range,
+    joint_slides,
+    model_positions,
+)
 from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
+from deepkoco.logs.inspect.joints.slow_samples import gravity_evidence
 from deepkoco.logs.inspect.proposal import Choice, Proposal
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
 
-STEP = 0.1  # between compared samples [s]
-SPREAD = 0.15  # half of the time over which a speed is taken [s]
 GOAL_ZERO = 0.2  # difference of goal and position above which their zeros differ [rad or m]
 NAMED = 0.95  # probability that a column with the name of an actuator is its command
 LOOSE = 0.5  # probability that an effort without the name of a joint drives the next joint in the order
 LEAST = 3.0  # evidence of a proposal for each joint [nats], compared with other systems
-
-
-class _Joint(NamedTuple):
-    """One joint of the model with its joint in the log."""
-
-    number: int
-    match: Match
-    log: LogJoint
-    scaling: Scaling
-    tracking: Tracking | None
 
 
 def has_named_joints(system: System) -> bool:
@@ -58,7 +54,7 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     matches = match_joints([joint.label for joint in found], system.joint_names)
     _add_loose_goals(survey, found)
     joints = _scaled(surveys, system, found, matches)
-    evidence = _gravity(surveys, system, joints)
+    evidence = gravity_evidence(surveys, system, joints)
     findings = {joint.number: _finding(survey, system, joint, evidence) for joint in joints}
     by_number = {joint.number: joint for joint in joints}
     measured = [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
@@ -110,131 +106,34 @@ def _best_track(surveys: Sequence[Survey], position: ColumnSurvey, goal: ColumnS
 
 def _scaled(
     surveys: Sequence[Survey], system: System, found: Sequence[LogJoint], matches: Sequence[Match]
-) -> list[_Joint]:
+) -> list[ProposedJoint]:
     scalings, survey = [], surveys[0]
     for match in matches:
         column = found[match.log].columns["position"]
-        low, high = _range(system, match.model)
+        low, high = joint_range(system, match.model)
         scalings.append(
-            position_scaling(column, survey.samples(column)[1], low, high, _slides(system, match.model))
+            position_scaling(column, survey.samples(column)[1], low, high, joint_slides(system, match.model))
         )
-    scalings = alike(scalings, [not _slides(system, match.model) for match in matches])
+    scalings = alike(scalings, [not joint_slides(system, match.model) for match in matches])
     result = []
     for match, scaling in zip(matches, scalings, strict=True):
         log = found[match.log]
         goal = log.columns.get("goal")
-        if any(c.unit != system.state_units[match.model] for c in _driving(system, match.model)):
+        if any(c.unit != system.state_units[match.model] for c in driving_commands(system, match.model)):
             goal = None  # a force or a speed, which a position does not follow
         tracking = None if goal is None else _best_track(surveys, log.columns["position"], goal)
-        result.append(_Joint(match.model, match, log, scaling, tracking))
+        result.append(ProposedJoint(match.model, match, log, scaling, tracking))
     return result
 
 
-def _driving(system: System, joint: int) -> list[Channel]:
-    """Commands that drive a joint."""
-    return [c for c, driven in zip(system.commands, system.command_joints, strict=False) if driven == joint]
-
-
-def _slides(system: System, joint: int) -> bool:
-    return system.state_units[joint] == "m"
-
-
-def _range(system: System, joint: int) -> tuple[float, float]:
-    """Range of a joint: that of the goals of its servo, or that of its sensor."""
-    unit = system.state_units[joint]
-    for command, driven in zip(system.commands, system.command_joints, strict=False):
-        if driven == joint and command.unit == unit and math.isfinite(command.high - command.low):
-            return command.low, command.high
-    name = f"q_{system.joint_names[joint]}"
-    sensor = next(c for c in system.measurements if c.name == name)
-    return sensor.low, sensor.high
-
-
-def _si(joint: _Joint, value: np.ndarray) -> np.ndarray:
-    scaling = joint.scaling
-    return scaling.factor * value + scaling.factor / scaling.scale * scaling.offset
-
-
-def _gravity(
-    surveys: Sequence[Survey], system: System, joints: Sequence[_Joint]
-) -> list[JointEvidence] | None:
-    parts = [part for survey in surveys if (part := _slow(survey, system, joints)) is not None]
-    if not parts:
-        return None
-    slow = Slow(
-        np.concatenate([part.q for part in parts]),
-        np.concatenate([part.speed for part in parts]),
-        np.concatenate([part.pull for part in parts]),
-        sum(part.seconds for part in parts),
-    )
-    return signs_and_zeros(system, slow, [not _slides(system, j) for j in range(system.joints)])
-
-
-def _slow(survey: Survey, system: System, joints: Sequence[_Joint]) -> Slow | None:
-    """Samples of one log at which all joints are slow."""
-    there = {column.label: column for column in survey.columns if column.usable}
-    samples = []
-    for joint in joints:
-        column = there.get(joint.log.columns["position"].label)
-        if column is None or len(survey.samples(column)[0]) < 2:
-            return None
-        samples.append(survey.samples(column))
-    if not samples:
-        return None
-    start, stop = max(t[0] for t, _ in samples) + 0.5, min(t[-1] for t, _ in samples) - 0.5
-    times = np.arange(start, stop, STEP)
-    q, speed = np.zeros((len(times), system.joints)), np.zeros((len(times), system.joints))
-    pull = np.full((len(times), system.joints), np.nan)
-    for joint, (t, value) in zip(joints, samples, strict=True):
-        q[:, joint.number] = _si(joint, np.interp(times, t, value))
-        ahead, behind = (np.interp(times + s, t, value) for s in (SPREAD, -SPREAD))
-        speed[:, joint.number] = joint.scaling.factor * (ahead - behind) / (2.0 * SPREAD)
-        pull[:, joint.number] = _pull(survey, system, joint, there, times, q[:, joint.number])
-    keep = (np.abs(speed) < SLOW).all(axis=1)
-    return Slow(q[keep], speed[keep], pull[keep], STEP * float(keep.sum()))
-
-
-def _pull(
-    survey: Survey,
-    system: System,
-    joint: _Joint,
-    there: dict[str, ColumnSurvey],
-    times: np.ndarray,
-    q: np.ndarray,
-) -> np.ndarray:
-    """Position minus goal where the joint has a servo, else minus the commanded torque; NaN if neither is there."""
-    unknown = np.full(len(times), np.nan)
-    driving = _driving(system, joint.number)
-    if not driving:
-        return unknown
-    servo = driving[0].unit == system.state_units[joint.number]
-    column = joint.log.columns.get("goal") if servo else _effort(joint.log)
-    column = None if column is None else there.get(column.label)
-    if column is None:
-        return unknown
-    t, value = survey.samples(column)
-    if not len(t):
-        return unknown
-    if not servo:
-        return -hold(times, t, value)
-    tracking = joint.tracking
-    delay = tracking.delay if tracking is not None and tracking.follows else 0.1
-    direction = -1.0 if tracking is not None and tracking.follows and tracking.slope < 0 else 1.0
-    return q - _si(joint, direction * hold(times - delay, t, value))
-
-
-def _effort(log: LogJoint) -> ColumnSurvey | None:
-    return log.columns.get("goal effort") or log.columns.get("effort") or log.columns.get("goal")
-
-
 def _finding(
-    survey: Survey, system: System, joint: _Joint, evidence: list[JointEvidence] | None
+    survey: Survey, system: System, joint: ProposedJoint, evidence: list[JointEvidence] | None
 ) -> JointFinding:
     pull = None if evidence is None else evidence[joint.number]
-    low, high = _range(system, joint.number)
-    value = _si(joint, survey.samples(joint.log.columns["position"])[1])
+    low, high = joint_range(system, joint.number)
+    value = model_positions(joint, survey.samples(joint.log.columns["position"])[1])
     by_range = from_ranges(
-        low, high, float(value.min()), float(value.max()), not _slides(system, joint.number)
+        low, high, float(value.min()), float(value.max()), not joint_slides(system, joint.number)
     )
     sign, zero, sign_known, zero_known = 1, 0.0, False, False
     why_sign = "assumed: gravity does not show it in this log"
@@ -276,7 +175,7 @@ def _finding(
     )
 
 
-def _in_si(joint: _Joint) -> Tracking | None:
+def _in_si(joint: ProposedJoint) -> Tracking | None:
     tracking = joint.tracking
     if tracking is None:
         return None
@@ -290,7 +189,7 @@ def _measurement(
     survey: Survey,
     system: System,
     channel: Channel,
-    joints: dict[int, _Joint],
+    joints: dict[int, ProposedJoint],
     findings: dict[int, JointFinding],
 ) -> Choice:
     number = next(
@@ -308,7 +207,9 @@ def _measurement(
     if column is None:
         return Choice(channel, None, channel.unit, False, 1.0, ())
     t, value = survey.samples(joint.log.columns["position"])
-    speed = speed_scaling((t, _si(joint, value)), column, survey.samples(column), _slides(system, number))
+    speed = speed_scaling(
+        (t, model_positions(joint, value)), column, survey.samples(column), joint_slides(system, number)
+    )
     if speed is None:
         why = (f'"{column.name}" is left out: it is not the derivative of the position',)
         return Choice(channel, None, channel.unit, False, 1.0, why)
@@ -316,7 +217,11 @@ def _measurement(
 
 
 def _command(
-    survey: Survey, system: System, number: int, joints: dict[int, _Joint], findings: dict[int, JointFinding]
+    survey: Survey,
+    system: System,
+    number: int,
+    joints: dict[int, ProposedJoint],
+    findings: dict[int, JointFinding],
 ) -> Choice:
     channel = system.commands[number]
     driven = system.command_joints[number] if number < len(system.command_joints) else None
@@ -326,7 +231,7 @@ def _command(
     finding, tracking = findings[driven], joint.tracking
     if channel.unit != system.state_units[driven]:
         speed = parse_unit(channel.unit).quantity in SPEEDS
-        column = joint.log.columns.get("goal speed") if speed else _effort(joint.log)
+        column = joint.log.columns.get("goal speed") if speed else effort_column(joint.log)
         if column is None:
             return Choice(channel, None, channel.unit, False, 1.0, ())
         said = [finding.reason]

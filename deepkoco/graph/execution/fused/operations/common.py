@@ -5,8 +5,9 @@ from typing import Any
 
 import torch
 
-from deepkoco.graph.execution.fused.body import Body, Value, broadcast, supported
+from deepkoco.graph.execution.fused.body import Body, broadcast
 from deepkoco.graph.execution.fused.trace import Call, Ref
+from deepkoco.graph.execution.fused.value import Value, supported
 
 Lowering = Callable[..., Value | tuple[Value, ...]]
 """From the body, the call and its arguments (values in place of tensors) to the result."""

@@ -4,12 +4,13 @@ from typing import Any
 
 import torch
 
-from deepkoco.graph.execution.fused.body import Body, Value, supported
+from deepkoco.graph.execution.fused.body import Body
 from deepkoco.graph.execution.fused.operations.common import Lowering
 from deepkoco.graph.execution.fused.operations.pointwise import pointwise
 from deepkoco.graph.execution.fused.operations.reductions import REDUCTIONS
 from deepkoco.graph.execution.fused.operations.views import view
 from deepkoco.graph.execution.fused.trace import Call, Ref, TraceError
+from deepkoco.graph.execution.fused.value import Value, supported
 
 
 def lower(body: Body, call: Call, values: dict[int, Value]) -> None:

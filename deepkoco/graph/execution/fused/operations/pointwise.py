@@ -5,10 +5,11 @@ from typing import Any
 
 import torch
 
-from deepkoco.graph.execution.fused.body import Body, Value, supported
+from deepkoco.graph.execution.fused.body import Body
 from deepkoco.graph.execution.fused.operations.common import Lowering, as_value, common_type, source_like
 from deepkoco.graph.execution.fused.operations.tables import BINARY, LOGICAL, UNARY
 from deepkoco.graph.execution.fused.trace import Call, TraceError
+from deepkoco.graph.execution.fused.value import Value, supported
 
 
 def pointwise(name: str) -> Lowering | None:

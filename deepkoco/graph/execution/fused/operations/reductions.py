@@ -5,9 +5,10 @@ from typing import Any
 
 import torch
 
-from deepkoco.graph.execution.fused.body import SCALARS, VECTORS, Body, Value, broadcast, supported
+from deepkoco.graph.execution.fused.body import Body, broadcast
 from deepkoco.graph.execution.fused.operations.common import Lowering
 from deepkoco.graph.execution.fused.trace import Call, TraceError
+from deepkoco.graph.execution.fused.value import SCALARS, VECTORS, Value, supported
 
 
 def _reduce(combine: str, start: float | None, after: str = "{0}") -> Lowering:

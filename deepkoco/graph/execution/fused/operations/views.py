@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepkoco.graph.execution.fused.body import VECTORS, Array, Body, Value, loops_over, position, supported
+from deepkoco.graph.execution.fused.body import Body
 from deepkoco.graph.execution.fused.operations.common import Lowering
 from deepkoco.graph.execution.fused.trace import Call, Ref, TraceError
+from deepkoco.graph.execution.fused.value import VECTORS, Array, Value, loops_over, position, supported
 
 LISTS = ("unbind", "split", "split_with_sizes", "chunk")
 PICKS = (

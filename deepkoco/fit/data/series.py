@@ -1,0 +1,78 @@
+"""Commands and measurements of a recording as series of one system."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepkoco.fit.data.even_stamps import with_even_stamps
+from deepkoco.logs.recording import LogError, Recording
+from deepkoco.systems import System
+
+
+@dataclass(frozen=True)
+class CommandSeries:
+    """Zero-order-hold commands of one log.
+
+    Attributes:
+        t: (n,) stamps [s].
+        value: (n,), or (n, M) for M commands, in the commands' units.
+    """
+
+    t: np.ndarray
+    value: np.ndarray
+
+    def column(self, index: int) -> np.ndarray:
+        """(n,) values of one command."""
+        return self.value if self.value.ndim == 1 else self.value[:, index]
+
+
+def channel_series(
+    recording: Recording, system: System
+) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    where = recording.path or "the recording"
+    for command in system.commands:
+        if command.name not in recording.channels and command.default is None:
+            raise LogError(
+                f'{where}: the command "{command.name}" of {system.name} is missing; map it in the sidecar'
+            )
+    for channel in (*system.commands, *system.measurements):
+        logged = recording.channels.get(channel.name)
+        if logged is not None and (
+            wrong := int((~(np.isfinite(logged.value) & np.isfinite(logged.t))).sum())
+        ):
+            raise LogError(
+                f'{where}: the channel "{channel.name}" has {wrong} of {len(logged.t)} samples that are not finite; '
+                "leave these samples out"
+            )
+    series = {}
+    for channel in system.measurements:
+        if channel.name in recording.channels:
+            measured = recording.channels[channel.name]
+            # A range of more than one turn shows that the angle is not wrapped. It may also be in a wrong unit.
+            wrapped = channel.angle and np.ptp(measured.value) <= 2.02 * math.pi
+            value = np.unwrap(measured.value) if wrapped else measured.value
+            series[channel.name] = (measured.t, value)
+    if not series:
+        wanted = ", ".join(c.name for c in system.measurements)
+        raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
+    names = [command.name for command in system.commands if command.name in recording.channels]
+    series, moved = with_even_stamps(series, [recording.channels[name].t for name in names])
+    logged = [replace(recording.channels[name], t=t) for name, t in zip(names, moved, strict=True)]
+    if not logged:
+        # A log of a free motion: every command is at its default.
+        ends = [(t[0], t[-1]) for t, _ in series.values()]
+        defaults = np.array([command.default for command in system.commands], dtype=float)
+        t = np.array([min(first for first, _ in ends), max(last for _, last in ends)])
+        value = np.tile(defaults, (2, 1))
+        return CommandSeries(t, value[:, 0] if value.shape[1] == 1 else value), series
+    if len(system.commands) == 1:
+        return CommandSeries(logged[0].t, logged[0].value), series
+    # Each command holds until its next stamp: on the union of all stamps they are one series.
+    t = np.unique(np.concatenate([command.t for command in logged]))
+    t = t[t >= max(command.t[0] for command in logged)]
+    held = {name: command.hold(t) for name, command in zip(names, logged, strict=True)}
+    columns = [held.get(command.name, np.full(len(t), command.default)) for command in system.commands]
+    return CommandSeries(t, np.column_stack(columns)), series

@@ -1,0 +1,111 @@
+"""The C++ text of a policy, and how its parameters are packed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.graph.execution.fused.body import Body
+from deepkoco.graph.execution.fused.lowered import (
+    check_stack,
+    header_text,
+    load_tensor,
+    lower_trace,
+    pool_lines,
+    seen_messages,
+    store_tensor,
+)
+from deepkoco.graph.execution.fused.pool import Pool
+from deepkoco.graph.execution.fused.record import Field, Spec
+from deepkoco.graph.execution.fused.trace import Trace, TraceError
+from deepkoco.graph.execution.fused.value import SCALARS, Array, Value, contiguous
+from deepkoco.graph.model.graph import Graph
+
+
+@dataclass(frozen=True)
+class PolicySource:
+    """A policy's function and how its parameters are packed.
+
+    Attributes:
+        text: C++.
+        order: parameters in the order of the pool, and whether each is packed transposed.
+        constants: large constants, packed behind the parameters.
+        uses: names of the trace's inputs that it reads.
+    """
+
+    text: str
+    order: tuple[tuple[str, bool], ...]
+    constants: np.ndarray
+    uses: set[str]
+
+    def pool(self, parameters: Mapping[str, Tensor]) -> tuple[np.ndarray, dict[str, Tensor]]:
+        """The parameters as the kernel reads them, and views by name into which later ones are copied."""
+        pool, starts = Pool(), {}
+        for name, transposed in self.order:
+            value = parameters[name].detach().to("cpu")
+            starts[name] = pool.add((value.t() if transposed else value).contiguous())
+        weights, views = np.concatenate([pool.join(), self.constants]), {}
+        for name, transposed in self.order:
+            value = parameters[name]
+            size = value.numel() * value.element_size()
+            flat = torch.from_numpy(weights[starts[name] : starts[name] + size]).view(value.dtype)
+            views[name] = flat.view(value.t().shape).t() if transposed else flat.view(value.shape)
+        return weights, views
+
+
+def policy_source(
+    graph: Graph, trace: Trace, readings: Mapping[str, Field], action: Spec, lanes: int
+) -> PolicySource:
+    """Write a policy: parameters are shared by all environments.
+
+    Args:
+        trace: inputs "p.<parameter>", "r.<reading>" and those of the supervisor; output "action".
+    """
+    body, pool = Body("policy"), Pool()
+    uses = trace.used()
+    order, inputs, heads = [], {}, []
+    for name, ref in trace.inputs.items():
+        if not name.startswith("p."):
+            continue
+        turned = ref.example.ndim == 2 and any(
+            call.name.split(".")[1] in ("t", "transpose", "permute") and ref in call.arguments
+            for call in trace.calls
+        )
+        order.append((name[2:], turned))
+        start = pool.add((ref.example.t() if turned else ref.example).contiguous())
+        dtype, shape = ref.example.dtype, tuple(ref.example.shape)
+        pointer = body.fresh("k")
+        heads.append(f"const {SCALARS[dtype]} *{pointer} = (const {SCALARS[dtype]} *)(weights + {start});")
+        strides = (1, shape[0]) if turned else contiguous(shape)
+        inputs[name] = Value(shape, dtype, array=Array(pointer, "shared", strides))
+    inputs |= seen_messages(body, graph, graph.supervisor, trace, uses)
+    for key, place in readings.items():
+        if f"r.{key}" in uses:
+            inputs[f"r.{key}"] = load_tensor(body, f"R + {place.offset} * W", trace.inputs[f"r.{key}"])
+    (output,) = lower_trace(body, "policy", trace, inputs).values()
+    if (output.dtype, output.shape[1:]) != action:
+        output = body.cast_value(output, action[0])
+        if output.shape[1:] != action[1]:
+            raise TraceError(f"policy: an action is {action[1]}, not {output.shape[1:]}")
+    store_tensor(body, "Y", output)
+    check_stack(lanes * body.bytes)
+    early, lines = body.finish(lambda _: 0)
+    assert not early, "a policy has no parameters of single environments"
+    behind = Pool(size=pool.size)
+    heads += pool_lines(body, behind, "weights")
+    text = "\n".join(
+        [
+            f"#define W {lanes}",
+            header_text("lanes.h"),
+            header_text("functions.h"),
+            f"static const int PLACES = {max(1, sum(c.window for c in graph.inputs_of(graph.supervisor)))};",
+            'extern "C" void policy(const char *weights, const char *R, const char *const *X, const VL *Q, '
+            "const VD *T, char *Y) {",
+            *(f"  {line}" for line in heads + lines),
+            "}",
+            "",
+        ]
+    )
+    return PolicySource(text, tuple(order), behind.join(), uses)

@@ -1,0 +1,54 @@
+"""One joint of a model with the joint of a log that is proposed for it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deepkoco.logs.inspect.joints.goals import Tracking
+from deepkoco.logs.inspect.joints.log_joints import LogJoint
+from deepkoco.logs.inspect.joints.match import Match
+from deepkoco.logs.inspect.joints.scaling import Scaling
+from deepkoco.logs.inspect.survey import ColumnSurvey
+from deepkoco.systems import Channel, System
+
+
+class ProposedJoint(NamedTuple):
+    """One joint of the model with its joint in the log."""
+
+    number: int
+    match: Match
+    log: LogJoint
+    scaling: Scaling
+    tracking: Tracking | None
+
+
+def driving_commands(system: System, joint: int) -> list[Channel]:
+    """Commands that drive a joint."""
+    return [c for c, driven in zip(system.commands, system.command_joints, strict=False) if driven == joint]
+
+
+def joint_slides(system: System, joint: int) -> bool:
+    return system.state_units[joint] == "m"
+
+
+def joint_range(system: System, joint: int) -> tuple[float, float]:
+    """Range of a joint: that of the goals of its servo, or that of its sensor."""
+    unit = system.state_units[joint]
+    for command, driven in zip(system.commands, system.command_joints, strict=False):
+        if driven == joint and command.unit == unit and math.isfinite(command.high - command.low):
+            return command.low, command.high
+    name = f"q_{system.joint_names[joint]}"
+    sensor = next(c for c in system.measurements if c.name == name)
+    return sensor.low, sensor.high
+
+
+def model_positions(joint: ProposedJoint, value: np.ndarray) -> np.ndarray:
+    scaling = joint.scaling
+    return scaling.factor * value + scaling.factor / scaling.scale * scaling.offset
+
+
+def effort_column(log: LogJoint) -> ColumnSurvey | None:
+    return log.columns.get("goal effort") or log.columns.get("effort") or log.columns.get("goal")

@@ -1,0 +1,90 @@
+"""Forces of actuators and loads of effects on the joints of a tree as compiled loops."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from deepkoco.systems.trees.learned_kernel import add_term
+from deepkoco.systems.trees.newton_euler_kernel import LANES
+
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "b7c7b3b769631223"
+
+# Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
+# on, each is a term of a learned load.
+VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION, LEARNED = range(9)
+MOST_VALUES = 5  # of an effect
+
+
+@njit(error_model="numpy", nogil=True)
+def is_level(kind):
+    """Whether an effect is a level of dry friction."""
+    return STRIBECK <= kind < LEARNED
+
+
+@njit(error_model="numpy", nogil=True)
+def deliver(drives, gear, force_limits, law, angle, speed, effort, forces):
+    """Forces (M, LANES) of the actuators on their joints."""
+    for a in range(len(drives)):
+        k, ratio, low, high = drives[a], gear[a], force_limits[a, 0], force_limits[a, 1]
+        for i in range(LANES):
+            length, rate = ratio * angle[k, i], ratio * speed[k, i]
+            scale = law[a, 0, i] + law[a, 1, i] * length + law[a, 2, i] * rate
+            # A servo's stiff force is the difference of two large ones: the same as kp times the error.
+            force = scale * effort[a, i] + (law[a, 3, i] + law[a, 4, i] * length + law[a, 5, i] * rate)
+            force = high if force > high else force
+            force = low if force < low else force
+            forces[a, i] = ratio * force
+
+
+@njit(error_model="numpy", nogil=True)
+def add_levels(kinds, places, values, drives, forces, speed, level):
+    """Add the levels of dry friction that depend on the motion to ``level`` (J, LANES)."""
+    for e in range(len(kinds)):
+        j = places[e, 0]
+        if kinds[e] == STRIBECK:
+            for i in range(LANES):
+                if values[e, 0, i] != 0.0 or values[e, 1, i] != 0.0:
+                    ratio = speed[j, i] / values[e, 2, i]
+                    level[j, i] += values[e, 0, i] + values[e, 1, i] * math.exp(-ratio * ratio)
+        elif kinds[e] == LOAD_FRICTION:
+            for a in range(len(drives)):
+                if drives[a] == places[e, 1]:
+                    for i in range(LANES):
+                        level[j, i] += values[e, 0, i] * abs(forces[a, i])
+
+
+@njit(error_model="numpy", nogil=True)
+def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort, load):
+    """Add the loads of effects to ``load`` (J, LANES); ``effort`` (LANES,) is overwritten."""
+    for e in range(len(kinds)):
+        kind, j = kinds[e], places[e, 0]
+        if kind == VISCOUS:
+            for i in range(LANES):
+                load[j, i] -= values[e, 0, i] * speed[j, i]
+        elif kind == QUADRATIC:
+            for i in range(LANES):
+                load[j, i] -= values[e, 0, i] * speed[j, i] * abs(speed[j, i])
+        elif kind == SPRING:
+            for i in range(LANES):
+                load[j, i] -= values[e, 0, i] * (angle[j, i] - values[e, 1, i])
+        elif kind in (COGGING, PERIODIC):
+            for i in range(LANES):
+                if values[e, 0, i] != 0.0 or values[e, 1, i] != 0.0:
+                    phase = values[e, 2, i] * (angle[j, i] if kind == COGGING else time[i])
+                    load[j, i] += values[e, 0, i] * math.sin(phase) + values[e, 1, i] * math.cos(phase)
+        elif kind == CROSSTALK:
+            for a in range(len(drives)):
+                if drives[a] == places[e, 1]:
+                    for i in range(LANES):
+                        load[j, i] += values[e, 0, i] * forces[a, i]
+        elif kind >= LEARNED:
+            for i in range(LANES):
+                effort[i] = 0.0
+            for a in range(len(drives)):
+                if drives[a] == places[e, 1]:
+                    for i in range(LANES):
+                        effort[i] = forces[a, i]
+            add_term(kind - LEARNED, values[e], angle[j], speed[j], effort, load[j])

@@ -1,0 +1,172 @@
+"""Frames, speeds and forces of the bodies of a tree as compiled loops, from the base to the tips and back.
+
+Source: the recursions of :mod:`deepkoco.systems.trees.dynamics`; rows and blocks as in
+:mod:`deepkoco.systems.trees.kernel`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+LANES = 32
+# Rows of a joint.
+COS, SIN, OFFSET, SPIN, SWING, PULL, FORCE, TORQUE, INERTIA, LOAD, ROWS = (
+    0,
+    1,
+    2,
+    5,
+    8,
+    11,
+    14,
+    17,
+    20,
+    30,
+    31,
+)
+
+# Range reduction by pi/2 in three parts of 33 bits, and the minimax polynomials of sine and cosine on [-pi/4, pi/4].
+# Source: fdlibm, e_rem_pio2.c, k_sin.c and k_cos.c (Sun Microsystems, 1993).
+TURNS = 2.0 / math.pi
+P1, P2, P3 = 1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21
+FARTHEST = 1e5  # angle beyond which the three parts of pi/2 are too short [rad]
+S1, S2, S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
+S4, S5, S6 = 2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10
+C1, C2, C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05
+C4, C5, C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
+
+
+@njit(inline="always", error_model="numpy")
+def place_frames(s, turns, rotation, offset, reference, angles, first, size):
+    """COS (the angle) -> COS, SIN and OFFSET of every joint."""
+    for k in range(len(turns)):
+        h = turns[k]
+        slide = 1.0 - h
+        e2, e5, e8 = rotation[k, 2], rotation[k, 5], rotation[k, 8]
+        r0, r1, r2, ref = offset[k, 0], offset[k, 1], offset[k, 2], reference[k]
+        for i in range(LANES):
+            moved = slide * (s[k, COS, i] - ref)
+            s[k, OFFSET, i] = r0 + moved * e2
+            s[k, OFFSET + 1, i] = r1 + moved * e5
+            s[k, OFFSET + 2, i] = r2 + moved * e8
+        far = False
+        for i in range(LANES):
+            x = h * (s[k, COS, i] - ref)
+            far |= not abs(x) < FARTHEST
+            n = np.floor(x * TURNS + 0.5)
+            r = ((x - n * P1) - n * P2) - n * P3
+            z = r * r
+            sine = r + r * z * (S1 + z * (S2 + z * (S3 + z * (S4 + z * (S5 + z * S6)))))
+            cosine = 1.0 - 0.5 * z + z * z * (C1 + z * (C2 + z * (C3 + z * (C4 + z * (C5 + z * C6)))))
+            # Quadrant 0 to 3, by arithmetic: conditions on integers would not be vector instructions.
+            quadrant = n - 4.0 * np.floor(0.25 * n)
+            half = np.floor(0.5 * quadrant)
+            odd, sign = quadrant - 2.0 * half > 0.5, 1.0 - 2.0 * half
+            s[k, SIN, i] = sign * (cosine if odd else sine)
+            s[k, COS, i] = sign * (-sine if odd else cosine)
+        if far:
+            for i in range(size):
+                x = h * (angles[k, first + i] - ref)
+                s[k, COS, i], s[k, SIN, i] = np.cos(x), np.sin(x)
+
+
+@njit(inline="always", error_model="numpy")
+def move_frames(s, parent, turns, rotation, quick):
+    """SPIN, SWING and PULL of every frame, then FORCE and TORQUE that its own body needs."""
+    for k in range(len(turns)):
+        h, p = turns[k], parent[k]
+        slide = 1.0 - h
+        e0, e1, e2 = rotation[k, 0], rotation[k, 1], rotation[k, 2]
+        e3, e4, e5 = rotation[k, 3], rotation[k, 4], rotation[k, 5]
+        e6, e7, e8 = rotation[k, 6], rotation[k, 7], rotation[k, 8]
+        for i in range(LANES):
+            c, t, v = s[k, COS, i], s[k, SIN, i], quick[k, i]
+            x, y, z = s[k, OFFSET, i], s[k, OFFSET + 1, i], s[k, OFFSET + 2, i]
+            w0, w1, w2 = s[p, SPIN, i], s[p, SPIN + 1, i], s[p, SPIN + 2, i]
+            u0, u1, u2 = s[p, SWING, i], s[p, SWING + 1, i], s[p, SWING + 2, i]
+            # Acceleration of the frame's origin: pull + swing x offset + spin x (spin x offset).
+            d0, d1, d2 = w1 * z - w2 * y, w2 * x - w0 * z, w0 * y - w1 * x
+            a0 = s[p, PULL, i] + (u1 * z - u2 * y) + (w1 * d2 - w2 * d1)
+            a1 = s[p, PULL + 1, i] + (u2 * x - u0 * z) + (w2 * d0 - w0 * d2)
+            a2 = s[p, PULL + 2, i] + (u0 * y - u1 * x) + (w0 * d1 - w1 * d0)
+            # Into the joint's frame.
+            x, y, z = (
+                e0 * w0 + e3 * w1 + e6 * w2,
+                e1 * w0 + e4 * w1 + e7 * w2,
+                e2 * w0 + e5 * w1 + e8 * w2,
+            )
+            w0, w1, w2 = c * x + t * y, c * y - t * x, z
+            x, y, z = (
+                e0 * u0 + e3 * u1 + e6 * u2,
+                e1 * u0 + e4 * u1 + e7 * u2,
+                e2 * u0 + e5 * u1 + e8 * u2,
+            )
+            u0, u1, u2 = c * x + t * y, c * y - t * x, z
+            x, y, z = (
+                e0 * a0 + e3 * a1 + e6 * a2,
+                e1 * a0 + e4 * a1 + e7 * a2,
+                e2 * a0 + e5 * a1 + e8 * a2,
+            )
+            rush = 2.0 * slide * v
+            a0, a1, a2 = c * x + t * y + w1 * rush, c * y - t * x - w0 * rush, z
+            u0, u1, w2 = u0 + h * w1 * v, u1 - h * w0 * v, w2 + h * v
+            s[k, SPIN, i], s[k, SPIN + 1, i], s[k, SPIN + 2, i] = w0, w1, w2
+            s[k, SWING, i], s[k, SWING + 1, i], s[k, SWING + 2, i] = u0, u1, u2
+            s[k, PULL, i], s[k, PULL + 1, i], s[k, PULL + 2, i] = a0, a1, a2
+        for i in range(LANES):
+            w0, w1, w2 = s[k, SPIN, i], s[k, SPIN + 1, i], s[k, SPIN + 2, i]
+            u0, u1, u2 = s[k, SWING, i], s[k, SWING + 1, i], s[k, SWING + 2, i]
+            a0, a1, a2 = s[k, PULL, i], s[k, PULL + 1, i], s[k, PULL + 2, i]
+            m = s[k, INERTIA, i]
+            x, y, z = s[k, INERTIA + 1, i], s[k, INERTIA + 2, i], s[k, INERTIA + 3, i]
+            xx, yy, zz = s[k, INERTIA + 4, i], s[k, INERTIA + 5, i], s[k, INERTIA + 6, i]
+            xy, xz, yz = s[k, INERTIA + 7, i], s[k, INERTIA + 8, i], s[k, INERTIA + 9, i]
+            d0, d1, d2 = w1 * z - w2 * y, w2 * x - w0 * z, w0 * y - w1 * x
+            s[k, FORCE, i] = m * a0 + (u1 * z - u2 * y) + (w1 * d2 - w2 * d1)
+            s[k, FORCE + 1, i] = m * a1 + (u2 * x - u0 * z) + (w2 * d0 - w0 * d2)
+            s[k, FORCE + 2, i] = m * a2 + (u0 * y - u1 * x) + (w0 * d1 - w1 * d0)
+            l0, l1, l2 = (
+                xx * w0 + xy * w1 + xz * w2,
+                xy * w0 + yy * w1 + yz * w2,
+                xz * w0 + yz * w1 + zz * w2,
+            )
+            t0, t1, t2 = (
+                xx * u0 + xy * u1 + xz * u2,
+                xy * u0 + yy * u1 + yz * u2,
+                xz * u0 + yz * u1 + zz * u2,
+            )
+            s[k, TORQUE, i] = t0 + (w1 * l2 - w2 * l1) + (y * a2 - z * a1)
+            s[k, TORQUE + 1, i] = t1 + (w2 * l0 - w0 * l2) + (z * a0 - x * a2)
+            s[k, TORQUE + 2, i] = t2 + (w0 * l1 - w1 * l0) + (x * a1 - y * a0)
+
+
+@njit(inline="always", error_model="numpy")
+def gather_forces(s, parent, turns, rotation):
+    """Add FORCE and TORQUE of every joint to its parent's, and take its own share from LOAD."""
+    base = len(turns)
+    for k in range(len(turns) - 1, -1, -1):
+        h, p = turns[k], parent[k]
+        slide = 1.0 - h
+        for i in range(LANES):
+            s[k, LOAD, i] -= h * s[k, TORQUE + 2, i] + slide * s[k, FORCE + 2, i]
+        if p == base:
+            continue
+        e0, e1, e2 = rotation[k, 0], rotation[k, 1], rotation[k, 2]
+        e3, e4, e5 = rotation[k, 3], rotation[k, 4], rotation[k, 5]
+        e6, e7, e8 = rotation[k, 6], rotation[k, 7], rotation[k, 8]
+        for i in range(LANES):
+            c, t = s[k, COS, i], s[k, SIN, i]
+            r0, r1, r2 = s[k, OFFSET, i], s[k, OFFSET + 1, i], s[k, OFFSET + 2, i]
+            f0, f1, z = s[k, FORCE, i], s[k, FORCE + 1, i], s[k, FORCE + 2, i]
+            x, y = c * f0 - t * f1, t * f0 + c * f1
+            f0, f1, f2 = e0 * x + e1 * y + e2 * z, e3 * x + e4 * y + e5 * z, e6 * x + e7 * y + e8 * z
+            s[p, FORCE, i] += f0
+            s[p, FORCE + 1, i] += f1
+            s[p, FORCE + 2, i] += f2
+            q0, q1, z = s[k, TORQUE, i], s[k, TORQUE + 1, i], s[k, TORQUE + 2, i]
+            x, y = c * q0 - t * q1, t * q0 + c * q1
+            s[p, TORQUE, i] += e0 * x + e1 * y + e2 * z + (r1 * f2 - r2 * f1)
+            s[p, TORQUE + 1, i] += e3 * x + e4 * y + e5 * z + (r2 * f0 - r0 * f2)
+            s[p, TORQUE + 2, i] += e6 * x + e7 * y + e8 * z + (r0 * f1 - r1 * f0)

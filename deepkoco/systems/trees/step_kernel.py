@@ -1,0 +1,178 @@
+"""One step of a tree with loads of effects as compiled loops: accelerations, Runge-Kutta, levels of dry friction.
+
+Source: the steps of :mod:`deepkoco.fit.simulate.step`.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from deepkoco.systems.trees.effect_kernel import add_levels, add_loads, deliver
+from deepkoco.systems.trees.force_kernel import add_joint_loads
+from deepkoco.systems.trees.mass_matrix_kernel import factorise, fill_mass, gather_inertias, solve
+from deepkoco.systems.trees.newton_euler_kernel import (
+    COS,
+    INERTIA,
+    LANES,
+    LOAD,
+    PULL,
+    SPIN,
+    SWING,
+    gather_forces,
+    move_frames,
+    place_frames,
+)
+
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "8313c901005e2fda"
+
+
+@njit(error_model="numpy", nogil=True)
+def accelerations(
+    tree,
+    own,
+    effects,
+    s,
+    mass,
+    which,
+    forces,
+    level,
+    angle,
+    speed,
+    effort,
+    time,
+    push,
+    steady,
+    direction,
+    result,
+):
+    """Write the accelerations (J, LANES) of a block; the factors of the mass matrix stay in ``mass``."""
+    parent, turns, rotation, offset, reference, limits, drives, gear, force_limits = tree
+    inertia, gravity, passive, law = own
+    kinds, places, values, varies, pulled, pulls = effects
+    joints = len(turns)
+    for i in range(LANES):
+        for row in range(3):
+            s[joints, SPIN + row, i] = 0.0
+            s[joints, SWING + row, i] = 0.0
+            s[joints, PULL + row, i] = -gravity[row, i]
+    for k in range(joints):
+        for i in range(LANES):
+            s[k, COS, i] = angle[k, i]
+            s[k, LOAD, i] = 0.0
+        for row in range(10):
+            for i in range(LANES):
+                s[k, INERTIA + row, i] = inertia[k, row, i]
+    deliver(drives, gear, force_limits, law, angle, speed, effort, forces)
+    for a in range(len(drives)):
+        k = drives[a]
+        for i in range(LANES):
+            s[k, LOAD, i] += forces[a, i]
+    for k in range(joints):
+        low, high = limits[k, 0], limits[k, 1]
+        for i in range(LANES):
+            load = s[k, LOAD, i]
+            load = high if load > high else load
+            load = low if load < low else load
+            load -= passive[k, 1, i] * speed[k, i]
+            load -= passive[k, 2, i] * (angle[k, i] - passive[k, 3, i])
+            s[k, LOAD, i] = load + (push[k, i] - steady[k, i] * direction[k, i])
+    if len(pulled):
+        for k in range(joints):
+            for i in range(LANES):
+                level[k, i] = 0.0
+        add_joint_loads(parent, turns, rotation, offset, reference, pulled, pulls, which, angle, level)
+        for k in range(joints):
+            for i in range(LANES):
+                s[k, LOAD, i] += level[k, i]
+    if len(kinds):
+        for k in range(joints):
+            for i in range(LANES):
+                level[k, i] = 0.0
+        add_loads(kinds, places, values, drives, forces, angle, speed, time, result[0], level)
+        for k in range(joints):
+            for i in range(LANES):
+                s[k, LOAD, i] += level[k, i]
+                level[k, i] = 0.0
+        if varies:
+            add_levels(kinds, places, values, drives, forces, speed, level)
+            for k in range(joints):
+                for i in range(LANES):
+                    s[k, LOAD, i] -= level[k, i] * direction[k, i]
+    place_frames(s, turns, rotation, offset, reference, angle, 0, LANES)
+    move_frames(s, parent, turns, rotation, speed)
+    gather_forces(s, parent, turns, rotation)
+    gather_inertias(s, parent, rotation)
+    fill_mass(s, mass, parent, turns, rotation, passive, which)
+    factorise(mass, parent)
+    solve(s, mass, parent)
+    for k in range(joints):
+        for i in range(LANES):
+            result[k, i] = s[k, LOAD, i]
+
+
+@njit(error_model="numpy", nogil=True)
+def runge_kutta(
+    tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
+    direction, step, end_angle, end_speed, first, last,
+):  # fmt: skip
+    """One step of a block; ``masses[0]`` keeps the factors at its start."""
+    joints = len(angle)
+    v1, v2, v3, v4 = stages[0], stages[1], stages[2], stages[3]
+    a1, a2, a3, a4, q = stages[4], stages[5], stages[6], stages[7], stages[8]
+    for k in range(joints):
+        for i in range(LANES):
+            q[k, i], v1[k, i] = angle[k, i], speed[k, i]
+    # One call in a loop: the compiler would repeat the equations of motion for each call.
+    for stage in range(4):
+        when, mass = (stage + 1) // 2, masses[min(stage, 1)]
+        accelerations(
+            tree, own, effects, s, mass, which, forces, level, q, stages[stage], efforts[when], times[when], push,
+            steady, direction, stages[4 + stage],
+        )  # fmt: skip
+        if stage < 3:
+            part = step if stage == 2 else 0.5 * step
+            for k in range(joints):
+                for i in range(LANES):
+                    q[k, i] = angle[k, i] + part * stages[stage, k, i]
+                    stages[stage + 1, k, i] = speed[k, i] + part * stages[4 + stage, k, i]
+    sixth = step / 6.0
+    for k in range(joints):
+        for i in range(LANES):
+            end_angle[k, i] = angle[k, i] + sixth * (v1[k, i] + 2.0 * (v2[k, i] + v3[k, i]) + v4[k, i])
+            end_speed[k, i] = speed[k, i] + sixth * (a1[k, i] + 2.0 * (a2[k, i] + a3[k, i]) + a4[k, i])
+            first[k, i] = a1[k, i]
+            last[k, i] = a4[k, i]
+
+
+@njit(error_model="numpy", nogil=True)
+def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, scratch, level):
+    """Levels of dry friction (J, LANES) at a share of the speed."""
+    drives, gear, force_limits = tree[6:]
+    kinds, places, values, varies = effects[:4]
+    joints = len(angle)
+    for k in range(joints):
+        for i in range(LANES):
+            level[k, i] = steady[k, i]
+    if varies:
+        for k in range(joints):
+            for i in range(LANES):
+                scratch[k, i] = share * speed[k, i]
+        deliver(drives, gear, force_limits, own[3], angle, scratch, effort, forces)
+        add_levels(kinds, places, values, drives, forces, scratch, level)
+
+
+@njit(error_model="numpy", nogil=True)
+def mean_levels(tree, own, effects, forces, steady, angle, speed, share, efforts, scratch, room, level):
+    """Levels as :func:`_levels_at`, over the step by Simpson's rule; ``room`` (J, LANES) is overwritten."""
+    _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[1], scratch, level)
+    if not effects[3]:
+        return
+    for when in (0, 2):
+        _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[when], scratch, room)
+        for k in range(len(angle)):
+            for i in range(LANES):
+                level[k, i] = (level[k, i] if when else 4.0 * level[k, i]) + room[k, i]
+    for k in range(len(angle)):
+        for i in range(LANES):
+            level[k, i] /= 6.0
