@@ -3,7 +3,8 @@
 Short windows find a cause where the simulation as given leaves the motion (:mod:`deepkoco.diagnose.window_choice`).
 They tell less of everything that adds up: a force of 1 N moves a car of 95 kg by 3 mm in 0.75 s, and by 12 mm in 1.5 s.
 With its causes, the simulation mostly follows its logs for longer. Then the causes compete with those of their classes
-again, and the parameters are fitted, in windows of the usual length.
+again, and the parameters are fitted, in windows of the usual length. A constant load that no unit is without adds up as
+well: where causes were weighed and such windows show more than noise, the fit contains a little of every small effect.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.explanation import Explanation, of_mean
+from deepkoco.diagnose.little_of_all import beside
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.diagnose.weighed import detection_of
 from deepkoco.diagnose.window_choice import FOLLOWS, left_out
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -104,14 +107,21 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
         final = _refit(problem, final, prior.names, prior)
     if final.diverged:
         return None
+    everything = list(catalogue(start.system.base).values()) if request.causes is None else request.causes
+    limit = white_limit(data.train, start.correlation) * start.floor * data.train.samples
+    if explanation.weighed and final.chi2 > limit and request.limit.allows("small effects that any unit has"):
+        grown, fit = beside(problem, start, final, found.accepted, everything)
+        if not fit.diverged and fit.chi2 < final.chi2:
+            start, final = grown, fit
     known = base.reference
-    reference = _refit(problem, known, known.free, start.prior, final.state, BRIEF)
+    values = {n: start.values[n] for n in start.prior.names} | {n: known.values[n] for n in known.free}
+    known = replace(known, values={**known.values, **values})
+    reference = _refit(problem, known, start.prior.names, start.prior, final.state, BRIEF)
     if reference.diverged:
         return None
-    longer = replace(base, data=data, problem=problem, reference=reference)
+    longer = replace(base, start=start, data=data, problem=problem, reference=reference)
     # The causes of their classes compete once more; the rankings of shorter windows do not count.
     members = {name for _, names in found.steps for name in names} | {c.name for c in found.accepted}
-    everything = catalogue(start.system.base).values() if request.causes is None else request.causes
     rivals = [c for c in everything if c.name in members]
     steps = tuple((replace(ranking, asked=()), names) for ranking, names in found.steps)
     wanted = detection_of(request, explanation)

@@ -12,30 +12,27 @@ its code: a loss imitates a delay, a friction or a bias that any unit has a litt
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from deepkoco.diagnose.baseline import LONG, Baseline
-from deepkoco.diagnose.causes import Cause, catalogue, is_changed
-from deepkoco.diagnose.causes.tolerance import OF_MODEL_FILE, Healthy
+from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
-from deepkoco.diagnose.evidence.minor import Minor, sample_period
-from deepkoco.diagnose.evidence.priors import declared
-from deepkoco.diagnose.evidence.selected import Selected
+from deepkoco.diagnose.evidence.minor import Minor
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import MOST_EXTENSIONS, Explanation, explain, of_mean, seen_before
 from deepkoco.diagnose.healthy import extended
+from deepkoco.diagnose.little_of_all import usual_sizes, with_little, with_little_of_all
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses, of_rough_sheet
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque, white_limit
-from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
+from deepkoco.fit.fit import Fit, Trial
 from deepkoco.fit.solve.lazy_batch import MANY
-from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import Parameter
 
@@ -150,12 +147,12 @@ def _selected_again(
     little = {
         c: sizes
         for c, fit in selected.items()
-        if c.name not in names and (sizes := _usual_sizes(base.start, c, fit, base.problem))
+        if c.name not in names and (sizes := usual_sizes(base.start, c, fit, base.problem))
     }
     beside = [c for c, sizes in little.items() if _within(base.start, sizes, selected[c])]
     # What was selected and is more than that stays a rival.
     plausible = [*plausible, *(c for c in found.accepted if c not in beside and c.name not in names)]
-    start = _with_little(usual, {c: little[c] for c in beside}, deflation)
+    start = with_little(usual, {c: little[c] for c in beside}, deflation)
     values = {**found.final.values, **{n: start.values[n] for n in usual.prior.names}}
     for cause in (*found.accepted, *plausible):
         if cause not in beside:
@@ -191,81 +188,6 @@ def _selected_again(
     return weigh(request, explain(request, learned, explanation.unfitted, joined), more - 1)
 
 
-def with_little_of_all(
-    request: DiagnosisRequest, explanation: Explanation, causes: Sequence[Cause]
-) -> Explanation:
-    """Return an explanation by parameters and small effects as any unit has them, where the selection leaves structure.
-
-    A selection takes one cause after the other, and several small effects can show together only. Those that the log
-    shows stay in the fit.
-
-    Args:
-        request: The logs.
-        explanation: The selection; it is returned where it leaves no more than noise, or explains more.
-        causes: The catalogue.
-    """
-    base, found = explanation.base, explanation.found
-    limit = white_limit(base.train, base.start.correlation) * base.start.floor * base.train.samples
-    if found.final.chi2 <= limit or not request.limit.allows("small effects that any unit has"):
-        return explanation
-    usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
-    known = {n: found.final.values[n] for n in usual.prior.names}
-    little = {
-        c: sizes
-        for c in causes
-        if c.scatter is None and not c.traced and not c.searched
-        if (sizes := _usual_sizes(base.start, c, None, base.problem))
-    }
-    fit, start = found.final, usual
-    for _ in range(2):  # with all of them, and with those of which the log shows some
-        start = _with_little(usual, little, base.start.correlation)
-        state, _ = base.problem.fit_states({**base.start.values, **known}, found.final.state)
-        values = {**base.start.values, **known}
-        trial = Trial("refit", start.prior.names, start.prior, values, state, base.reference.nuisance)
-        fit = base.problem.fit([trial], LONG)[0]
-        if fit.diverged or fit.chi2 >= found.final.chi2:
-            return explanation
-        away = {n: abs(fit.values[n] - start.values[n]) for n in fit.free}
-        little = {c: s for c, s in little.items() if any(away[p.name] > SOME * p.prior_sd for p in s)}
-    learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
-    again = replace(base, learned=learned, start=start, reference=fit)
-    return of_mean(replace(explanation, base=again, found=Selected(fit, (), (), base.problem)))
-
-
-def _usual_sizes(start: Baseline, cause: Cause, fit: Fit | None, problem: FitProblem) -> list[Parameter]:
-    """Return the sizes of a cause with the standard deviations that any unit has; none if it has more than sizes.
-
-    Args:
-        start: The baseline.
-        cause: The cause.
-        fit: Fit that has to contain it; None for any cause.
-        problem: The windows.
-    """
-    if is_changed(cause) or cause.effect == "event" or not cause.free:
-        return []
-    values = start.values if fit is None else fit.values
-    if set(cause.free) != set(cause.sizes) or (fit is not None and not set(cause.free) <= set(fit.free)):
-        return []
-    loads = start.system.load_scales
-    load, period = max(loads) if cause.joint is None else loads[cause.joint], sample_period(problem.windows)
-    return [
-        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(values))))
-        for p in declared(problem, cause.free)
-    ]
-
-
 def _within(start: Baseline, sizes: Sequence[Parameter], fit: Fit) -> bool:
     """Return whether a fit has no more than a few standard deviations of these sizes."""
     return all(abs(fit.values[p.name] - start.values[p.name]) <= FEW * p.prior_sd for p in sizes)
-
-
-def _with_little(start: Baseline, causes: Mapping[Cause, Sequence[Parameter]], deflation: float) -> Baseline:
-    """Return a baseline with a little of some effects, and a prior that counts as much as the residuals do."""
-    prior = start.prior
-    for sizes in causes.values():
-        prior = prior.widened([p for p in sizes if p.name not in prior.names], start.values)
-    # A learned prior has been divided by the correlation of the healthy residuals before.
-    narrowing = max(deflation / start.correlation, 1.0)
-    prior = Prior(prior.names, prior.centre, prior.covariance / narrowing)
-    effects = tuple(dict.fromkeys((*start.effects, *(c.effect for c in causes))))
-    return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE, narrowing=narrowing)

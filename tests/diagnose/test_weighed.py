@@ -15,10 +15,11 @@ from deepkoco.diagnose.causes.parameter import CHANGED
 from deepkoco.diagnose.causes.tolerance import Healthy, usual_sd
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.evidence.priors import strained
+from deepkoco.diagnose.little_of_all import with_little
 from deepkoco.diagnose.probability.answer import Answer, Weighed
 from deepkoco.diagnose.probability.shadow import log_prior_of_losses
 from deepkoco.diagnose.verdict.advice import possible_advice
-from deepkoco.diagnose.weighed import _plausible, _with_little
+from deepkoco.diagnose.weighed import _plausible
 from deepkoco.fit import cut_windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording, Series
@@ -134,7 +135,7 @@ def test_a_prior_that_counts_as_much_as_correlated_samples_strains_as_before(pat
     start = with_gauges_fixed(baseline_from(system, windows), windows)
     problem = FitProblem(start.system, windows)
     fit = problem.evaluate(start.values)
-    narrow = _with_little(start, {}, 9.0)
+    narrow = with_little(start, {}, 9.0)
     assert narrow.narrowing == 9.0
     assert np.allclose(narrow.prior.covariance, start.prior.covariance / 9.0)
     for penalty in (24.0, 26.0):
@@ -144,7 +145,7 @@ def test_a_prior_that_counts_as_much_as_correlated_samples_strains_as_before(pat
         ]
         assert told == [penalty > 25.0] * 2
     # Healthy logs have divided their prior by the correlation before.
-    assert _with_little(replace(start, correlation=3.0), {}, 9.0).narrowing == 3.0
+    assert with_little(replace(start, correlation=3.0), {}, 9.0).narrowing == 3.0
 
 
 @pytest.mark.parametrize(("shift", "far"), [(0.02, False), (0.15, True)])
