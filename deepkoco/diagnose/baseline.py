@@ -186,7 +186,9 @@ def with_gauges_fixed(start: Baseline, windows: Windows) -> Baseline:
     return replace(start, prior=replace(start.prior, covariance=covariance), gauges=gauges)
 
 
-def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None) -> Fit:
+def refit(
+    start: Baseline, windows: Windows, free: tuple[str, ...] | None = None, first: Fit | None = None
+) -> Fit:
     """Fit the baseline's parameters under their prior, first on windows of half the length.
 
     The cost of a long window across an unstable equilibrium has many minima; that of half windows has fewer. The fit
@@ -198,16 +200,13 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
         start: Prior and present values.
         windows: The windows to fit.
         free: Parameters to free; None frees all that the prior covers.
+        first: The fit on half windows, where it is known.
     """
     names = start.prior.names if free is None else free
-    few = few_windows(windows, len(names))
-    halves = halved(windows.take(few))
-    short = FitProblem(start.system, halves)
-    state, _ = short.fit_states(start.values, halves.state)
-    first = short.fit_one(Trial("half windows", names, start.prior, start.values, state))
+    first = on_half_windows(start, windows, names) if first is None else first
     problem = FitProblem(start.system, windows)
     guess = windows.state.clone()
-    guess[torch.from_numpy(few)] = first.state[::2]
+    guess[torch.from_numpy(few_windows(windows, len(names)))] = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
     found = problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
     if not first.stuck:
@@ -215,6 +214,23 @@ def refit(start: Baseline, windows: Windows, free: tuple[str, ...] | None = None
     state, _ = problem.fit_states(start.values, windows.state)
     again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG)[0]
     return again if not again.diverged and again.cost < found.cost else found
+
+
+def on_half_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
+    """Fit the parameters on windows of half the length; with many parameters, on an even choice of them.
+
+    Args:
+        start: Prior and present values.
+        windows: The windows.
+        names: Parameters to free.
+
+    Raises:
+        DivergedError: The simulation diverges at the present values.
+    """
+    halves = halved(windows.take(few_windows(windows, len(names))))
+    short = FitProblem(start.system, halves)
+    state, _ = short.fit_states(start.values, halves.state)
+    return short.fit_one(Trial("half windows", names, start.prior, start.values, state))
 
 
 def few_windows(windows: Windows, parameters: int) -> np.ndarray:
@@ -226,9 +242,15 @@ def few_windows(windows: Windows, parameters: int) -> np.ndarray:
     return np.unique(np.linspace(0, size - 1, most).astype(int))
 
 
-def refit_sharply(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
-    """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough."""
-    fit = refit(start, windows)
+def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -> tuple[Windows, Fit]:
+    """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough.
+
+    Args:
+        start: Prior and present values.
+        windows: The windows.
+        first: The fit on half windows, where it is known.
+    """
+    fit = refit(start, windows, first=first)
     windows = with_sharp_noise(windows, fit)
     left = MOST
     for _ in range(STEP_ROUNDS):

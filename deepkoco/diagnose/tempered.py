@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, refit_sharply
+from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, on_half_windows, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.one_make import covariance_of, groups_of
 from deepkoco.fit.data.halves import halved
@@ -31,6 +31,7 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
 from deepkoco.fit.solve.robust import under, undoubted, with_doubt
 from deepkoco.fit.solve.scale_search import search_scales
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 
 FAR_OFF = (
     0.5  # cost that other sizes leave, as a share, below which the values as given are no start of a fit
@@ -54,11 +55,19 @@ def refit_to_windows(start: Baseline, windows: Windows) -> tuple[Baseline, Windo
         The baseline with the prior that was used, the windows with the noise of the residuals, and the refit.
     """
     # Healthy logs of the unit show its sizes, and their model error is part of the prior.
-    if start.healthy is None and len(start.prior.names) + windows.state.shape[1] >= MANY:
+    if start.healthy is not None or len(start.prior.names) + windows.state.shape[1] < MANY:
+        return start, *refit_sharply(start, windows)
+    try:
+        first = on_half_windows(start, windows, start.prior.names)
+    except DivergedError:
+        first = None
+    few = windows.take(few_windows(windows, len(start.prior.names)))
+    # Where the values as given lead to the log, other sizes are not asked for.
+    if first is None or first.chi2 > LARGE_MISFIT * few.samples:
         found = _from_other_sizes(start, windows)
         if found is not None:
             return found
-    return start, *refit_sharply(start, windows)
+    return start, *refit_sharply(start, windows, first)
 
 
 def tempered_to(

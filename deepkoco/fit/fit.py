@@ -19,7 +19,7 @@ from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.fit.solve.state_search import StateSearch
-from deepkoco.fit.tangent import MANY_STATES, Tangent, state_steps
+from deepkoco.fit.tangent import MANY_STATES, Tangent, simulated, state_steps
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
 
@@ -131,8 +131,7 @@ class FitProblem(ShootingProblem):
         theta = np.array([float(values[n]) for n in self.names])
         columns = np.array([self.names.index(n) for n in (*names, *varying(self, names))], dtype=int)
         tangent = Tangent.at(self, theta, columns, state)
-        lanes = self.predict(tangent.theta, tangent.state, nuisance[None].repeat(len(tangent), 1))
-        return slopes_at(self, tangent, lanes, names)
+        return slopes_at(self, tangent, simulated(self, [tangent], nuisance[None]), names)
 
     def fit_one(self, trial: Trial, iterations: int = 25, tolerance: float = TOLERANCE) -> Fit:
         """As :meth:`fit` for one trial, but raises if it diverges.
@@ -218,11 +217,13 @@ class FitProblem(ShootingProblem):
             lanes = some.trial.repeat(1 + len(nudge), 1, 1, 1)
             for s, step in enumerate(nudge):
                 lanes[1 + s, :, :, s] += step
-            predicted = part.predict(
-                np.tile(theta[rows.numpy()], (len(lanes), 1)),
-                lanes.flatten(0, 1),
-                nuisance[rows].repeat(len(lanes), 1),
-            ).unflatten(0, (len(lanes), len(rows)))
+            sets_of = np.tile(theta[rows.numpy()], (len(lanes), 1))
+            there = nuisance[rows].repeat(len(lanes), 1)
+            usual = part.with_usual_steps if fresh else part
+            predicted = usual.predict(sets_of, lanes.flatten(0, 1), there)
+            predicted = predicted.unflatten(0, (len(lanes), len(rows)))
+            if usual is not part:
+                predicted += part.predict(theta[rows.numpy()], some.trial, nuisance[rows]) - predicted[0]
             residual = ((part.windows.value - predicted[0]) * part.weight).flatten(2)
             if fresh:
                 differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]

@@ -11,13 +11,15 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.data.per_log_differences import effects_in
+from deepkoco.fit.data.usual_steps import with_usual_steps
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
-from deepkoco.systems import ExtendedSystem, Parameter
+from deepkoco.systems import ExtendedSystem, Parameter, System
+from deepkoco.systems.effects.effect import PlacedEffect
 
 SENSING_RANGE = 0.1  # longest delay of one channel [s]
 
@@ -56,6 +58,7 @@ class ShootingProblem:
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
+        self._usual: Self | None = None
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
@@ -104,7 +107,21 @@ class ShootingProblem:
         """The same problem with some of its windows only; systems that were made for simulations are shared."""
         part = copy.copy(self)
         part.windows, part.weight = self.windows.take(index.numpy()), self.weight[index]
+        part._usual = None
         return part
+
+    @property
+    def with_usual_steps(self) -> Self:
+        """The same problem without cuts of its integration steps, for differences of simulations.
+
+        The error of a step hardly changes from one simulation to the next, so it hardly shows in their difference.
+        """
+        if self._usual is None:
+            windows = with_usual_steps(self.windows, self.system)
+            usual = self if windows is self.windows else copy.copy(self)
+            usual.windows = windows
+            self._usual = usual
+        return self._usual
 
     def nuisance_slopes(self, parameters: Tensor) -> Tensor:
         """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""
@@ -130,8 +147,9 @@ class ShootingProblem:
             self._columns: dict[str, list[int]] = {}
             base = self.system.base
             slow = {e.name for e in self.system.effects if not base.rolls(e.effect)}
+            idle = {f"{e.name}.{n}" for e in self.system.effects for n in _idle(e, base)}
             for j, p in enumerate(bare.parameters):
-                if "." in p.name:
+                if "." in p.name and p.name not in idle:
                     self._columns.setdefault(p.name.split(".")[0], []).append(j)
             self._slow_columns = [columns for effect, columns in self._columns.items() if effect in slow]
         return self._nulls
@@ -141,6 +159,13 @@ class ShootingProblem:
         if effects not in self._kept:
             self._kept[effects] = ExtendedSystem(self.system.base, effects)
         return self._kept[effects]
+
+
+def _idle(placed: PlacedEffect, base: System) -> set[str]:
+    """Parameters of an effect that change nothing while all others are null: the ranges by which loads are scaled."""
+    null = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in placed.parameters(base)}
+    kept = set(placed.effect.acting(null))
+    return kept if len(kept) < len(null) else set()
 
 
 def channel_delays(channels: Sequence[str]) -> tuple[Parameter, ...]:

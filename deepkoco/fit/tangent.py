@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,3 +80,39 @@ class Tangent:
             weight: (W, N, M) weights of the measurements, in one over their noise.
         """
         return (predicted[1:] - predicted[0]) / self.steps[:, None, None, None] * weight
+
+
+FEW = 2  # lanes of a tangent up to which usual steps save nothing
+
+
+def simulated(problem: ShootingProblem, tangents: Sequence[Tangent], nuisance: Tensor) -> Tensor:
+    """Simulate the lanes of tangents: the points with the steps of the windows, the differences with usual steps.
+
+    Args:
+        problem: The problem.
+        tangents: Points with their lanes.
+        nuisance: (T, z) nuisances of the logs at each point.
+
+    Returns:
+        (L, W, N, M) measurements of all lanes, tangent by tangent.
+    """
+    theta = np.concatenate([tangent.theta for tangent in tangents])
+    state = torch.cat([tangent.state for tangent in tangents])
+    sizes = np.array([len(tangent) for tangent in tangents])
+    owner = np.repeat(np.arange(len(tangents)), sizes)
+    usual = problem.with_usual_steps
+    many = (sizes > FEW)[owner]
+    if usual is problem or not many.any():
+        return problem.predict(theta, state, nuisance[owner])
+    first = np.cumsum(sizes) - sizes
+    exact = ~many
+    exact[first] = True
+    result = torch.empty(len(theta), *problem.windows.value.shape, dtype=torch.float64)
+    one, all_of_many = torch.from_numpy(exact), torch.from_numpy(many)
+    result[one] = problem.predict(theta[exact], state[one], nuisance[owner[exact]])
+    roughly = usual.predict(theta[many], state[all_of_many], nuisance[owner[many]])
+    _, begin, number = np.unique(owner[many], return_index=True, return_inverse=True)
+    error = result[first[sizes > FEW]] - roughly[begin]
+    roughly += error[number]
+    result[torch.from_numpy(many & ~exact)] = roughly[torch.from_numpy(~exact[many])]
+    return result

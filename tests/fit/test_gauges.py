@@ -162,3 +162,17 @@ def test_of_a_sum_the_small_part_is_kept_and_the_large_one_stays_free():
     found = Fit("sum", ("kv", "damping"), values, shown, shown, none, none, 0.0, 0.0, none, shown)
     (gauge,) = scale_gauges(found, declared)
     assert gauge.fixed == "damping"
+
+
+@pytest.mark.parametrize("seed", [0, 1, 32, 59, 62, 70, 94, 104])
+def test_every_gauge_gets_a_measurement_although_some_parameters_hardly_take_part(seed):
+    rng = np.random.default_rng(seed)
+    ways = rng.normal(size=(7, 3)) * 10.0 ** rng.uniform(-2.0, 0.0, (7, 1))
+    ways[4:] = np.eye(3)
+    shown = 1e6 * (np.eye(7) - ways @ np.linalg.pinv(ways))
+    declared = [Parameter(f"p{k}", 1.0, "kg", 0.0, 10.0, 0.01 if k > 3 else 1.0, "") for k in range(7)]
+    none = torch.zeros(0)
+    values = {p.name: 1.0 for p in declared}
+    found = Fit("all", tuple(values), values, shown, shown, none, none, 0.0, 0.0, none, shown)
+    gauges = scale_gauges(found, declared)
+    assert len({g.measure for g in gauges}) == len(gauges) == 3

@@ -116,6 +116,10 @@ class Valley:
         samples=3,
     )
 
+    @property
+    def with_usual_steps(self):
+        return self
+
     def nuisance_slopes(self, slopes):
         return slopes[:0]
 

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.request import make_request
-from deepkoco.fit.tangent import PARAMETER_STEP, POSITION_STEP, SPEED_STEP, Tangent
+from deepkoco.fit.solve.fine_steps import with_steps_cut
+from deepkoco.fit.tangent import PARAMETER_STEP, POSITION_STEP, SPEED_STEP, Tangent, simulated
 from tests.fit.identify_logs import rod_log
 
 
@@ -63,3 +65,27 @@ def test_slopes_of_a_linear_simulation_are_its_coefficients(problem):
     slopes = tangent.slopes(predicted, weight)
     expected = 3.0 * torch.cat([by_parameter[columns], by_state])
     torch.testing.assert_close(slopes, expected[:, None, None, None].expand_as(slopes), rtol=1e-6, atol=1e-6)
+
+
+def test_lanes_of_cut_steps_are_points_with_these_steps_and_differences_with_usual_ones(problem):
+    cut = FitProblem(problem.system, with_steps_cut(problem.windows, 4))
+    columns = np.array([problem.names.index(n) for n in ("mass", "viscous")])
+    state = problem.windows.state
+    points = [point(problem), point(problem, mass=1.1 * point(problem)[problem.names.index("mass")])]
+    tangents = [
+        Tangent.at(cut, points[0], columns, state),
+        Tangent.at(cut, points[1], columns[:1], state, states=False),
+        Tangent.at(cut, points[1], columns, state, states=False),
+    ]
+    nuisance = cut.nuisances.none()[None].repeat(3, 1)
+    lanes = simulated(cut, tangents, nuisance)
+    at = 0
+    for tangent in tangents:
+        none = cut.nuisances.none()[None].repeat(len(tangent), 1)
+        own, exact = lanes[at : at + len(tangent)], cut.predict(tangent.theta, tangent.state, none)
+        at += len(tangent)
+        torch.testing.assert_close(own[0], exact[0], rtol=0.0, atol=1e-12)
+        found, wanted = tangent.slopes(own, cut.weight), tangent.slopes(exact, cut.weight)
+        for a, b in zip(found, wanted, strict=True):
+            assert float((a - b).norm()) < 1e-2 * float(b.norm())
+    assert at == len(lanes)

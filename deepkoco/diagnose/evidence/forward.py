@@ -57,7 +57,9 @@ class Selection(SelectionTask):
         self.before, self.cost = reference.chi2, reference.cost
         hints = self.hints(self.problem, reference, missing)
         self.progress("fitting every cause")
-        first = rank(self.problem, self.start, reference, (), hints, self.causes, self.limit)
+        first = rank(
+            self.problem, self.start, reference, (), hints, self.causes, self.limit, wanted=self.detection
+        )
         nothing = Selected(reference, (), (), self.problem)
         forward = self._forward(nothing, first, hints)
         first = forward.steps[0][0] if forward.steps else first
@@ -102,14 +104,14 @@ class Selection(SelectionTask):
         minor = so_far.minor
         while len(accepted) < MOST_CAUSES + len(healthy):
             names = [*(c.name for c in accepted), *([so_far.lost.name] if so_far.lost else [])]
+            wanted = FURTHER if len(accepted) > len(healthy) or so_far.lost else self.detection
             if ranking is None or hints is None:
                 if not self.limit.allows(f"a further cause{in_company_of(names)}"):
                     break
                 self.progress(f"fitting every cause{in_company_of(names)}")
                 hints = self.hints(problem, final, missing_torque(problem, final), not accepted)
                 worth = 0.0 if len(accepted) == len(healthy) else LEAST_SHARE * (self.cost - final.cost)
-                ranking = rank(problem, start, final, accepted, hints, self.causes, self.limit, worth)
-            wanted = FURTHER if len(accepted) > len(healthy) or so_far.lost else self.detection
+                ranking = rank(problem, start, final, accepted, hints, self.causes, self.limit, worth, wanted)
             if not ranking.candidates or ranking.best.delta_bic <= wanted:
                 break
             above = [c for c in ranking.candidates if c.delta_bic > wanted and c.fit is not ranking.reference]

@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.evidence.term_choice import choose_terms, fit_terms, terms_of
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.learned_promise import may_win
+from deepkoco.diagnose.evidence.term_choice import MOST_TERMS, choose_terms, fit_terms, terms_of
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import STANDSTILL, Windows
@@ -155,6 +157,31 @@ def learn_residual(
         else f"its held-out gain is {span}, which is not clearly above 0"
     )
     return ResidualModel(accepted, text, terms, fit, gain, validation, before, after)
+
+
+def load_may_win(
+    start: Baseline,
+    problem: FitProblem,
+    final: Fit,
+    accepted: Sequence[Cause],
+    missing: Sequence[MissingTorque],
+    least: float,
+) -> bool:
+    """Return whether a learned load could be ahead of the selected causes by a fall of the BIC (:func:`.may_win`).
+
+    Args:
+        start: The baseline.
+        problem: The training windows.
+        final: Fit with the selected causes.
+        accepted: These causes.
+        missing: Missing load at each joint, which gives the ranges of angles and speeds.
+        least: The fall of the BIC.
+    """
+    train = problem.windows
+    offered = [c for c in terms_of(start) if not (is_spring(c.name) and c.joint in _resting(train, missing))]
+    return may_win(
+        start, problem, final, accepted, _scales(start, train, missing), offered, MOST_TERMS, least
+    )
 
 
 def _scales(start: Baseline, train: Windows, missing: Sequence[MissingTorque]) -> dict[str, float]:

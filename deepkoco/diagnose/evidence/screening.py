@@ -25,7 +25,7 @@ from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
-from deepkoco.fit.tangent import Tangent, parameter_step
+from deepkoco.fit.tangent import Tangent, parameter_step, simulated
 
 LANES = 160  # simulations in one batch
 RIDGE = 1e-8  # relative; two doses may move the measurements in the same direction
@@ -139,9 +139,7 @@ class Linearised:
         also = [n for n in problem.nuisances.varies if n not in free]
         columns = np.array([problem.names.index(n) for n in (*free, *also)], dtype=int)
         tangent = Tangent.at(problem, theta, columns, reference.state)
-        predicted = problem.predict(
-            tangent.theta, tangent.state, reference.nuisance[None].repeat(len(tangent), 1)
-        )
+        predicted = simulated(problem, [tangent], reference.nuisance[None])
         slopes = tangent.slopes(predicted, problem.weight)
         precision = torch.from_numpy(prior.precision(free))
         offset = torch.from_numpy(theta[columns[: len(free)]] - prior.mean(free))
@@ -200,7 +198,7 @@ class Linearised:
             chunk = np.concatenate([null, theta[at : at + LANES]])
             states = reference.state[None].expand(len(chunk), -1, -1)
             nuisance = reference.nuisance[None].expand(len(chunk), -1)
-            predicted = problem.predict(chunk, states, nuisance)
+            predicted = problem.with_usual_steps.predict(chunk, states, nuisance)
             change = (predicted[1:] - predicted[0]) * problem.weight
             parts.append(change.reshape(len(chunk) - 1, len(problem.windows), -1))
         return torch.cat(parts) if parts else torch.zeros(0, len(problem.windows), 1, dtype=torch.float64)

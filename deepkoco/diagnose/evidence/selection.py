@@ -23,6 +23,7 @@ from deepkoco.diagnose.evidence.promising import (
 )
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
+from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, without_hopeless_slow
 from deepkoco.diagnose.evidence.slips import HOPELESS, slipped
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import in_company_of
@@ -50,6 +51,7 @@ def rank(
     causes: Sequence[Cause] | None = None,
     limit: TimeLimit | None = None,
     worth: float = 0.0,
+    wanted: float = 0.0,
 ) -> Ranking:
     """Fit each promising cause on top of a reference and rank them by the BIC.
 
@@ -62,13 +64,16 @@ def rank(
         causes: Causes to try; None tries the whole catalogue.
         limit: Asked before a second round of fits; None allows it.
         worth: Fall of the cost that a cause needs; those that will fall short of it are not fitted to the end.
+        wanted: Fall of the BIC from which a cause is named; there is no second round of fits where slopes tell that
+            none can be.
     """
     everything = [*catalogue(problem.system.base).values()] if causes is None else causes
     names = [c.name for c in accepted]
     tried = [c for c in everything if c.name not in names and c.scatter is None and not c.traced]
+    # A hundred times slower than the others.
+    slow = {e.name for e in problem.system.effects if not problem.system.base.rolls(e.effect)}
     if start.tempering > 1.0:
-        # A hundred times slower than the others, and told from dry friction by micrometres that a large error hides.
-        slow = {e.name for e in problem.system.effects if not problem.system.base.rolls(e.effect)}
+        # They are told from dry friction by micrometres that a large error hides.
         tried = [c for c in tried if c.effect not in slow]
     listed = [(cause, place) for cause in tried for place in cause.starts(hints.for_cause(cause))]
     slips = [(cause, place) for cause, place in listed if not cause.free]
@@ -86,14 +91,15 @@ def rank(
             promising = promising_starts(
                 [p for p in promises if kind_of(p.cause.name) not in FLEXIBLE_CAUSES]
             )
-        promising = best_of_each_place(promising, charge)
+        promising = best_of_each_place(without_hopeless_slow(promising, slow, charge), charge)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
-    promising += [
+    underrated = [
         StartPoint(c, {}, WORTH)
         for c in tried
         if c.free and known.intersection(c.free) and c.name not in found and not is_changed(c)
     ]
+    promising += underrated
     trials = [
         trial_of(
             problem,
@@ -119,18 +125,24 @@ def rank(
         fits = fit_best(problem, trials, reference, worth=worth)
     # With a tempered prior, the values as given are known to be no place from which anything can be told.
     far_away = start.tempering == 1.0 and strained(problem, start, reference, not accepted)
+    if far_away:
+        gained = {n: reference.cost - f.cost for n, f in fits.items() if not f.diverged}
+        most = {n: max(p, gained.get(n, 0.0)) for n, p in largest_promises(promises).items()}
+        best = min([reference, *fits.values()], key=lambda fit: fit.cost)
+        far_away = can_gain(start, problem.windows, reference, best, tried, most, wanted)
     if far_away and limit is not None:
         far_away = limit.allows(f"fits of causes from the values as given{in_company_of(names)}")
-    far = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
-    if far_away and (promising or far):
+    there = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
+    if far_away and (promising or there):
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
         also = {p.cause.name for p in promising}
-        fresh = [p for p in far if p.cause.name not in also]
+        fresh = [p for p in there if p.cause.name not in also]
         far = [p for p in fresh if not is_changed(p.cause)][:MOST_AS_GIVEN]
         far += [p for p in fresh if is_changed(p.cause)][:MOST_CHANGED]
         if many:
-            far = best_of_each_place(far, charge)
+            far = best_of_each_place(without_hopeless_slow(far, slow, charge), charge)
+            promising = [*promising_there(promising, there), *underrated]
         promises += far
         from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
@@ -236,7 +248,7 @@ def without_events_first(
     if reference.diverged:
         return ranking
     lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event"]
-    there = rank(rest, start, reference, accepted, hints, lasting)
+    there = rank(rest, start, reference, accepted, hints, lasting, wanted=detection)
     if not there.candidates or there.best.delta_bic <= detection:
         return ranking
     name = there.best.cause.name

@@ -11,11 +11,11 @@ import torch
 
 from deepkoco.diagnose.lost_commands.sequence import Responses, innovations
 from deepkoco.diagnose.residuals.residuals import acting_system, push_of
-from deepkoco.fit.data.windows import SLIGHTLY, CommandSeries, Windows, integration_step
+from deepkoco.fit.data.usual_steps import with_usual_steps
+from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.simulate.simulator import predict
-from deepkoco.systems import System
 
 BEFORE = 0.15  # time before a window, as a share of its length, whose commands still act in it (lags, delays)
 SMALL = 1e-3  # simulated offset where a command does not change, as a share of the largest command
@@ -47,7 +47,12 @@ def ticks_of(windows: Windows) -> list[np.ndarray]:
 
 
 def simulated(
-    problem: FitProblem, fit: Fit, index: int, spans: Sequence[np.ndarray], sent: Sequence[np.ndarray]
+    problem: FitProblem,
+    fit: Fit,
+    index: int,
+    spans: Sequence[np.ndarray],
+    sent: Sequence[np.ndarray],
+    asked: Sequence[np.ndarray] | None = None,
 ) -> Iterator[Simulated]:
     """Yield for each window how its measurements change with the command in each of its ticks.
 
@@ -57,6 +62,7 @@ def simulated(
         index: Index of the command channel.
         spans: Ticks of each window, of :func:`ticks_of`.
         sent: Sent commands of each log.
+        asked: Ticks of each window that are simulated, of its ``spans``; None for all.
     """
     problem, fit = problem.as_fitted(fit)
     # Responses are differences of simulations, whose errors of the step are nearly the same.
@@ -75,6 +81,7 @@ def simulated(
     at = predict(system, windows, named, initial, push)
     slopes = ((at[1:] - at[0]) * problem.weight).flatten(2).permute(1, 2, 0)  # (W, samples, states)
     ring = max(len(own) for own in spans)
+    spans = spans if asked is None else asked
     commands, sizes = _with_offsets(windows, index, ring, sent)
     block = max(LANES // ring, 1)
     for begin in range(0, len(windows), block):
@@ -96,20 +103,6 @@ def simulated(
         for w, response in zip(picked, change.split([len(spans[w]) for w in picked]), strict=True):
             is_there = windows.valid[w].flatten().numpy()
             yield Simulated(slopes[w].numpy()[is_there], response.mT.numpy()[is_there])
-
-
-def with_usual_steps(windows: Windows, system: System) -> Windows:
-    """Return windows without the cuts of their steps that the size of the noise asks for.
-
-    Args:
-        windows: Windows, perhaps with steps that are cut into a power of two.
-        system: Their system.
-    """
-    gaps = [float(np.median(np.diff(c.t))) for c in windows.commands if len(c.t) > 1]
-    longest = (1.0 + SLIGHTLY) * min(integration_step(system), *gaps)
-    while 2.0 * windows.step <= longest and windows.steps % 2 == 0:
-        windows = replace(windows, step=2.0 * windows.step, steps=windows.steps // 2)
-    return windows
 
 
 def responses_to(

@@ -37,6 +37,10 @@ RENEWALS = 2  # times that a fit of a round may compute its slopes again, where 
 CLEAR = (
     4.0  # fall of chi2 by the loss of a tick, in prices of a tick, from which the tick counts for the share
 )
+# Ticks with the largest steps of the command, of which one must explain so much alone: a pattern of many losses is
+# charged 7 and more for each, and the losses of large steps explain most.
+LARGE_STEPS = 1 / 3
+LEAST_WORTH = 12.0
 MIN_CLEAR_TICKS = 10  # number of clear ticks from which the share is computed from them alone
 
 
@@ -145,6 +149,8 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
     nothing = [np.zeros(len(u), dtype=bool) for u in sent]
     if not search.keeps:
         return search.run(fit, nothing)
+    if search.largest_worth() < LEAST_WORTH:
+        return None
     # Most searches find nothing that may be named, so what they find is searched again without what is kept.
     found = search.run(fit, nothing, kept=True)
     if (
@@ -178,6 +184,26 @@ class _Search:
     def keeps(self) -> bool:
         """Whether a simulation of all parameters and ticks takes so long that one can be kept for all rounds."""
         return self.problem.keeps_slopes([self._onward(self.fit)])
+
+    def largest_worth(self) -> float:
+        """Return the largest fall of chi2 by the loss of a single tick, among the ticks with the largest steps."""
+        asked = []
+        for own, log in zip(self.spans, self.problem.windows.log, strict=True):
+            step = np.abs(self.sent[log][own - 1] - self.sent[log][own])
+            count = max(round(LARGE_STEPS * len(own)), 1)
+            asked.append(own[np.sort(np.argsort(-step, kind="stable")[:count])])
+        known = list(simulated(self.problem, self.fit, self.index, self.spans, self.sent, asked))
+        found = responses_to(self.problem.windows, self.fit, asked, known)
+        most = [
+            float(self._worth(response, own, log).max(initial=0.0))
+            for response, own, log in zip(found, asked, self.problem.windows.log, strict=True)
+        ]
+        return max(most, default=0.0)
+
+    def _worth(self, response: Responses, own: np.ndarray, log: int) -> np.ndarray:
+        """Return the fall of chi2 by the loss of each of some ticks alone."""
+        step = self.sent[log][own - 1] - self.sent[log][own]
+        return 2.0 * step * (response.residual @ response.change) - step**2 * response.size
 
     def run(self, now: Fit, patterns: Sequence[np.ndarray], kept: bool = False) -> LostCommands | None:
         """Search and fit in turns.
@@ -255,9 +281,7 @@ class _Search:
         price = max(2.0 * math.log((1.0 - share) / share), 0.0)
         most = 0.0
         for response, own, log in zip(responses, self.spans, self.problem.windows.log, strict=True):
-            step = self.sent[log][own - 1] - self.sent[log][own]
-            worth = 2.0 * step * (response.residual @ response.change) - step**2 * response.size
-            most = max(most, float(worth.max(initial=0.0)))
+            most = max(most, float(self._worth(response, own, log).max(initial=0.0)))
         bar = max(price, part * most)
         # In overlapping windows, a tick is lost if it is lost in one of them.
         logs = [Shown(np.zeros_like(p), np.zeros(len(p))) for p in before]

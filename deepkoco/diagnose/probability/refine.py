@@ -19,7 +19,7 @@ from deepkoco.diagnose.probability.explanations import Explanation
 from deepkoco.diagnose.probability.gram import WindowSums
 from deepkoco.diagnose.probability.unit import UnitPrior
 from deepkoco.fit.fit import Fit, FitProblem
-from deepkoco.fit.tangent import Tangent
+from deepkoco.fit.tangent import Tangent, simulated
 
 STEPS = 25
 STATIONARY = 0.1  # predicted fall of -2 log posterior at which a point is stationary
@@ -239,10 +239,7 @@ def _linearised(problem, fixed, refits, trials) -> list[_Equations | None]:
         columns = np.array([problem.names.index(n) for n in dict.fromkeys(refit.names)], dtype=int)
         tangents.append(Tangent.at(problem, theta, columns, state))
         lanes.append(len(tangents[-1]))
-    nuisance = fixed.origin.nuisance[None].repeat(sum(lanes), 1)
-    predicted = problem.predict(
-        np.concatenate([t.theta for t in tangents]), torch.cat([t.state for t in tangents]), nuisance
-    )
+    predicted = simulated(problem, tangents, fixed.origin.nuisance[None].repeat(len(tangents), 1))
     found, at = [], 0
     for refit, (value, weights, _), tangent, count in zip(refits, trials, tangents, lanes, strict=True):
         own = predicted[at : at + count]

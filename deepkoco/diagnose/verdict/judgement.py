@@ -9,7 +9,7 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
-from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual
+from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual, load_may_win
 from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_bending,
     doubts_of_commands,
@@ -112,6 +112,9 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     rival = verdict in ("cause", "ambiguous") and rivalled(
         found, base.start, base.train, white, explanation.weighed
     )
+    least = -FURTHER if only_flexible(found) else FURTHER
+    if rival and found.lost is None:
+        rival = load_may_win(base.start, found.acting, final, found.accepted, missing, least)
     if base.start.tempering > 1.0 and verdict == "unknown":
         unfitted = (*unfitted, TOO_SLOW)
     elif (verdict == "unknown" or rival) and request.limit.allows("a learned load"):
@@ -119,7 +122,6 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
         learned, failed = _learned_load(base, missing, seed)
         unfitted = (*unfitted, *failed)
     if rival and learned is not None:
-        least = -FURTHER if only_flexible(found) else FURTHER
         if learned_instead(found, reference, learned, base.start, base.train, least):
             verdict = "unknown"
             doubts = (*doubts, *doubts_of_names(found.accepted, found.lost))

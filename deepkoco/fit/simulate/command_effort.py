@@ -76,23 +76,32 @@ def command_efforts(
         delay, skew, lags = _times(system, index, timing, computed)
         shaped = shaped.expand(len(given), computed).numpy().T  # (L, n)
         edges = windows.t0[own]
-        # Lanes with the same efforts share one series. Lanes with the same series and delay share one result.
-        key = np.column_stack([shaped[:, _probe(command, index)], *lags])
-        _, distinct, member = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        distinct, member = np.zeros(1, dtype=int), np.zeros(computed, dtype=int)
+        if computed > 1:
+            # Lanes with the same efforts share one series. Those with the same series and delay share one result.
+            key = np.column_stack([shaped[:, _probe(command, index)], *lags])
+            distinct, member = _distinct(key)
         series = _HeldEfforts(command, shaped[distinct], [lag[distinct] for lag in lags])
-        late = np.column_stack([member.ravel(), delay, skew])
-        _, distinct, group = np.unique(late, axis=0, return_index=True, return_inverse=True)
+        distinct, group = np.zeros(1, dtype=int), member
+        if computed > 1:
+            distinct, group = _distinct(np.column_stack([member, delay, skew]))
         a, b = series.steps(
-            member.ravel()[distinct],
+            member[distinct],
             delay[distinct, None] + skew[distinct, None] * (edges + 0.5 * windows.length - command.t[0]),
             edges,
             windows.step,
             windows.steps,
         )
-        where, lane = torch.as_tensor(own), torch.as_tensor(group.ravel())
+        where, lane = torch.as_tensor(own), torch.as_tensor(group)
         start[:, where] = torch.from_numpy(a).permute(2, 1, 0)[..., lane]
         slope[:, where] = torch.from_numpy(b).permute(2, 1, 0)[..., lane]
     return start, slope
+
+
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index of the first of each distinct row, and for each row the number of its own."""
+    _, first, member = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return first, member.ravel()
 
 
 def _times(
@@ -146,8 +155,8 @@ class _HeldEfforts:
         # Deviation of the output of each lag from the effort, at the stamps.
         self.first, self.second = np.zeros_like(effort), np.zeros_like(effort)
         jump = -np.diff(effort, axis=1)
-        for pair in np.unique(np.column_stack([self.short, self.long]), axis=0):
-            short, long = pair
+        lagged = np.flatnonzero(self.long > 0.0)
+        for short, long in np.unique(np.column_stack([self.short, self.long])[lagged], axis=0):
             rows = np.flatnonzero((self.short == short) & (self.long == long))
             own = jump[rows].T
             if short > 0.0:

@@ -168,9 +168,13 @@ def _measured(ways: np.ndarray, parameters: Sequence[Parameter]) -> list[int]:
     units = list(MEASURED)
     ease = [units.index(p.unit) if p.unit in MEASURED else len(units) for p in parameters]
     chosen: list[int] = []
+    # What a row adds to those before it; the rows of the parameters that are kept are unit vectors, so K are found.
+    rest = ways.copy()
     for i in sorted(range(len(parameters)), key=ease.__getitem__):
-        if np.linalg.matrix_rank(ways[[*chosen, i]], tol=SMALL) > len(chosen):
+        length = float(np.linalg.norm(rest[i]))
+        if length > SMALL and len(chosen) < ways.shape[1]:
             chosen.append(i)
+            rest = rest - np.outer(rest @ rest[i], rest[i]) / length**2
     _, order = linear_sum_assignment((np.abs(ways[chosen]) <= SMALL).T)
     return [chosen[i] for i in order]
 

@@ -26,7 +26,7 @@ from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
 from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, TOLERANCE, Batch
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError
-from deepkoco.fit.tangent import Tangent
+from deepkoco.fit.tangent import Tangent, simulated
 
 MANY = 20  # parameters and initial states from which slopes are kept
 POOR = 0.2  # share of the predicted fall of the cost below which they are computed again
@@ -282,12 +282,7 @@ class LazyBatch(Batch):
                 lanes += len(tangents[stop])
                 stop += 1
             some = tangents[at:stop]
-            owner = [k for k, tangent in zip(active[at:stop], some, strict=True) for _ in range(len(tangent))]
-            predicted = problem.predict(
-                np.concatenate([tangent.theta for tangent in some]),
-                torch.cat([tangent.state for tangent in some]),
-                nuisance[owner],
-            )
+            predicted = simulated(problem, some, nuisance[active[at:stop]])
             first = 0
             for i in range(at, stop):
                 own = predicted[first : first + len(tangents[i])]

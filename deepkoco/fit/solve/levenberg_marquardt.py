@@ -12,7 +12,7 @@ from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.tangent import Tangent
+from deepkoco.fit.tangent import Tangent, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LARGEST_DAMPING = 1e8
@@ -97,12 +97,7 @@ class Batch:
         varying = np.array([problem.names.index(n) for n in problem.nuisances.varies], dtype=int)
         moved = {k: np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in active}
         tangents = [Tangent.at(problem, theta[k], moved[k], initial[k]) for k in active]
-        lane_trial = [k for k, tangent in zip(active, tangents, strict=True) for _ in range(len(tangent))]
-        predicted = problem.predict(
-            np.concatenate([tangent.theta for tangent in tangents]),
-            torch.cat([tangent.state for tangent in tangents]),
-            nuisance[lane_trial],
-        )
+        predicted = simulated(problem, tangents, nuisance[active])
         result, at = [], 0
         for i, k in enumerate(active):
             p, columns = len(self.columns[k]), moved[k]

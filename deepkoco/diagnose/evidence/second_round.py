@@ -1,0 +1,105 @@
+"""Whether fits of causes from the values as given can still change a ranking.
+
+Such fits cost as much as all others. Slopes at the refit tell what each cause could gain beside it; what they do not
+tell is that the refit was drawn away from its prior to imitate a cause, and that gains its penalty at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.classes import APART
+from deepkoco.diagnose.evidence.ranking import penalty
+from deepkoco.diagnose.evidence.screening import StartPoint
+from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
+from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit
+
+MARGIN = 2.0  # fall of the cost that a fit may reach, over the one that slopes promise
+LEADS = (
+    0.9  # share of the largest promise at a joint from which an effect that takes long to simulate is fitted
+)
+
+
+def can_gain(
+    start: Baseline,
+    windows: Windows,
+    reference: Fit,
+    best: Fit,
+    causes: Sequence[Cause],
+    promised: Mapping[str, float],
+    wanted: float,
+) -> bool:
+    """Return whether any other cause could still be named, whatever it is fitted from.
+
+    A fit that leaves only noise and has hardly left its prior leaves nothing to gain. Where a refit leaves more than
+    noise, slopes there are no bound.
+
+    Args:
+        start: The baseline.
+        windows: The windows.
+        reference: The refit.
+        best: The best fit so far, with a cause or without.
+        causes: Causes that compete.
+        promised: Cause -> largest fall of the cost by slopes, or by a fit.
+        wanted: Fall of the BIC from which a cause is named.
+    """
+    if more_than_noise(best, windows, start) is not None:
+        return True
+    spread = dispersion(best, windows)
+    deflation = max(spread.deflation, start.least_deflation)
+    if best.converged and best.penalty <= APART * deflation:
+        return False
+    if more_than_noise(reference, windows, start) is not None:
+        return True
+    samples, places = windows.samples / spread.correlation, SLOTS * len(windows)
+    most = [
+        (MARGIN * promised[c.name] + reference.penalty) / deflation - penalty(c, samples, places)
+        for c in causes
+        if c.name in promised
+    ]
+    return max(most, default=0.0) > wanted
+
+
+def promising_there(here: Sequence[StartPoint], there: Sequence[StartPoint]) -> list[StartPoint]:
+    """Return starts of the causes that promise something at both points: the best at each.
+
+    Args:
+        here: Starts that promise most at the refit.
+        there: Starts that promise most at the values as given, the best first.
+    """
+    names = {p.cause.name for p in there}
+    found: dict[tuple[str, bool], StartPoint] = {}
+    for at_refit, points in ((True, sorted(here, key=lambda p: -p.promise)), (False, there)):
+        for p in points:
+            if p.cause.name in names and any(q.cause.name == p.cause.name for q in here):
+                found.setdefault((p.cause.name, at_refit), p)
+    distinct: list[StartPoint] = []
+    for p in found.values():
+        if not any(q.cause.name == p.cause.name and q.values == p.values for q in distinct):
+            distinct.append(p)
+    return distinct
+
+
+def without_hopeless_slow(
+    points: Sequence[StartPoint], slow: set[str], charge: Mapping[str, float]
+) -> list[StartPoint]:
+    """Return starts without those of slow effects that another cause of their joint outdoes by its slopes.
+
+    Args:
+        points: Starts.
+        slow: Effects that take a hundred times as long to simulate.
+        charge: Cause -> fall of the cost that it needs for its parameters.
+    """
+    best: dict[int | None, float] = {}
+    for p in points:
+        worth = p.promise - charge[p.cause.name]
+        best[p.cause.joint] = max(best.get(p.cause.joint, worth), worth)
+    return [
+        p
+        for p in points
+        if p.cause.effect not in slow or p.promise - charge[p.cause.name] >= LEADS * best[p.cause.joint]
+    ]
