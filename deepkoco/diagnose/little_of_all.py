@@ -49,7 +49,13 @@ def beside(
         if (sizes := usual_sizes(start, c, None, problem))
     }
     taken = {n for c in accepted for n in c.free}
-    little = {c: s for c, s in little.items() if not any(p.name in taken for p in s)}
+    # The prior of the baseline has been narrowed before.
+    narrow = start.narrowing**-0.5
+    little = {
+        c: [replace(p, prior_sd=narrow * p.prior_sd) for p in s]
+        for c, s in little.items()
+        if not any(p.name in taken for p in s)
+    }
     grown, found = start, fit
     for _ in range(2):  # with all of them, and with those of which the windows show some
         grown = with_little(start, little, start.correlation)

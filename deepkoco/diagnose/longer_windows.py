@@ -19,11 +19,12 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.explanation import Explanation, of_mean
 from deepkoco.diagnose.little_of_all import beside
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import white_limit
+from deepkoco.diagnose.residuals.residuals import dispersion, white_limit
 from deepkoco.diagnose.weighed import detection_of
 from deepkoco.diagnose.window_choice import FOLLOWS, left_out
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -111,7 +112,8 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     limit = white_limit(data.train, start.correlation) * start.floor * data.train.samples
     if explanation.weighed and final.chi2 > limit and request.limit.allows("small effects that any unit has"):
         grown, fit = beside(problem, start, final, found.accepted, everything)
-        if not fit.diverged and fit.chi2 < final.chi2:
+        fallen = (final.cost - fit.cost) / dispersion(final, data.train).deflation
+        if not fit.diverged and fallen > FURTHER:
             start, final = grown, fit
     known = base.reference
     values = {n: start.values[n] for n in start.prior.names} | {n: known.values[n] for n in known.free}

@@ -49,7 +49,7 @@ class ColouredProblem(FitProblem):
 
     def __init__(self, problem: FitProblem, filters: Sequence[Whitening]) -> None:
         self.__dict__.update(copy.copy(problem).__dict__)
-        self._usual = None
+        self._usual, self._uncut = None, False
         self.filters = tuple(filters)
         given = problem.windows
         known = given.valid.clone()

@@ -223,7 +223,9 @@ class FitProblem(ShootingProblem):
             predicted = usual.predict(sets_of, lanes.flatten(0, 1), there)
             predicted = predicted.unflatten(0, (len(lanes), len(rows)))
             if usual is not part:
-                predicted += part.predict(theta[rows.numpy()], some.trial, nuisance[rows]) - predicted[0]
+                exact = part.predict(theta[rows.numpy()], some.trial, nuisance[rows])
+                predicted += exact - predicted[0]
+                predicted[0] = exact
             residual = ((part.windows.value - predicted[0]) * part.weight).flatten(2)
             if fresh:
                 differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]

@@ -59,6 +59,7 @@ class ShootingProblem:
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
         self._usual: Self | None = None
+        self._uncut = False  # whether `_usual` would be this problem itself
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
@@ -107,7 +108,7 @@ class ShootingProblem:
         """The same problem with some of its windows only; systems that were made for simulations are shared."""
         part = copy.copy(self)
         part.windows, part.weight = self.windows.take(index.numpy()), self.weight[index]
-        part._usual = None
+        part._usual, part._uncut = None, False
         return part
 
     @property
@@ -116,11 +117,15 @@ class ShootingProblem:
 
         The error of a step hardly changes from one simulation to the next, so it hardly shows in their difference.
         """
+        if self._uncut:
+            return self
         if self._usual is None:
             windows = with_usual_steps(self.windows, self.system)
-            usual = self if windows is self.windows else copy.copy(self)
-            usual.windows = windows
-            self._usual = usual
+            if windows is self.windows:
+                self._uncut = True
+                return self
+            self._usual = copy.copy(self)
+            self._usual.windows = windows
         return self._usual
 
     def nuisance_slopes(self, parameters: Tensor) -> Tensor:

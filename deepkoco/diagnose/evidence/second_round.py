@@ -98,8 +98,10 @@ def without_hopeless_slow(
     for p in points:
         worth = p.promise - charge[p.cause.name]
         best[p.cause.joint] = max(best.get(p.cause.joint, worth), worth)
+    # A worth is negative where no cause of a joint is worth its parameters.
+    least = {joint: worth - (1.0 - LEADS) * abs(worth) for joint, worth in best.items()}
     return [
         p
         for p in points
-        if p.cause.effect not in slow or p.promise - charge[p.cause.name] >= LEADS * best[p.cause.joint]
+        if p.cause.effect not in slow or p.promise - charge[p.cause.name] >= least[p.cause.joint]
     ]

@@ -142,7 +142,9 @@ def rank(
         far += [p for p in fresh if is_changed(p.cause)][:MOST_CHANGED]
         if many:
             far = best_of_each_place(without_hopeless_slow(far, slow, charge), charge)
-            promising = [*promising_there(promising, there), *underrated]
+            kept = promising_there(promising, there)
+            held = [(p.cause.name, p.values) for p in kept]
+            promising = [*kept, *(p for p in underrated if (p.cause.name, p.values) not in held)]
         promises += far
         from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}

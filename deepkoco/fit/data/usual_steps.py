@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.fit.data.windows import SLIGHTLY, Windows, integration_step
+from deepkoco.fit.data.windows import FEWEST_STEPS, SLIGHTLY, Windows, integration_step
 from deepkoco.systems import System
 
 
@@ -18,7 +18,8 @@ def with_usual_steps(windows: Windows, system: System) -> Windows:
         system: Their system.
     """
     gaps = [float(np.median(np.diff(c.t))) for c in windows.commands if len(c.t) > 1]
-    longest = (1.0 + SLIGHTLY) * min(integration_step(system), *gaps)
+    fewest = windows.step * windows.steps / FEWEST_STEPS
+    longest = (1.0 + SLIGHTLY) * min(integration_step(system), fewest, *gaps)
     while 2.0 * windows.step <= longest and windows.steps % 2 == 0:
         windows = replace(windows, step=2.0 * windows.step, steps=windows.steps // 2)
     return windows

@@ -50,10 +50,11 @@ def add_levels(kinds, places, values, drives, forces, speed, level):
                     ratio = speed[j, i] / values[e, 2, i]
                     level[j, i] += values[e, 0, i] + values[e, 1, i] * math.exp(-ratio * ratio)
         elif kinds[e] == LOAD_FRICTION:
-            for a in range(len(drives)):
-                if drives[a] == places[e, 1]:
-                    for i in range(LANES):
-                        level[j, i] += values[e, 0, i] * abs(forces[a, i])
+            for i in range(LANES):
+                effort = 0.0
+                for a in range(len(drives)):
+                    effort += forces[a, i] if drives[a] == places[e, 1] else 0.0
+                level[j, i] += values[e, 0, i] * abs(effort)
 
 
 @njit(error_model="numpy", nogil=True)
@@ -86,5 +87,5 @@ def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort,
             for a in range(len(drives)):
                 if drives[a] == places[e, 1]:
                     for i in range(LANES):
-                        effort[i] = forces[a, i]
+                        effort[i] += forces[a, i]
             add_term(kind - LEARNED, values[e], angle[j], speed[j], effort, load[j])

@@ -23,6 +23,11 @@ LEARNED = "learned"
 KNOWN = {kind: k for k, kind in enumerate((*KINDS, *(f"{LEARNED}.{term}" for term in TERMS)))}
 
 
+def is_known(kind: str) -> bool:
+    """Whether the loop can add the loads of effects of this name."""
+    return kind in KINDS or kind in ("constant_load", LEARNED)
+
+
 class TreeRollout:
     """A tree under G sets of parameters, with loads of effects.
 
@@ -39,7 +44,7 @@ class TreeRollout:
 
     def knows(self, kind: str) -> bool:
         """Whether the loop can add the loads of effects of this name."""
-        return kind in KINDS or kind in ("constant_load", LEARNED)
+        return is_known(kind)
 
     def with_loads(self, loads: Sequence[EffectLoad]) -> TreeRollout | None:
         """The same with loads of effects; None where their values are no plain numbers."""

@@ -20,7 +20,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LANES, LOAD, ROWS
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "ceca5f8311389bce"
+COMPILED_WITH = "cb4bb03ef8a42c9b"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

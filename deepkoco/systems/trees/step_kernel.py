@@ -24,7 +24,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "8313c901005e2fda"
+COMPILED_WITH = "bfbe20610e2159b8"
 
 
 @njit(error_model="numpy", nogil=True)

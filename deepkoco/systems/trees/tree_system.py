@@ -50,7 +50,7 @@ from deepkoco.systems.trees.parameters import (
 from deepkoco.systems.trees.picture import choose_view, draw_robot, lines
 from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
 from deepkoco.systems.trees.places import tip_place
-from deepkoco.systems.trees.rollout import KINDS, TreeRollout
+from deepkoco.systems.trees.rollout import TreeRollout, is_known
 from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
@@ -233,7 +233,7 @@ class TreeSystem(System):
 
     def rolls(self, effect: Effect) -> bool:
         if effect.place == "load":
-            return effect.steady or effect.name in KINDS
+            return effect.steady or is_known(effect.name)
         return effect.place != "memory"
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:

@@ -50,7 +50,8 @@ def arm(tmp_path) -> TreeSystem:
 
 def three_windows(arm: TreeSystem, rng: np.random.Generator) -> Windows:
     stamps = np.arange(0.0, 3.0, 0.05)
-    commands = CommandSeries(stamps, rng.uniform(-1.0, 1.0, (len(stamps), 2)) * [4.0, 0.8])
+    sizes = [4.0, 0.8, 2.0][: len(arm.commands)]
+    commands = CommandSeries(stamps, rng.uniform(-1.0, 1.0, (len(stamps), len(sizes))) * sizes)
     none = torch.zeros(3, len(arm.measurements), 0, dtype=torch.float64)
     return Windows(
         (commands,),
@@ -123,6 +124,39 @@ def test_compiled_rollout_has_every_term_of_a_learned_load(arm, joint, monkeypat
     for part, other in zip(compiled, expected, strict=True):
         for own, wanted in zip(part, other, strict=True):
             torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("effect", ["learned", "load_friction", "crosstalk"])
+def test_loads_that_follow_a_joint_with_two_actuators_see_their_sum(tmp_path, effect, monkeypatch):
+    rng = np.random.default_rng(7)
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.replace("</actuator>", '<motor name="m_more" joint="shoulder"/></actuator>'))
+    arm = TreeSystem.from_file(path)
+    assert len(arm.commands) == 3
+    placed = effects_of(arm)
+    system = ExtendedSystem(arm, tuple(name for name, own in placed.items() if own.effect.name == effect))
+    values = {p.name: torch.full((2,), p.value, dtype=torch.float64) for p in system.parameters}
+    for p in system.parameters:
+        follows = p.name.rpartition(".")[2] in ("u", "u_abs_u", "coefficient", "share", "ratio")
+        if p.name not in {q.name for q in arm.parameters} and (follows or effect != "learned"):
+            values[p.name][1] += min(p.prior_sd, 0.5 * (p.high - p.value))
+    windows = three_windows(arm, rng)
+    start = torch.from_numpy(rng.normal(size=(3, 6)) * 0.3).repeat(2, 1, 1)
+    compiled = integrate(system, windows, values, start)
+    monkeypatch.setattr(TreeSystem, "rollout", lambda *_: None)
+    expected = integrate(system, windows, values, start)
+    assert all((v[..., 1] - v[..., 0]).abs().max() > 1e-3 for v in expected.value)
+    for part, other in zip(compiled, expected, strict=True):
+        for own, wanted in zip(part, other, strict=True):
+            torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
+
+
+def test_what_a_tree_says_that_it_rolls_is_what_its_loop_knows(arm):
+    rollout = arm.rollout(arm.default_parameters())
+    for placed in effects_of(arm).values():
+        effect = placed.effect
+        if effect.place == "load" and not effect.steady:
+            assert arm.rolls(effect) == rollout.knows(effect.name), placed.name
 
 
 def test_one_push_may_act_on_all_lanes(arm, monkeypatch):
