@@ -24,10 +24,6 @@ from deepkoco.fit.tangent import Tangent, simulated
 STEPS = 25
 STATIONARY = 0.1  # predicted fall of -2 log posterior at which a point is stationary
 HARDEST = 1e8  # damping from which a refit stops
-# A refit ends early where three times what its first step from a point promises leaves it this far behind the best one
-# with a model error of the same size, in -2 log posterior: beyond that size, their evidence differs by a few nats.
-BEHIND = 80.0
-TRUST = 3.0
 
 
 @dataclass(frozen=True)
@@ -136,7 +132,7 @@ def theta_of(problem: FitProblem, fixed: Fixed, refit: Refit, value: np.ndarray)
 
 
 def refined(problem: FitProblem, fixed: Fixed, refits: Sequence[Refit], steps: int = STEPS) -> list[Refit]:
-    """Run all refits until each is stationary, cannot go on, or cannot catch up with the best one.
+    """Run all refits until each is stationary or cannot go on.
 
     Args:
         problem: The windows.
@@ -162,9 +158,7 @@ def refined(problem: FitProblem, fixed: Fixed, refits: Sequence[Refit], steps: i
                 refit.cost, refit.sums = equations.cost, equations.sums
                 refit.value, refit.weights, refit.state = trials[k]
                 refit.damping = max(0.1 * refit.damping, 1e-9)
-                fresh = True
             else:
-                fresh = False
                 refit.damping *= 20.0
             kept = systems[k]
             if kept is None or refit.damping > HARDEST:
@@ -174,21 +168,8 @@ def refined(problem: FitProblem, fixed: Fixed, refits: Sequence[Refit], steps: i
             if promise < STATIONARY:
                 refit.stationary = refit.done = True
                 continue
-            # After a refused step, the promise is that of a damped one, which says little.
-            if fresh and refit.cost - TRUST * promise > _least(refits, refit) + BEHIND:
-                refit.done = True
-                continue
             trials[k] = (refit.value + move, refit.weights + weights, refit.state + torch.from_numpy(states))
     return refits
-
-
-def _least(refits: Sequence[Refit], like: Refit) -> float:
-    """Return the lowest cost of the refits with the same model error: of others, the normalisation differs, too."""
-    return min(
-        r.cost
-        for r in refits
-        if r.amplitude == like.amplitude and r.explanation.unknown == like.explanation.unknown
-    )
 
 
 def _room(problem: FitProblem, fixed: Fixed, refit: Refit) -> tuple[np.ndarray, np.ndarray]:
