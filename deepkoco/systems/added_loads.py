@@ -68,7 +68,8 @@ class SumOverJoints:
             _Part.of(placed, base, parameters, None if lanes is None else lanes.get(placed.name), levels)
             for placed in effects
         ]
-        self._driven = {joint: k for k, joint in enumerate(base.command_joints)}
+        # The first where several drive one joint: the scales of the effects are those of the first, too.
+        self._driven = {joint: base.command_joints.index(joint) for joint in base.command_joints}
         self._deliver = base.delivery(body)
         self._smoothing = base.smoothing_speeds
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deepkoco.systems.channel import Channel
-from deepkoco.systems.named_joints import UNREADABLE
+from deepkoco.systems.named_joints import COMMON, UNREADABLE
 from deepkoco.systems.parameter import Parameter
 
 COORDINATES = ("rad", "m")
@@ -130,6 +130,11 @@ def _check_commands(who: str, system: Any) -> None:
             "the index of the joint that each command drives; two commands may drive one joint"
         )
     sharing = [c.name for c, joint in zip(system.commands, driven, strict=False) if driven.count(joint) > 1]
+    if COMMON in sharing:
+        raise DeclarationError(
+            f'{who}: the command "{COMMON}" drives a joint together with another one; give it another name: '
+            f'"gain({COMMON})" is the gain that all commands have in common'
+        )
     unclear = [name for name in sharing if name in system.joint_names or set(name) & set(UNREADABLE)]
     if unclear:
         raise DeclarationError(

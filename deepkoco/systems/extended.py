@@ -16,11 +16,12 @@ from deepkoco.old_names import moved_names
 from deepkoco.systems.added_loads import SumOverJoints, own_values
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects import EFFECTS, PlacedEffect, SensorSite, effects_of
-from deepkoco.systems.effects.effect import COMMON, steady_level
+from deepkoco.systems.effects.effect import steady_level
 from deepkoco.systems.joint import JointSystem, TorqueLaw
 from deepkoco.systems.joint_memory import JointMemory, Remembering
 from deepkoco.systems.joint_state import JointState
 from deepkoco.systems.motion import Acceleration, CommandTiming, InverseInertia, Motion, Timing
+from deepkoco.systems.named_joints import COMMON
 from deepkoco.systems.parameter import ParameterError, Parameters
 from deepkoco.systems.rollout import EffectLoad, Rollout
 from deepkoco.systems.system import System

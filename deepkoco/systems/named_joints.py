@@ -5,6 +5,7 @@ from __future__ import annotations
 from deepkoco.systems.channel import Channel
 from deepkoco.systems.parameter import ParameterError
 
+COMMON = "all"  # in the name of an effect that all driving commands have in common: ``gain(all)``
 UNREADABLE = "().,;"  # in the name of a joint: names of parameters are read by them
 
 # By the unit of a joint. An encoder of a rail resolves a tenth of a millimetre, one of a joint that turns a milliradian

@@ -1,6 +1,7 @@
 """A wrong parameter of the simulation is named as what it is, and not as a mechanism that imitates it."""
 
 import io
+import math
 from dataclasses import replace
 
 import pytest
@@ -14,11 +15,11 @@ from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.report.text import headline, moved_value, new_value, spoken, terminal_table
-from deepkoco.diagnose.verdict.moved import moved_parameters
+from deepkoco.diagnose.verdict.moved import in_ratio, moved_parameters
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
-from deepkoco.systems import make_system
+from deepkoco.systems import Parameter, make_system
 from deepkoco.unit import make_unit
 from tests.oracle.levitated_ball import Maglev, levitated_ball
 from tests.systems.cart_pole import POLE_MASS, CartPole, cart_pole_log
@@ -127,6 +128,7 @@ def test_new_value_says_factor_and_interval():
     text = new_value("servo_gain", 100.0, Estimate(200.0, 197.0, 203.0, "1"))
     assert text == "servo gain is 200, not 100 (x 2.00 [1.97, 2.03])"
     assert new_value("spring", 0.0, Estimate(0.5, 0.4, 0.6, "N m")) == "spring is 0.5 N m, not 0 N m"
+    assert new_value("mass", 1.0, Estimate(2.0, 1.5, math.inf, "kg")).endswith("(x 2.00 [1.50, inf])")
     assert "x 1.0035 [1.0034, 1.0036]" in new_value("mass", 1.0, Estimate(1.0035, 1.0034, 1.0036, "kg"))
 
 
@@ -151,6 +153,30 @@ def test_of_two_parameters_whose_ratio_alone_shows_the_less_known_one_is_named()
     assert other.estimate.value == pytest.approx(0.075, rel=2e-3)
     assert moved.to_json()["instead"][0]["name"] == "mass"
     assert "or instead mass is 75 g, not 65 g" in moved_value(moved)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "given", "expected"),
+    [
+        # By hand, 0.1 becomes 0.02, so the other becomes five times as large: 5 of 1, and 0.1 / 0.05 = 2 at least.
+        (-0.01, 0.05, 1.0, (5.0, 2.0, 8.0)),
+        (0.0, 0.05, 1.0, (5.0, 2.0, 8.0)),
+        (-0.01, 0.05, -1.0, (-5.0, -8.0, -2.0)),
+        (0.01, 0.05, 1.0, (5.0, 2.0, 8.0)),  # 0.1 / 0.01 = 10 is beyond its bound, too
+        (0.0125, 0.05, 0.5, (2.5, 1.0, 4.0)),
+    ],
+)
+def test_the_interval_of_an_inverse_holds_its_value_and_ends_at_the_bounds(low, high, given, expected):
+    other = Parameter("magnet", given, "1", -8.0, 8.0, 0.1, "c")
+    found = in_ratio(Estimate(0.02, low, high, "kg"), 0.1, other, given, -1)
+    assert (found.value, found.low, found.high) == pytest.approx(expected)
+
+
+def test_the_interval_of_an_equal_factor_may_cross_zero_and_ends_at_the_bounds():
+    # 0.1 becomes 0.02 in [-0.01, 0.05]: of 10, that is 2 in [-1, 5], of which 0 to 4 is admissible.
+    other = Parameter("length", 3.0, "m", 0.0, 4.0, 0.1, "l")
+    found = in_ratio(Estimate(0.02, -0.01, 0.05, "kg"), 0.1, other, 10.0, 1)
+    assert (found.value, found.low, found.high) == pytest.approx((2.0, 0.0, 4.0))
 
 
 @pytest.mark.study

@@ -7,7 +7,10 @@ from deepkoco import Channel, Parameter, System, load_system
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.causes.driving import driving_command
 from deepkoco.systems import ExtendedSystem
+from deepkoco.systems.added_loads import SumOverJoints
 from deepkoco.systems.declaration import DeclarationError
+from deepkoco.systems.effects.effect import Effect, PlacedEffect
+from deepkoco.systems.motion import Motion
 
 TWO_SERVOS = """<mujoco><compiler angle="radian"/><worldbody>
 <body><joint name="j1" axis="0 1 0" damping="0.1"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/>
@@ -54,6 +57,44 @@ def test_a_name_of_two_actuators_that_is_a_joint_is_refused():
 
     with pytest.raises(DeclarationError, match='command "left" drives a joint together'):
         Clash()
+
+
+def test_an_actuator_of_two_that_is_called_all_is_refused():
+    class Clash(Seesaw):
+        commands = (
+            Channel("all", "N m", "command", -1.0, 1.0),
+            Channel("right", "N m", "command", -1.0, 1.0),
+        )
+
+    with pytest.raises(
+        DeclarationError, match=r'"all" drives .* "gain\(all\)" is the gain that all commands'
+    ):
+        Clash()
+
+
+def shown_effort(system, efforts):
+    """Effort that an effect at the first joint is shown."""
+    seen = Effect("seen", "friction", "load", lambda *_: (), "its effort", lambda joint, p: joint.effort)
+    p = system.default_parameters()
+    still = tuple(torch.zeros((), dtype=torch.float64) for _ in range(system.joints))
+    motion = Motion(still, still, tuple(torch.tensor(e, dtype=torch.float64) for e in efforts))
+    loads = SumOverJoints(system, p, p, [PlacedEffect("seen", seen, 0)], None)(
+        motion, (None,) * system.joints
+    )
+    return float(loads[0])
+
+
+def test_an_effect_at_a_joint_is_shown_the_effort_of_its_first_actuator():
+    assert shown_effort(Seesaw(), (0.3, -0.8)) == pytest.approx(0.3)
+
+
+def test_an_effect_at_a_joint_of_a_robot_file_is_shown_what_its_servos_deliver_together(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(TWO_SERVOS)
+    arm = load_system(str(path))
+    assert [c.name for c in arm.commands] == ["p1", "m2", "v1"]
+    # At rest at 0: 30 N m/rad of 0.1 rad, and 1 N m s/rad of 0.5 rad/s.
+    assert shown_effort(arm, (0.1, 7.0, 0.5)) == pytest.approx(3.5)
 
 
 def test_a_second_servo_of_a_joint_is_as_late_as_the_first(tmp_path):

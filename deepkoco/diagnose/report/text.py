@@ -12,7 +12,7 @@ from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
 from deepkoco.diagnose.causes.parameter import SCALED
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding, Moved
 from deepkoco.pages.units import in_one_unit
-from deepkoco.systems.effects.effect import COMMON
+from deepkoco.systems.named_joints import COMMON
 
 
 def spoken(name: str) -> str:
@@ -91,7 +91,7 @@ def new_value(name: str, given: float, estimate: Estimate) -> str:
     factor, *ends = (v / given for v in (estimate.value, estimate.low, estimate.high))
     low, high = sorted(ends)
     # As many digits as the interval needs.
-    digits = min(max(2, -math.floor(math.log10(high - low))) if high > low else 2, 4)
+    digits = min(max(2, -math.floor(math.log10(high - low))) if 0.0 < high - low < math.inf else 2, 4)
     return f"{text} (x {factor:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}])"
 
 

@@ -18,6 +18,7 @@ from deepkoco.diagnose.verdict.findings import estimates
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.systems import Parameter
 
 FITTED = 4  # sets of parameters that are fitted in each round
 MOST = 3  # parameters that are named
@@ -121,13 +122,12 @@ def _moved(
             scaled = {n: best.values[n] * factor for n in others if n not in summed and best.values[n] != 0.0}
         powers |= dict.fromkeys(_same_measurements(problem, best, name, given[name], scaled), power)
     shifts = {n: given[n] - given[name] for n in (name, *summed)}
+    declared = problem.system.parameter
     found_of = {
-        n: Estimate(found.value + d, found.low + d, found.high + d, found.unit) for n, d in shifts.items()
+        n: _within(declared(n), found.value + d, (found.low + d, found.high + d)) for n, d in shifts.items()
     }
     for n, power in powers.items():
-        ends = [given[n] * (v / given[name]) ** power for v in (found.low, found.high)]
-        value = given[n] * (found.value / given[name]) ** power
-        found_of[n] = Estimate(value, min(ends), max(ends), problem.system.parameter(n).unit)
+        found_of[n] = in_ratio(found, given[name], declared(n), given[n], power)
     away = {n: abs(e.value - given[n]) / sd[n] for n, e in found_of.items()}
     likely = min(away, key=lambda n: away[n])
     instead = tuple(
@@ -138,6 +138,28 @@ def _moved(
     alike = tuple(n for n in shifts if n != likely) if likely in shifts else ()
     total = sum(given[n] for n in shifts) if alike else 0.0
     return Moved(likely, given[likely], found_of[likely], away[likely], alike, total, instead)
+
+
+def in_ratio(found: Estimate, before: float, instead: Parameter, given: float, power: int) -> Estimate:
+    """Return the value of another parameter that does the same as the value found of the one that was fitted.
+
+    Args:
+        found: Value found, of the same sign as before.
+        before: Value of the fitted parameter as given.
+        instead: The other parameter.
+        given: Its value as given.
+        power: 1 where it changes by the same factor, -1 where by the inverse one.
+    """
+    ratios = [v / before for v in (found.value, found.low, found.high)]
+    # The inverse has no bound where the interval reaches to zero or beyond.
+    value, *ends = (given * (math.inf if power < 0 and r <= 0.0 else r**power) for r in ratios)
+    return _within(instead, value, ends)
+
+
+def _within(parameter: Parameter, value: float, ends: Sequence[float]) -> Estimate:
+    """Return a value with its interval, which ends at the bounds of the parameter."""
+    low, high = max(min(ends), parameter.low), min(max(ends), parameter.high)
+    return Estimate(value, min(low, value), max(high, value), parameter.unit)
 
 
 def _same_measurements(

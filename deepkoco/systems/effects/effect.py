@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.joint_state import JointState, Memory
+from deepkoco.systems.named_joints import COMMON
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.system import System
 
@@ -17,7 +18,6 @@ Place = Literal["command", "series", "timing", "load", "memory", "body", "sensor
 Site = Literal["system", "joint", "command", "channel", "kind", "place", "force place", "pair"]
 
 ALL = -1  # index of an effect that acts on all driving commands alike
-COMMON = "all"  # how its name calls them
 
 
 def steady_level(effect: Effect, p: Parameters) -> Tensor:
