@@ -125,7 +125,8 @@ def rank(
         fits = fit_best(problem, trials, reference, worth=worth)
     # With a tempered prior, the values as given are known to be no place from which anything can be told.
     far_away = start.tempering == 1.0 and strained(problem, start, reference, not accepted)
-    if far_away:
+    if far_away and many:
+        # It takes most of the time there. With few parameters it is cheap, and completes the class of the best cause.
         gained = {n: reference.cost - f.cost for n, f in fits.items() if not f.diverged}
         most = {n: max(p, gained.get(n, 0.0)) for n, p in largest_promises(promises).items()}
         best = min([reference, *fits.values()], key=lambda fit: fit.cost)
