@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,13 +12,24 @@ from pathlib import Path
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """Let writes fail that go beyond `size` [bytes] of a file, as on a disk that is full."""
+    """Let writes fail that go beyond `size` [bytes] of a file, as on a disk that is full.
+
+    No bytecode is written meanwhile: Python keeps a compiled module of which only a part could be written, and every later
+    import of the module fails.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    had, children = sys.dont_write_bytecode, os.environ.get("PYTHONDONTWRITEBYTECODE")
+    sys.dont_write_bytecode, os.environ["PYTHONDONTWRITEBYTECODE"] = True, "1"
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = had
+        if children is None:
+            del os.environ["PYTHONDONTWRITEBYTECODE"]
+        else:
+            os.environ["PYTHONDONTWRITEBYTECODE"] = children
 
 
 @contextmanager

@@ -21,7 +21,8 @@ def _train(largest: int | None, *arguments: str) -> subprocess.CompletedProcess[
         else f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({largest}, -1)); "
     )
     run = "sys.argv[0] = 'train'; runpy.run_module('experiments.train', run_name='__main__')"
-    start = f"import runpy, sys; {limit}{run}"
+    # A compiled module of which only a part could be written would stay for all later imports.
+    start = f"import runpy, sys; sys.dont_write_bytecode = True; {limit}{run}"
     line = [sys.executable, "-c", start, *arguments]
     return subprocess.run(line, capture_output=True, text=True, cwd=ROOT, check=False)
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.logs.recording import LogError, Recording, Series, read_log, write_log
+from tests.full_disk import largest_file
 
 CHANNELS = [("torque", "N m", "command"), ("theta", "rad", "measurement"), ("omega", "rad/s", "measurement")]
 
@@ -313,16 +314,10 @@ def test_read_log_refuses_a_folder(tmp_path):
 
 def test_write_log_leaves_no_files_after_a_failure(tmp_path):
     """The limit of the file size allows the small sidecar, but only the first 4 kB of the log."""
-    resource = pytest.importorskip("resource")
     t = np.arange(2000) / 7
     recording = Recording({"theta": Series(t, np.sin(t), "rad", "measurement")})
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
-    try:
-        with pytest.raises(OSError, match="too large"):
-            write_log(tmp_path / "log.csv", recording)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with largest_file(4096), pytest.raises(OSError, match="too large"):
+        write_log(tmp_path / "log.csv", recording)
     assert list(tmp_path.iterdir()) == []
     write_log(tmp_path / "log.csv", recording)
 
