@@ -14,8 +14,8 @@ from pathlib import Path
 def largest_file(size: int) -> Iterator[None]:
     """Let writes fail that go beyond `size` [bytes] of a file, as on a disk that is full.
 
-    No bytecode is written meanwhile: Python keeps a compiled module of which only a part could be written, and every later
-    import of the module fails.
+    No bytecode is written meanwhile: Python keeps a compiled module of which only a part could be written, and every
+    later import of the module fails.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     had, children = sys.dont_write_bytecode, os.environ.get("PYTHONDONTWRITEBYTECODE")
