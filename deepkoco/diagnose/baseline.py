@@ -249,6 +249,12 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
         start: Prior and present values.
         windows: The windows.
         first: The fit on half windows, where it is known.
+
+    Returns:
+        The windows under the estimated noise, and the refit to them.
+
+    Raises:
+        DivergedError: The simulation diverges at the present values.
     """
     fit = refit(start, windows, first=first)
     windows = with_sharp_noise(windows, fit)
