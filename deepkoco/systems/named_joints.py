@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deepkoco.systems.channel import Channel
+from deepkoco.systems.drives import Drive
 from deepkoco.systems.parameter import ParameterError
 
 COMMON = "all"  # in the name of an effect that all driving commands have in common: ``gain(all)``
@@ -21,12 +22,17 @@ class NamedJoints:
         joints: How many.
         state_units: Units of the states, those of the joint coordinates first.
         commands: The command channels.
+        drives: Of each command in `command_joints`: whether its effort acts as a load on its joint does.
     """
 
     name: str
     joints: int
     state_units: tuple[str, ...]
     commands: tuple[Channel, ...]
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        raise NotImplementedError
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -49,14 +55,17 @@ class NamedJoints:
         return f"{name}({names[joint]})"
 
     def at_command(self, name: str, command: int) -> str:
-        """Name of an effect or a cause of one actuator: that of its joint, or its own where several drive this joint.
+        """Name of an effect or a cause of one actuator: that of its joint, or its own where the joint does not tell.
 
-        Two propellers tilt one beam, and one of them may be weak: ``gain(left)``.
+        Two propellers tilt one beam, and one of them may be weak: ``gain(left)``. A thruster of a boat pushes it north,
+        east and round.
         """
-        joint = self.command_joints[command]
+        joint, own = self.command_joints[command], self.commands[command].name
         if self.command_joints.count(joint) == 1:
-            return self.at_joint(name, joint)
-        return f"{name}({self.commands[command].name})"
+            unclear = own in (*self.joint_names, COMMON) or bool(set(own) & set(UNREADABLE))
+            if self.joints == 1 or unclear or self.drives[command].along:
+                return self.at_joint(name, joint)
+        return f"{name}({own})"
 
     def timing_at(self, name: str, command: int) -> str:
         """Name of the delay or lag of any command; empty for a switch of a system of several joints, which has none."""

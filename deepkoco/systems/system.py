@@ -13,6 +13,7 @@ from deepkoco.old_names import moved_names
 from deepkoco.systems.channel import Channel
 from deepkoco.systems.declared import Declared
 from deepkoco.systems.drawn import Drawn
+from deepkoco.systems.drives import Drive, drives_of
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, InverseInertia, Motion, PayloadWay
@@ -263,6 +264,15 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
     @cached_property
     def _typical_loads(self) -> tuple[float, ...]:
         return typical_loads(self)
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """Of each command in `command_joints`: whether its effort acts as a load on its joint does."""
+        return self._drives
+
+    @cached_property
+    def _drives(self) -> tuple[Drive, ...]:
+        return drives_of(self)
 
     @property
     def longest_step(self) -> float:

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from deepkoco.systems.channel import Channel
 from deepkoco.systems.drawn import Outline
+from deepkoco.systems.drives import Drive
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, CommandTiming, Delivery, InverseInertia, PayloadWay, Timing
@@ -56,6 +57,10 @@ class WrappedSystem(System):
     @property
     def load_scales(self) -> tuple[float, ...]:
         return self.base.load_scales
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        return self.base.drives
 
     @property
     def joint_names(self) -> tuple[str, ...]:

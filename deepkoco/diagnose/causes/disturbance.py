@@ -50,7 +50,7 @@ CONSTANT_LOAD = Cause(
     "constant_load",
     "disturbance",
     ("load",),
-    "A constant load acts on a joint that no motor drives: wind, the pull of a cable, a base that is not level.",
+    "A constant load acts on a joint: wind, the pull of a cable, a base that is not level.",
     "Let the joint come to rest, read its angle, and turn the whole machine round: a zero of the sensor turns with it.",
     "time",
     lambda motion: np.ones_like(motion.time),

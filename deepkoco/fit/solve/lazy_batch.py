@@ -75,6 +75,7 @@ class LazyBatch(Batch):
         self.whole = np.ones(count, dtype=bool)  # all slopes are computed again, not only those that matter
         self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
         self.fresh: list[dict[str, Tensor]] = [{}] * count
+        self.corrected = np.zeros(count, dtype=bool)  # the next point has other initial states only
         self.curved = np.zeros(count, dtype=bool)  # a step with slopes of its point has raised the cost
 
     def run(self, iterations: int) -> list[Fit]:
@@ -90,7 +91,8 @@ class LazyBatch(Batch):
                     self._renew(k, normal)
                 else:
                     self._judge(k, normal, points)
-                if not self.done[k] and not self.renewing[k] and iteration < last:
+                going_on = not (self.done[k] or self.renewing[k] or self.corrected[k])
+                if going_on and iteration < last:
                     self._propose(k, points)
                 if self.renewing[k]:
                     points[0][k], points[1][k], points[2][k] = (
@@ -103,6 +105,7 @@ class LazyBatch(Batch):
         decrease = self.cost[k] - normal.cost
         first = self.normal[k] is None
         fresh, self.renewing[k] = bool(self.renewing[k]), False
+        self.corrected[k] = False
         if normal.finite and decrease >= 0:
             if not (first or fresh) and self.most != 0:
                 normal = self._mended(k, normal, points)
@@ -117,6 +120,9 @@ class LazyBatch(Batch):
                     self._ask_for_slopes(k)
         elif first:
             self.done[k] = True
+        elif (states := self._correction(k, normal)) is not None:
+            points[1][k] += states
+            self.corrected[k] = True
         elif self.current[k] or not self._ask_for_slopes(k):
             self.damping[k] *= 20.0
             self.curved[k] |= self.current[k]
@@ -189,6 +195,7 @@ class LazyBatch(Batch):
         if self.curved[k]:
             theta, initial, nuisance = self._bent(k, theta, initial, nuisance)
         points[0][k], points[1][k], points[2][k] = theta, initial, nuisance
+        self.corrections[k] = 0
         self.predicted[k] = gain
         if gain < 0.25 * self._tolerance(k):
             self._settle(k)

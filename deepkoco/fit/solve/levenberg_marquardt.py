@@ -1,4 +1,12 @@
-"""Levenberg-Marquardt for many trials, with one batch of simulations per iteration."""
+"""Levenberg-Marquardt for many trials, with one batch of simulations per iteration.
+
+A step that raises the cost is corrected once or twice before it is shortened: the initial states of the windows are
+solved again at the new parameters. A command that is held from sample to sample enters a window in jumps when its
+delay grows, so the best initial states move along a broken line, which no straight step follows.
+
+Source: Nocedal, Wright, Numerical Optimization (2006), sec. 15.6, second-order correction; Golub, Pereyra, The
+differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate (1973).
+"""
 
 from __future__ import annotations
 
@@ -16,6 +24,7 @@ from deepkoco.fit.tangent import Tangent, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LARGEST_DAMPING = 1e8
+CORRECTIONS = 2  # of the initial states, for each step
 
 
 class Batch:
@@ -45,6 +54,7 @@ class Batch:
         self.converged = np.zeros(count, dtype=bool)
         self.history: list[list[float]] = [[] for _ in trials]
         self.normal: list[NormalEquations | None] = [None] * count
+        self.corrections = np.zeros(count, dtype=int)  # since the last step
 
     def run(self, iterations: int) -> list[Fit]:
         trial_theta, trial_initial = self.theta.copy(), self.initial.clone()
@@ -63,6 +73,10 @@ class Batch:
                     self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
                     self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
                     self.converged[k] = decrease < self._tolerance(int(k))
+                elif (states := self._correction(int(k), normal)) is not None:
+                    trial_initial[k] += states
+                    self.history[k].append(float(self.cost[k]))
+                    continue
                 else:
                     self.damping[k] *= 20.0
                     # If the step raises the cost by rounding errors only, the cost is at its minimum.
@@ -78,9 +92,25 @@ class Batch:
                         self.done[k] = True
                         continue
                     trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
+                    self.corrections[k] = 0
                     if gain < 0.25 * self._tolerance(int(k)):
                         self.done[k] = self.converged[k] = True
         return [self._result(k) for k in range(len(self.trials))]
+
+    def _correction(self, k: int, normal: NormalEquations) -> Tensor | None:
+        """Return the move (W, S) of the initial states alone from a rejected point, None where it promises too little.
+
+        Args:
+            k: The trial.
+            normal: Equations at the rejected point.
+        """
+        if self.corrections[k] >= CORRECTIONS or not normal.finite or self.normal[k] is None:
+            return None
+        states, gain = normal.states_alone()
+        if not normal.cost - gain < self.cost[k]:
+            return None
+        self.corrections[k] += 1
+        return states
 
     def _tolerance(self, k: int) -> float:
         """Return the fall of the cost below which a trial has converged, for residuals of the size that it has.

@@ -88,8 +88,15 @@ class NormalEquations:
         parts = (self.hpp, self.hps, self.hss, self.gp, self.gs)
         return math.isfinite(self.cost) and all(bool(torch.isfinite(part).all()) for part in parts)
 
-    def reduced(self, damping: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Schur complement (q, q) of the parameters, right-hand side (q,), and inverse state blocks (W, S, S)."""
+    def states_alone(self) -> tuple[Tensor, float]:
+        """Compute the move of the initial states (W, S) at these parameters, and its predicted decrease of the cost."""
+        inverse = self._inverse_states(0.0)
+        states = torch.einsum("wst,wt->ws", inverse, self.gs)
+        curvature = float(torch.einsum("ws,wst,wt->", states, self.hss, states))
+        return states, 2.0 * float((self.gs * states).sum()) - curvature
+
+    def _inverse_states(self, damping: float) -> Tensor:
+        """Inverse (W, S, S) of the damped curvature of the states."""
         diagonal = torch.diagonal(self.hss, dim1=-2, dim2=-1)
         blocks = self.hss + torch.diag_embed(damping * diagonal + 1e-9)
         inverse, singular = torch.linalg.inv_ex(blocks)
@@ -97,6 +104,11 @@ class NormalEquations:
             # If the measurements do not distinguish two states, the step does not change their difference.
             again = torch.from_numpy(scaled_inverse(blocks.numpy()))
             inverse = torch.where((singular > 0)[:, None, None], again, inverse)
+        return inverse
+
+    def reduced(self, damping: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Schur complement (q, q) of the parameters, right-hand side (q,), and inverse state blocks (W, S, S)."""
+        inverse = self._inverse_states(damping)
         through = self.hps @ inverse  # (W, q, S)
         matrix = self.hpp + torch.diag(damping * torch.diagonal(self.hpp))
         matrix = matrix - torch.einsum("wis,wjs->ij", through, self.hps)

@@ -63,7 +63,8 @@ def _spring_load(joint: JointState, p: Parameters) -> Tensor:
 
 
 def _constant(system: System, joint: int = 0) -> tuple[Parameter, ...]:
-    if joint in system.command_joints:
+    pairs = zip(system.command_joints, system.drives, strict=True)
+    if any(drive.constant for driven, drive in pairs if driven == joint):
         return ()  # there it is a bias of the effort
     limit, unit = system.load_scales[joint], system.load_units[joint]
     return (Parameter("load", 0.0, unit, -limit, limit, 0.1 * limit, "constant load"),)
@@ -78,7 +79,7 @@ CONSTANT_LOAD = Effect(
     "disturbance",
     "load",
     _constant,
-    "a constant load acts on a joint without a motor",
+    "a constant load acts on a joint",
     _constant_load,
 )
 SPRING = Effect("spring", "disturbance", "load", _spring, "a spring pulls the joint to a place", _spring_load)

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.channel import Channel
 from deepkoco.systems.drawn import Outline
+from deepkoco.systems.drives import AS_A_LOAD
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.extended import MemoryEffectError
@@ -139,14 +139,13 @@ class TreeSystem(System):
             raise TreeError(f"{path}: {error}") from None
         return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), settings)
 
-    @property
-    def commands(self) -> tuple[Channel, ...]:
-        return self._commands
+    commands = property(lambda self: self._commands)
 
     @property
     def command_joints(self) -> tuple[int, ...]:
         return tuple(dict.fromkeys(a.joint for a in self.tree.actuators))
 
+    drives = property(lambda self: (AS_A_LOAD,) * len(self.command_joints))
     actuator_joints = property(lambda self: tuple(a.joint for a in self.tree.actuators))
     joint_names = property(lambda self: self._names)
 
