@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,7 @@ from deepkoco.envs.tasks import TASKS, GoalTask, Task, TaskDeclarationError, Unk
 from deepkoco.envs.world_rate import slowest_world_rate
 from deepkoco.graph.delay import Delay, DelayError, make_delay
 from deepkoco.systems import SYSTEMS, ExtendedSystem, System, any_system
+from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.stick_slip import Joints, StickSlip
 
 INTEGRATORS = ("rk4", "semi_implicit_euler")
@@ -163,6 +165,12 @@ def check_range(name: str, span: Any, low: float, high: float, unit: str) -> Non
 def _check_steps(system: System, integrator: str) -> None:
     """Refuse a model that cannot be simulated step by step, before episodes begin."""
     parameters = system.default_parameters()
+    if left_out := _of_sensors_alone(system, parameters):
+        warnings.warn(
+            f"the environment leaves out {' and '.join(left_out)} of the model, which act on what sensors show along a "
+            "log; DelayWrapper delays terms of an observation: sensing_delay={TERM: SECONDS}",
+            stacklevel=2,
+        )
     state = torch.zeros(len(system.state_names), dtype=torch.float64)
     command = system.effort_of(torch.zeros(len(system.commands), dtype=torch.float64))
     try:
@@ -183,3 +191,10 @@ def _check_steps(system: System, integrator: str) -> None:
         raise SettingsError(
             f"the model cannot be simulated step by step: {error}; leave that effect out of the model"
         ) from error
+
+
+def _of_sensors_alone(system: System, parameters: Parameters) -> list[str]:
+    """Name the filter of the sensors and the late channels that a model has."""
+    late = system.channel_delays(parameters).items()
+    found = [f"channel_delay({system.measurements[c].name})" for c, delay in late if float(delay) > 0.0]
+    return [*found, *(["low_pass"] if float(system.sensor_filter(parameters)) > 0.0 else [])]

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from deepkoco.old_names import moved_names
 from deepkoco.systems.added_loads import SumOverJoints, own_values
+from deepkoco.systems.channel_delay import channel_delays, latest
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects import EFFECTS, PlacedEffect, SensorSite, effects_of
 from deepkoco.systems.effects.effect import steady_level
@@ -247,6 +248,7 @@ class ExtendedSystem(WrappedSystem):
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
         delay = delay - parameters.get("stamp_lead.lead", zero)
+        delay = delay + latest(channel_delays(self.effects, parameters))
         delay = delay + parameters.get(f"{self.timing_at('actuation_delay', index)}.delay", zero)
         names = [self.timing_at("lag", index)]
         if index < len(self.actuator_joints):
@@ -260,6 +262,9 @@ class ExtendedSystem(WrappedSystem):
         return self.base.sensor_filter(parameters) + parameters.get(
             "low_pass.time_constant", torch.zeros((), dtype=torch.float64)
         )
+
+    def channel_delays(self, parameters: Parameters) -> dict[int, Tensor]:
+        return {**self.base.channel_delays(parameters), **channel_delays(self.effects, parameters)}
 
     def output_play(self, parameters: Parameters) -> Levels:
         base, own = (

@@ -108,6 +108,13 @@ class SignalPath:
         """Time constant of a first-order filter behind all sensors [s]; 0 for a plain system."""
         return torch.zeros((), dtype=torch.float64)
 
+    def channel_delays(self, parameters: Parameters) -> dict[int, Tensor]:
+        """Channel -> delay of its measurements beyond that of all sensors (...) [s]; empty for a plain system.
+
+        Along a log the state is the one that the latest channel shows: :meth:`command_timing` holds its delay.
+        """
+        return {}
+
     def output_play(self, parameters: Parameters) -> Levels:
         """Half of the play between each joint and its sensors (J), in its unit; None for none, as in a plain system."""
         return (None,) * self.joints

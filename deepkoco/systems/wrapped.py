@@ -173,6 +173,9 @@ class WrappedSystem(System):
     def sensor_filter(self, parameters: Parameters) -> Tensor:
         return self.base.sensor_filter(parameters)
 
+    def channel_delays(self, parameters: Parameters) -> dict[int, Tensor]:
+        return self.base.channel_delays(parameters)
+
     def measure(self, state: Tensor, parameters: Parameters) -> Tensor:
         return self.base.measure(state, parameters)
 

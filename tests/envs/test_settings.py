@@ -1,5 +1,7 @@
 """Which models an environment on the delay graph takes."""
 
+import re
+
 import pytest
 
 from deepkoco.envs.settings import EnvironmentSettings, SettingsError
@@ -35,3 +37,9 @@ def test_a_model_that_acts_along_a_log_only_is_refused_before_an_episode_begins(
 @pytest.mark.parametrize("name", sorted(ALONG_A_LOG))
 def test_such_an_effect_at_its_null_value_is_taken(name):
     EnvironmentSettings("rod_pendulum", model=ExtendedSystem(BASE, (name,)))
+
+
+@pytest.mark.parametrize("name", ["low_pass", "channel_delay(theta)"])
+def test_what_a_model_says_of_the_sensors_alone_is_left_out_with_a_warning(name):
+    with pytest.warns(UserWarning, match=re.escape(name)):
+        EnvironmentSettings(model=extended(name))

@@ -34,6 +34,7 @@ from deepkoco.diagnose.causes.sensor import (
 )
 from deepkoco.diagnose.causes.timing import (
     ACTUATION_DELAY,
+    CHANNEL_DELAY,
     CLOCK_SKEW,
     JITTER,
     LAG,
@@ -50,6 +51,7 @@ CAUSES: dict[str, Cause] = {
     for cause in (
         ACTUATION_DELAY,
         SENSING_DELAY,
+        CHANNEL_DELAY,
         LAG,
         CLOCK_SKEW,
         STAMP_LEAD,

@@ -46,6 +46,16 @@ SENSING_DELAY = Cause(
     _starts("delay"),
     tolerance=of_sample,
 )
+CHANNEL_DELAY = Cause(
+    "channel_delay",
+    "timing",
+    ("delay",),
+    "The readings of one channel are older than those of the others.",
+    "Move the robot by hand and compare the channel with another one that shows the same motion.",
+    "command_rate",
+    _rate,
+    tolerance=of_sample,
+)
 LAG = Cause(
     "lag",
     "timing",

@@ -103,6 +103,10 @@ class Windows:
         rate = rates(self.t.numpy(), self.value.numpy(), self.valid.numpy())
         return torch.sqrt(sd**2 + (stamps[:, None, None] * torch.from_numpy(rate)) ** 2)
 
+    def prolonged(self, seconds: float) -> Windows:
+        """The same windows with integration steps for a time beyond their end; the measurements stay."""
+        return replace(self, steps=self.steps + math.ceil(seconds / self.step)) if seconds > 0.0 else self
+
     def take(self, keep: np.ndarray) -> Windows:
         """Select windows by indices or by a mask (W,)."""
         index = np.flatnonzero(keep) if keep.dtype == bool else keep

@@ -26,6 +26,7 @@ from deepkoco.fit.simulate.step import (
     turning,
 )
 from deepkoco.systems import ExtendedSystem, System
+from deepkoco.systems.channel_delay import ahead_of_latest, latest
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.rollout import RolloutInput
@@ -209,10 +210,19 @@ def predict(
     Args:
         system, windows, parameters, initial, push: As for :func:`trajectories`, with its source.
         delays: Channel -> (L,) lag [s] of its measurements behind their stamps. A sample within this lag after the
-            window's start is extrapolated; leave such samples out of the windows.
+            window's start is extrapolated; leave such samples out of the windows. Where an effect of the system makes
+            a channel late, windows begin at the state that this channel shows, and the simulation goes on beyond their
+            end for the others.
         lanes, differ: As for :func:`integrate`.
     """
-    nodes = integrate(system, windows, parameters, initial, push, lanes, differ)
+    delays = dict(delays or {})
+    late = system.channel_delays(parameters)
+    for c, ahead in ahead_of_latest(late, windows.t.shape[1]).items():
+        delays[c] = delays.get(c, 0.0) - ahead.expand(initial.shape[0])
+    whole = windows.prolonged(float(latest(late).max()))
+    if push is not None:
+        push = torch.nn.functional.pad(push, (0, whole.steps - windows.steps))
+    nodes = integrate(system, whole, parameters, initial, push, lanes, differ)
     play = system.output_play(parameters)
     if any(width is not None for width in play):
         nodes = behind_play(nodes, play)
@@ -225,7 +235,7 @@ def predict(
     stamped = 0  # channel at whose stamps `measured` is
     for c in range(channels):
         time = windows.t[:, c, :, None]
-        if delays is not None and c in delays:
+        if c in delays:
             late = time - delays[c]
             state = _between_each(nodes, late, windows.step)
             result[:, c] = system.measure_at(state, began + late, parameters)[..., c]

@@ -22,7 +22,14 @@ from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
 from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
-from deepkoco.systems.effects.timing import ACTUATION_DELAY, CLOCK_SKEW, LAG, SENSING_DELAY, STAMP_LEAD
+from deepkoco.systems.effects.timing import (
+    ACTUATION_DELAY,
+    CHANNEL_DELAY,
+    CLOCK_SKEW,
+    LAG,
+    SENSING_DELAY,
+    STAMP_LEAD,
+)
 from deepkoco.systems.joint_state import JointState
 from deepkoco.systems.system import System
 
@@ -32,6 +39,7 @@ EFFECTS: dict[str, Effect] = {
     for effect in (
         ACTUATION_DELAY,
         SENSING_DELAY,
+        CHANNEL_DELAY,
         LAG,
         CLOCK_SKEW,
         STAMP_LEAD,

@@ -7,6 +7,7 @@ from deepkoco.systems.parameter import Parameter
 from deepkoco.systems.system import System
 
 LONGEST = 0.3  # [s]
+LONGEST_OF_CHANNEL = 0.5  # of receivers and cameras [s]
 FASTEST_CLOCK = 5e-3  # relative
 LONGEST_LEAD = 0.05  # [s]
 
@@ -19,6 +20,13 @@ def _sensing_delay(system: System, _: int = 0) -> tuple[Parameter, ...]:
     return (
         Parameter("delay", 0.0, "s", 0.0, LONGEST, 0.05, "tau_s, state to time stamp of its measurement"),
     )
+
+
+def _channel_delay(system: System, channel: int = 0) -> tuple[Parameter, ...]:
+    if len(system.measurements) < 2:
+        return ()  # there it is the delay of all measurements
+    text = "state to time stamp of this channel, beyond the delay of the others"
+    return (Parameter("delay", 0.0, "s", 0.0, LONGEST_OF_CHANNEL, 0.05, text),)
 
 
 def _lag(system: System, _: int = 0) -> tuple[Parameter, ...]:
@@ -51,6 +59,14 @@ SENSING_DELAY = Effect(
     _sensing_delay,
     "measurements are older than their time stamps",
     site="system",
+)
+CHANNEL_DELAY = Effect(
+    "channel_delay",
+    "timing",
+    "timing",
+    _channel_delay,
+    "one channel is older than its time stamps",
+    site="channel",
 )
 LAG = Effect(
     "lag",
