@@ -37,6 +37,20 @@ def in_one_unit(values: Sequence[float], unit: str, digits: int = 3) -> tuple[li
     return [plain(v / factor, digits) for v in values], "" if unit == "1" else name
 
 
+def telling_digits(low: float, high: float, least: int = 4, most: int = 9) -> int:
+    """Significant digits with which an interval shows its width, by two digits: 0.8797 to 0.8803, not 0.88 to 0.88.
+
+    Args:
+        low, high: Its ends.
+        least: Digits of a wide interval.
+        most: Digits of a narrow one, and where there is no interval.
+    """
+    size, width = max(abs(low), abs(high)), high - low
+    if not (math.isfinite(size) and width > 0.0):
+        return least
+    return min(max(least, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width))), most)
+
+
 def _scale(largest: float, unit: str) -> tuple[float, str]:
     if unit == "kg" and 0.0 < largest < 0.1:
         return 1e-3, "g"

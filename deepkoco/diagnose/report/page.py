@@ -18,7 +18,7 @@ from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.pages.figures import Shown
 from deepkoco.pages.links import Link
 from deepkoco.pages.page import render_page
-from deepkoco.pages.units import in_one_unit, less, plain, readable
+from deepkoco.pages.units import in_one_unit, less, plain, readable, telling_digits
 from deepkoco.systems.trees.write_back import tree_of
 
 GLOSSARY = {
@@ -109,7 +109,7 @@ def _cause(cause: Finding, diagnosis: Diagnosis) -> dict[str, Any]:
         "parameters": [
             {
                 "name": spoken(name.rpartition(".")[2]),
-                "value": readable(e.value, e.unit, 4),
+                "value": readable(e.value, e.unit, telling_digits(e.low, e.high)),
                 "interval": interval(e, "chosen, not fitted"),
             }
             for name, e in cause.parameters.items()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate
 from deepkoco.diagnose.report.text import spoken
-from deepkoco.pages.units import in_one_unit
+from deepkoco.pages.units import in_one_unit, telling_digits
 
 NOTABLE = 2.0  # standard deviations of the prior from which a change is highlighted
 
@@ -63,5 +63,6 @@ def interval(estimate: Estimate, fixed: str = "kept as given") -> str:
     """
     if not estimate.low < estimate.high:
         return fixed
-    (low, high), unit = in_one_unit([estimate.low, estimate.high], estimate.unit, 4)
+    digits = telling_digits(estimate.low, estimate.high)
+    (low, high), unit = in_one_unit([estimate.low, estimate.high], estimate.unit, digits)
     return f"{low} to {high} {unit}".strip()

@@ -11,7 +11,7 @@ from rich.table import Table
 from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
 from deepkoco.diagnose.causes.parameter import SCALED
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding, Moved
-from deepkoco.pages.units import in_one_unit
+from deepkoco.pages.units import in_one_unit, telling_digits
 from deepkoco.systems.named_joints import COMMON
 
 
@@ -254,7 +254,8 @@ def _add_cause(table: Table, cause: Finding) -> None:
     if len(cause.members) > 1:
         _add_row(table, "indistinguishable", ", ".join(spoken(n) for n in cause.members))
     for name, e in cause.parameters.items():
-        _add_row(table, f"  {name}", f"{e.value:.4g}  [{e.low:.4g}, {e.high:.4g}] {e.unit}")
+        d = telling_digits(e.low, e.high)
+        _add_row(table, f"  {name}", f"{e.value:.{d}g}  [{e.low:.{d}g}, {e.high:.{d}g}] {e.unit}")
 
 
 def _add_row(table: Table, name: str, text: str) -> None:
