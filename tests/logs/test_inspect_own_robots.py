@@ -10,7 +10,7 @@ from mcap.writer import Writer
 from deepkoco import Channel, Parameter, System
 from deepkoco.cli.command_line import main
 from deepkoco.logs.formats import open_log
-from deepkoco.logs.inspect import propose, survey_log
+from deepkoco.logs.inspect import doubts_of, propose, survey_log
 
 T = np.arange(0.0, 8.0, 0.01)
 FAST, SLOW = np.sin(2.0 * T) + np.sin(3.7 * T), np.cos(0.9 * T) + np.sin(1.3 * T)
@@ -97,6 +97,19 @@ def test_goals_without_names_go_to_the_joints_that_follow_them(tmp_path):
     assert found["goal_elbow"][0] == "cmd.data[0]"
     assert found["goal_shoulder"][0] == "cmd.data[1]"
     assert found["elbow"][0] == "position[elbow]"
+
+
+@pytest.mark.parametrize(("size", "asked"), [(4000.0, True), (4000.5, False)])
+def test_whole_numbers_without_a_unit_are_asked_for_as_counts_of_an_encoder(tmp_path, size, asked):
+    counts = np.round(size * FAST) if asked else size * FAST
+    pd.DataFrame({"t": T, "enc_motor": counts, "load_deg": SLOW, "current_A": FAST}).to_csv(
+        tmp_path / "log.csv", index=False
+    )
+    survey = survey_log(open_log(tmp_path / "log.csv"))
+    doubts = doubts_of(survey, propose(survey, channels(DRIVE)).proposal)
+    said = [d for d in doubts if "counts of an encoder" in d]
+    assert len(said) == asked
+    assert all("enc_motor" in d and "2 pi / (counts per turn)" in d for d in said)
 
 
 @pytest.mark.parametrize(("name", "unit"), [("gap_um", "um"), ("gap [um]", "um"), ("gap_mm", "mm")])

@@ -17,6 +17,7 @@ from deepkoco.logs.units import factor_between, parse_unit
 FEW_TEXTS = 0.2  # share of cells below which text in a column is a mistake
 MANY_LETTERS = 40  # of a cell that is shown
 MANY = 8  # largest number of listed names
+MANY_COUNTS = 50  # different whole numbers from which they are taken for counts
 OFF = 0.25  # tolerance of the logarithm of a ratio of units
 _RATE = {"rad": "rad/s", "m": "m/s"}
 
@@ -35,7 +36,7 @@ def doubts_of(survey: Survey, proposal: Proposal | None = None) -> list[str]:
     columns = [c for c in survey.columns if mapped is None or c.topic in mapped]
     result += _columns(columns) + _few_texts(survey, columns)
     if proposal is not None:
-        result += _units(proposal) + _derivatives(survey, proposal) + _commands(survey, proposal)
+        result += _units(survey, proposal) + _derivatives(survey, proposal) + _commands(survey, proposal)
         result += _joints(proposal)
     return result
 
@@ -112,7 +113,7 @@ def _few_texts(survey: Survey, columns: list[ColumnSurvey]) -> list[str]:
     return result
 
 
-def _units(proposal: Proposal) -> list[str]:
+def _units(survey: Survey, proposal: Proposal) -> list[str]:
     result = []
     for choice in proposal.choices:
         if choice.column is None:
@@ -125,7 +126,13 @@ def _units(proposal: Proposal) -> list[str]:
                 f"sidecar, and as scale how many {si} one {choice.unit} is"
             )
             continue
-        if not choice.stated and choice.unit != si:
+        if _counts(survey, choice):
+            each = f"2 pi / (counts per turn), in {si}" if si.startswith("rad") else f"{si} per count"
+            result.append(
+                f'"{choice.column.name}" has whole numbers only ({choice.column.low:.6g} to '
+                f"{choice.column.high:.6g}): are these counts of an encoder? Then write unit: {si}, and as scale {each}"
+            )
+        elif not choice.stated and choice.unit != si:
             result.append(
                 f'"{choice.column.name}" does not name its unit; its values suggest {choice.unit} and not {si} '
                 f"({_range(choice)}); check it"
@@ -144,6 +151,14 @@ def _units(proposal: Proposal) -> list[str]:
                     f"{proposal.system}; check its unit, or give the ratio of a gear (key scale)"
                 )
     return result
+
+
+def _counts(survey: Survey, choice: Choice) -> bool:
+    """Whether a measurement without a stated unit has whole numbers only, many of them."""
+    if choice.stated or choice.column is None or choice.channel.kind != "measurement" or choice.scale != 1.0:
+        return False
+    _, value = survey.samples(choice.column)
+    return bool(np.all(value == np.round(value))) and len(np.unique(value)) > MANY_COUNTS
 
 
 def _derivatives(survey: Survey, proposal: Proposal) -> list[str]:
