@@ -68,6 +68,16 @@ def test_nothing_is_right_only_for_what_the_file_allows():
     assert judge(case(), named(verdict="nothing"))["right"] == 0
 
 
+def test_nothing_is_right_where_the_refit_reached_the_noise_within_the_priors_of_the_file():
+    near, far = (
+        {**named(verdict="nothing"), "fit": {"prior_sds": {"m": sds, "b": 1.0}}} for sds in (5.0, 6.0)
+    )
+    assert (judge(case(), near)["right"], judge(case(), near)["refit_cost"]) == (1, "26")
+    assert (judge(case(), far)["right"], judge(case(), far)["refit_cost"]) == (0, "37")
+    named_one = {**near, "verdict": "cause"}
+    assert judge(case(), named_one)["refit_cost"] == ""
+
+
 def test_names_of_an_effect_are_those_at_its_own_joint_body_and_actuator():
     assert right_names(case("gain")) == {"gain(j2)", "changed(kp(m2))"}
     assert right_names(case("gain", drive="motor")) == {"gain(j2)", "changed(gain(m2))"}

@@ -13,6 +13,7 @@ import argparse
 import csv
 import io
 import json
+import math
 import os
 import resource
 import subprocess
@@ -34,6 +35,7 @@ COLUMNS = (
     "size",
     "strength",
     "cost",
+    "refit_cost",
     "verdict",
     "first",
     "class",
@@ -131,7 +133,8 @@ def run_case(case: Case, out: Path, seconds: float, limit: float) -> dict[str, A
 def judge(case: Case, answer: Mapping[str, Any] | None) -> dict[str, Any]:
     """Whether the first named cause has the right one in its class, and what else is named.
 
-    "Nothing" is right for a healthy unit, and for an effect that the uncertainties of the file allow.
+    "Nothing" is right for a healthy unit, and for an effect that the uncertainties of the file allow: by the cost of
+    the case, which is linear in the effect, or by the values with which the refit reached the noise.
 
     Args:
         case: The case.
@@ -140,7 +143,9 @@ def judge(case: Case, answer: Mapping[str, Any] | None) -> dict[str, Any]:
     causes = [] if answer is None or answer["verdict"] == "unknown" else answer["causes"]
     members = list(causes[0]["class"]) if causes else []
     members += [f"changed({m['name']})" for m in causes[0].get("same_as", [])] if causes else []
-    nothing = answer is not None and answer["verdict"] == "nothing" and case.allowed
+    refit_cost = cost_of_refit(answer)
+    nothing = answer is not None and answer["verdict"] == "nothing"
+    nothing = nothing and (case.allowed or refit_cost <= ALLOWED)
     right = nothing or bool(right_names(case) & set(members))
     moved = [] if answer is None else answer.get("fit", {}).get("moved", [])
     return {
@@ -150,14 +155,27 @@ def judge(case: Case, answer: Mapping[str, Any] | None) -> dict[str, Any]:
         "right": int(right),
         "further": ";".join(cause["name"] for cause in causes[1:]),
         "moved": ";".join(m["name"] for m in moved),
+        "refit_cost": f"{refit_cost:.4g}" if math.isfinite(refit_cost) else "",
     }
+
+
+def cost_of_refit(answer: Mapping[str, Any] | None) -> float:
+    """Squared prior deviations of the refit of a diagnosis that ends with "nothing"; infinite for any other.
+
+    Its residuals are then noise, so no better fit of the file's own values can cost more.
+    """
+    if answer is None or answer["verdict"] != "nothing":
+        return math.inf
+    return sum(sds**2 for sds in answer.get("fit", {}).get("prior_sds", {"unknown": math.inf}).values())
 
 
 def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Counts over the cases so far."""
     everything = [r for r in rows if r["kind"]]
     hidden = [r for r in everything if float(r["cost"]) > ALLOWED]
-    allowed = [r for r in everything if float(r["cost"]) <= ALLOWED]
+    by_refit = [r for r in hidden if float(r.get("refit_cost") or math.inf) <= ALLOWED]
+    hidden = [r for r in hidden if r not in by_refit]
+    allowed = [r for r in everything if float(r["cost"]) <= ALLOWED] + by_refit
     healthy = [r for r in rows if not r["kind"]]
     cpu = sorted(float(r["cpu_s"]) for r in rows)
     return {
@@ -167,6 +185,7 @@ def counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "unknown": sum(r["verdict"] == "unknown" for r in hidden),
         "nothing": sum(r["verdict"] == "nothing" for r in hidden),
         "allowed": len(allowed),
+        "allowed_by_the_refit_alone": len(by_refit),
         "allowed_right": sum(int(r["right"]) for r in allowed),
         "healthy": len(healthy),
         "healthy_named": sum(r["verdict"] in ("cause", "ambiguous") for r in healthy),
