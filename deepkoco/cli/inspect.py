@@ -230,6 +230,6 @@ def _print(
     if fitting is not None and args.out is None:
         names = " or ".join((fitting.proposal.system, *(fitting.alike if args.system is None else ())))
         say(f"write this mapping with --system {names} --out {sidecar_path(args.given)}")
-    for target in (args.out, args.plot):
+    for target in (None if fitting is None else args.out, args.plot):
         if target is not None:
             say(f"written: {target}")

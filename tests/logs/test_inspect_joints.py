@@ -21,7 +21,7 @@ from deepkoco.logs.inspect.joints.gravity import Slow, signs_and_zeros
 from deepkoco.logs.inspect.joints.log_joints import log_joints
 from deepkoco.logs.inspect.joints.match import match_joints
 from deepkoco.logs.sidecar import dump_sidecar
-from deepkoco.systems import SYSTEMS, Channel, Motion, Parameter, System
+from deepkoco.systems import SYSTEMS, Channel, Motion, Parameter, System, load_system
 from tests.logs.test_lerobot import write_v21
 
 WEIGHT = (3.0, 1.2)  # gravity on the two links, horizontal [N m]
@@ -169,6 +169,31 @@ def test_columns_are_grouped_by_joint(tmp_path, names, joints):
     )
     found = log_joints(survey_log(open_log(tmp_path / "a.csv")).columns)
     assert {joint.label: set(joint.columns) for joint in found} == joints
+
+
+PAN_TILT = """<mujoco><compiler angle="radian"/><worldbody><body name="base" pos="0 0 0.1">
+<joint name="pan" axis="0 0 1" damping="0.02"/><geom size="0.05" mass="0.4"/><body name="camera" pos="0 0 0.08">
+<joint name="tilt" axis="0 1 0" damping="0.02"/><geom size="0.04" pos="0.03 0 0" mass="0.6"/></body></body></worldbody>
+<actuator><velocity name="pan_rate" joint="pan" kv="0.6"/><velocity name="tilt_rate" joint="tilt" kv="0.8"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize("suffix", ["_deg", " [rad]", ""])
+def test_columns_that_are_called_as_joints_and_commands_of_speed_servos_are_mapped(tmp_path, suffix):
+    t = 0.01 * np.arange(600)
+    table = {"t": t, "cmd_pan": np.cos(2.0 * t), "cmd_tilt": np.cos(3.1 * t), "temperature": 30.0 + 0.1 * t}
+    table |= {f"pan{suffix}": np.sin(2.0 * t), f"tilt{suffix}": 0.4 * np.sin(3.1 * t)}
+    (tmp_path / "pan_tilt.xml").write_text(PAN_TILT)
+    pd.DataFrame(table).to_csv(tmp_path / "log.csv", index=False)
+    robot = load_system(str(tmp_path / "pan_tilt.xml"))
+    proposal = propose(survey_log(open_log(tmp_path / "log.csv")), robot).proposal
+    found = {c.channel.name: c.column.name for c in proposal.choices if c.column is not None}
+    assert found == {
+        "q_pan": f"pan{suffix}",
+        "q_tilt": f"tilt{suffix}",
+        "pan_rate": "cmd_pan",
+        "tilt_rate": "cmd_tilt",
+    }
 
 
 @settings(

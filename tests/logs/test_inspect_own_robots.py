@@ -126,6 +126,7 @@ def test_the_columns_are_shown_where_no_mapping_can_be_written(tmp_path, capsys)
     said = capsys.readouterr()
     assert "foo" in said.out
     assert "no column fits the channel" in said.err
+    assert "written" not in said.out
     assert not out.exists()
 
 

@@ -6,8 +6,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
 from deepkoco.logs.inspect.names import COMMANDED, WANTED, read_name
 from deepkoco.logs.inspect.survey import ColumnSurvey
+from deepkoco.logs.units import parse_unit
 
 GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
 MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states"}
@@ -71,16 +73,35 @@ class LogJoint:
     columns: dict[str, ColumnSurvey] = field(default_factory=dict)
 
 
-def log_joints(columns: Sequence[ColumnSurvey]) -> list[LogJoint]:
-    """Group columns by joint, in the order of the log; joints without a position are left out."""
+def log_joints(columns: Sequence[ColumnSurvey], joints: Sequence[str] = ()) -> list[LogJoint]:
+    """Group columns by joint, in the order of the log; joints without a position are left out.
+
+    A column that is called as a joint of the model, ``tilt`` or ``tilt_deg``, has the role that its unit says, without
+    a unit that of the position.
+
+    Args:
+        columns: Those of the log.
+        joints: Names of the model's joints.
+    """
     found: dict[str, LogJoint] = {}
+    known = {"_".join(_words(name)) for name in joints}
     for column in columns:
         if not column.usable:
             continue
         role, label = role_of(column)
+        if role is None and label in known:
+            role = _role_by_unit(column) or "position"
         if role is not None:
             found.setdefault(label, LogJoint(label)).columns.setdefault(role, column)
     return [joint for joint in found.values() if "position" in joint.columns]
+
+
+def _role_by_unit(column: ColumnSurvey) -> str | None:
+    """Role that the unit in a column's name says; None without a unit."""
+    if column.hints.unit is None:
+        return None
+    quantity = parse_unit(column.hints.unit).quantity
+    return "position" if quantity in POSITIONS else "speed" if quantity in SPEEDS else "effort"
 
 
 def loose_goals(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -> list[ColumnSurvey]:

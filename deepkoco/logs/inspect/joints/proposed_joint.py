@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepkoco.logs.inspect.evidence import POSITIONS
 from deepkoco.logs.inspect.joints.goals import Tracking
 from deepkoco.logs.inspect.joints.log_joints import LogJoint
 from deepkoco.logs.inspect.joints.match import Match
 from deepkoco.logs.inspect.joints.scaling import Scaling
 from deepkoco.logs.inspect.survey import ColumnSurvey
+from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
 
 
@@ -48,6 +50,14 @@ def joint_range(system: System, joint: int) -> tuple[float, float]:
 def model_positions(joint: ProposedJoint, value: np.ndarray) -> np.ndarray:
     scaling = joint.scaling
     return scaling.factor * value + scaling.factor / scaling.scale * scaling.offset
+
+
+def speed_goal_column(log: LogJoint) -> ColumnSurvey | None:
+    """The commanded speed; a command that does not say what it commands, unless it has the unit of a position."""
+    goal = log.columns.get("goal")
+    if goal is not None and goal.hints.unit is not None and parse_unit(goal.hints.unit).quantity in POSITIONS:
+        goal = None
+    return log.columns.get("goal speed") or goal
 
 
 def effort_column(log: LogJoint) -> ColumnSurvey | None:

@@ -23,6 +23,7 @@ from deepkoco.logs.inspect.joints.proposed_joint import (
     joint_range,
     joint_slides,
     model_positions,
+    speed_goal_column,
 )
 from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
 from deepkoco.logs.inspect.joints.slow_samples import gravity_evidence
@@ -50,7 +51,7 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
         system: a system whose measurements are named after its joints.
     """
     survey = surveys[0]
-    found = log_joints(survey.columns)
+    found = log_joints(survey.columns, system.joint_names)
     matches = match_joints([joint.label for joint in found], system.joint_names)
     _add_loose_goals(survey, found)
     joints = _scaled(surveys, system, found, matches)
@@ -231,7 +232,7 @@ def _command(
     finding, tracking = findings[driven], joint.tracking
     if channel.unit != system.state_units[driven]:
         speed = parse_unit(channel.unit).quantity in SPEEDS
-        column = joint.log.columns.get("goal speed") if speed else effort_column(joint.log)
+        column = speed_goal_column(joint.log) if speed else effort_column(joint.log)
         if column is None:
             return Choice(channel, None, channel.unit, False, 1.0, ())
         said = [finding.reason]
