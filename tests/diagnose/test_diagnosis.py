@@ -196,6 +196,20 @@ def test_report_shows_the_warnings_of_reading_and_of_the_model_file(whole, tmp_p
         assert f"<li>{sentence}</li>" in page
 
 
+@pytest.mark.parametrize(("sds", "said"), [(3.0, True), (-3.0, True), (1.0, False)])
+def test_the_terminal_says_which_parameter_of_a_silent_refit_is_far_from_its_given_value(
+    diagnosis, sds, said
+):
+    mean, sd = diagnosis.details.priors["mass"]
+    final = {**diagnosis.final, "mass": replace(diagnosis.final["mass"], value=mean + sds * sd)}
+    silent = replace(diagnosis, verdict="nothing", causes=(), final=final)
+    console = Console(width=300, record=True, file=io.StringIO())
+    console.print(terminal_table(silent))
+    text = console.export_text()
+    assert ("The refit moved mass farthest" in text) == said
+    assert ("3.0 standard deviations of what is stated about it" in text) == said
+
+
 @pytest.mark.study
 def test_healthy_log_adds_its_effects_to_the_baseline():
     worn = {"lag": {"time_constant": 0.006}}

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate
-from deepkoco.diagnose.report.text import spoken
+from deepkoco.diagnose.report.text import NOTABLE, spoken
 from deepkoco.pages.units import in_one_unit, telling_digits
-
-NOTABLE = 2.0  # standard deviations of the prior from which a change is highlighted
 
 
 class ParameterRow(NamedTuple):

@@ -14,6 +14,8 @@ from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding, Moved
 from deepkoco.pages.units import in_one_unit, telling_digits
 from deepkoco.systems.named_joints import COMMON
 
+NOTABLE = 2.0  # standard deviations of the prior from which a changed parameter is pointed out
+
 
 def spoken(name: str) -> str:
     """Return the name of a cause in the form for a sentence."""
@@ -224,6 +226,9 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
         noise = noise_of(diagnosis)
         text = f"{diagnosis.chi2_before:.3g} refitted, {diagnosis.chi2_after:.3g} extended (1 is {noise})"
         _add_row(table, "error / noise variance", text)
+    far = max(map(abs, diagnosis.prior_sds.values()), default=0.0) >= NOTABLE
+    if diagnosis.verdict == "nothing" and far and not diagnosis.moved:
+        _add_row(table, "parameters", _farthest(diagnosis).strip())
     if diagnosis.verdict == "unknown":
         for signature in diagnosis.unexplained.get("signatures") or ():
             _add_row(table, "seen", signature["text"])
