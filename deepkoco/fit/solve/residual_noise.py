@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,9 @@ from deepkoco.fit.fit_types import Fit
 from deepkoco.logs.quantum import quantum_of
 
 EVIDENCE = 10.0  # twice the log likelihood ratio from which stamps are taken to scatter
+# Share of the way in a window with which a simulation follows any machine at best. A log without noise is from another
+# simulation: its integrator, not a cause, makes such a difference.
+FIDELITY = 1e-5
 LARGEST_SHARE = (
     0.5  # of the time between two samples: stamps that scatter by more would come in another order
 )
@@ -63,7 +67,7 @@ def with_sharp_noise(windows: Windows, fit: Fit) -> Windows:
         sds.append(sd)
         weights.append(valid[own].sum((0, 2)))
     if not any(stamps):
-        return replace(windows, noise=noise, stamp_sd=())
+        return replace(windows, noise=_no_finer_than_a_simulation(windows, noise), stamp_sd=())
     # What the stamps explain is no noise of the channel any more.
     share, own_sd = np.array(weights, dtype=float), np.array(sds)
     share[~np.isfinite(own_sd)] = 0.0
@@ -72,4 +76,18 @@ def with_sharp_noise(windows: Windows, fit: Fit) -> Windows:
     for c, given in enumerate(noise):
         sd = max(min(given.sd, float(np.sqrt(variance[c]))), float(least[c]), 1e-12)
         sharper.append(given._replace(sd=sd) if share[:, c].sum() > 0.0 else given)
-    return replace(windows, noise=tuple(sharper), stamp_sd=tuple(stamps))
+    noise = _no_finer_than_a_simulation(windows, sharper)
+    return replace(windows, noise=noise, stamp_sd=tuple(stamps))
+
+
+def _no_finer_than_a_simulation(windows: Windows, noise: Sequence[Noise]) -> tuple[Noise, ...]:
+    """Noise of each channel, at least `FIDELITY` of the way that it typically goes in a window."""
+    result = []
+    for c, given in enumerate(noise):
+        value, valid = windows.value[:, c].numpy(), windows.valid[:, c].numpy()
+        shown = valid.any(-1)
+        high = np.where(valid, value, -np.inf).max(-1, initial=-np.inf)[shown]
+        low = np.where(valid, value, np.inf).min(-1, initial=np.inf)[shown]
+        way = float(np.median(high - low)) if shown.any() else 0.0
+        result.append(given._replace(sd=max(given.sd, FIDELITY * way)))
+    return tuple(result)
