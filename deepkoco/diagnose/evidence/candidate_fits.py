@@ -46,10 +46,16 @@ def fit_best(
         # A candidate that is far behind is not continued; it would not become the winner.
         fallen = reference.cost - scout.cost
         matters = fallen > SCOUTED * worth or scout.cost == lowest
-        if not scout.converged and fallen > PROMISING_SHARE * won and matters:
+        # With slopes of another point a fit also ends where these lead no further; that is no minimum of its own.
+        going_on = known is not None or not scout.converged
+        if going_on and fallen > PROMISING_SHARE * won and matters:
             running.append(name)
-            longer.append(trial.from_fit(scout))
-    longer = _fit_hopeful(problem, longer, reference) if known is None else _fit_front(problem, longer, known)
+            longer.append((trial.from_fit(scout), scout))
+    longer = (
+        _fit_hopeful(problem, [trial for trial, _ in longer], reference)
+        if known is None
+        else _fit_front(problem, longer, known)
+    )
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
 
@@ -68,9 +74,13 @@ def _fit_hopeful(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -
     return fits
 
 
-def _fit_front(problem: FitProblem, trials: Sequence[Trial], known: FrozenSlopes) -> list[Fit]:
-    """Fit trials with known slopes, then the best of them with slopes of their own."""
-    fits = problem.fit(trials, ITERATIONS, CLOSE, known, exact=False, renewals=0)
+def _fit_front(problem: FitProblem, scouted: Sequence[tuple[Trial, Fit]], known: FrozenSlopes) -> list[Fit]:
+    """Fit trials with known slopes as far as these lead, then the best of them with slopes of their own."""
+    trials, fits = [trial for trial, _ in scouted], [scout for _, scout in scouted]
+    open_ones = [k for k, fit in enumerate(fits) if not fit.converged]
+    found = problem.fit([trials[k] for k in open_ones], ITERATIONS, CLOSE, known, exact=False, renewals=0)
+    for k, fit in zip(open_ones, found, strict=True):
+        fits[k] = fit
     front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:FRONT]
     again = [trials[k].from_fit(fits[k]) for k in front]
     for k, fit in zip(front, problem.fit(again, ITERATIONS, CLOSE, exact=False), strict=True):
