@@ -12,7 +12,7 @@ from deepkoco.diagnose.baseline import (
     check_learned,
     with_gauges_fixed,
 )
-from deepkoco.diagnose.causes import catalogue, causes_named
+from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
@@ -66,7 +66,7 @@ def diagnose(
             given follows the logs.
         detection: Fall of the BIC from which a cause is named.
         only: Causes to try, by their names at this system; a name without a place (``coulomb``) stands for every
-            joint, command or channel. None tries the whole catalogue.
+            joint, command or channel. None tries all that the logs can show.
         baseline: Result of :func:`learn_baseline` for healthy logs, instead of ``healthy``; several diagnoses can
             share it. None learns it from ``healthy``.
         progress: Called with the name of each step; ``print``, for example.
@@ -87,7 +87,8 @@ def diagnose(
     base = any_system(system)
     plain = base.base if isinstance(base, ExtendedSystem) else base
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
-    causes = None if only is None else causes_named(catalogue(plain), only, plain.name)
+    known, measured = catalogue(plain), measured_channels([*recordings, *holdout])
+    causes = shown_causes(known, measured) if only is None else causes_named(known, only, plain.name)
     if baseline is not None:
         if healthy:
             raise BaselineError(

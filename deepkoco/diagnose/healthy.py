@@ -17,7 +17,7 @@ from deepkoco.diagnose.baseline import (
     refit_sharply,
     with_gauges_fixed,
 )
-from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
+from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of, measured_channels, shown_causes
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
@@ -81,7 +81,8 @@ def learn_baseline(
     windows, fit, problem = told.windows, told.fit, FitProblem(start.system, told.windows)
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
-    causes = [c for c in catalogue(start.system.base).values() if c.effect != "event" and c.free]
+    causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
+    causes = [c for c in causes if c.effect != "event" and c.free]
     for _ in range(extension):
         if not limit.allows("small effects that the healthy logs show"):
             break

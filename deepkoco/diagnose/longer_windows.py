@@ -15,7 +15,6 @@ from functools import partial
 from torch import Tensor
 
 from deepkoco.diagnose.baseline import LONG, STEP_ROUNDS
-from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
@@ -108,7 +107,7 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
         final = _refit(problem, final, prior.names, prior)
     if final.diverged:
         return None
-    everything = list(catalogue(start.system.base).values()) if request.causes is None else request.causes
+    everything = request.causes
     limit = white_limit(data.train, start.correlation) * start.floor * data.train.samples
     if explanation.weighed and final.chi2 > limit and request.limit.allows("small effects that any unit has"):
         grown, fit = beside(problem, start, final, found.accepted, everything)

@@ -24,7 +24,7 @@ class DiagnosisRequest:
         length: Length of a window [s].
         seed: Seed of the bootstrap.
         detection: Fall of the BIC from which a cause is named.
-        causes: Causes to try; None tries the whole catalogue.
+        causes: Causes to try.
         progress: Called with the name of each step.
         began: When the diagnosis began, by ``time.perf_counter`` [s].
         evidence: Whether the method of probabilities answers too.
@@ -39,7 +39,7 @@ class DiagnosisRequest:
     length: float
     seed: int
     detection: float
-    causes: Sequence[Cause] | None
+    causes: Sequence[Cause]
     progress: Progress
     began: float
     evidence: bool = False

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.baseline import LONG, Baseline
-from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
@@ -59,7 +59,7 @@ def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_
     if not request.limit.allows("weighing the data sheet"):
         return explanation
     request.progress("weighing the data sheet")
-    causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
+    causes = request.causes
     try:
         answer, lossy, charge = answer_of(request, base), False, 0.0
         if found.lost is not None:

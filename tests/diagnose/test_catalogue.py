@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import CAUSES, diagnose
-from deepkoco.diagnose.causes import catalogue, is_changed, kind_of
+from deepkoco.diagnose.causes import catalogue, is_changed, kind_of, measured_channels, shown_causes
 from deepkoco.systems import make_system
 from deepkoco.systems.effects import effects_of
 from tests.oracle.unit import hidden_log
@@ -77,3 +77,16 @@ def test_diagnose_names_nothing_on_a_control_of_the_generator(system, excitation
     result = diagnose([hidden_log(system, {}, excitation, 150, SECONDS)], system)
     assert result.verdict == "nothing"
     assert result.causes == ()
+
+
+def test_logs_show_only_the_causes_of_channels_that_they_measure():
+    known = catalogue(make_system("rod_pendulum"))
+    both = {c.name for c in shown_causes(known, {"theta", "omega"})}
+    one = {c.name for c in shown_causes(known, {"theta"})}
+    assert both == set(known)
+    # A late channel is told from late measurements by the other channels.
+    of_omega = {name for name in both if name.endswith("(omega)")}
+    assert "noise_level(omega)" in of_omega
+    assert both - one == of_omega | {"channel_delay(theta)"}
+    log = hidden_log("rod_pendulum", {}, "steps", 0, seconds=2.0)
+    assert measured_channels([log]) == {"theta", "omega"}

@@ -17,7 +17,7 @@ from deepkoco.diagnose.causes.actuator import (
 )
 from deepkoco.diagnose.causes.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
-from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named
+from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.causes.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import BRISTLE, COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
@@ -167,5 +167,7 @@ __all__ = [
     "changed_parameter",
     "is_changed",
     "kind_of",
+    "measured_channels",
     "register_cause",
+    "shown_causes",
 ]

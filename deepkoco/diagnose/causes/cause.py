@@ -74,6 +74,7 @@ class Cause:
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
         shape: Those of ``free`` that say where, when or in which form it acts, and not how much of it there is.
+        relative: Whether a channel shows it only beside the others, which have none of it.
         tolerance: How much of every other parameter any healthy machine has, as a distance from the null value.
         effect: Name of the placed effect that simulates it; "event" for a push, "changed" for a parameter itself.
         joint: Joint on which it acts; None for the whole system, or for all actuators alike.
@@ -95,6 +96,7 @@ class Cause:
     scatter: Callable[[Scatter, int], Verdict | None] | None = None
     traced: bool = False
     shape: tuple[str, ...] = ()
+    relative: bool = False
     tolerance: Tolerance = share_of_usual
     also: tuple[str, ...] = ()
     also_summary: str = ""

@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from deepkoco.diagnose.causes.cause import Cause, kind_of
+from deepkoco.logs.recording import Recording
 from deepkoco.suggestion import did_you_mean
+from deepkoco.systems.effects import EFFECTS
 
 
 class UnknownCauseError(ValueError):
     """A name belongs to no cause of the system."""
+
+
+def measured_channels(recordings: Iterable[Recording]) -> frozenset[str]:
+    """Return the names of the channels that at least one of the logs measures."""
+    return frozenset(name for recording in recordings for name in recording.names("measurement"))
+
+
+def shown_causes(known: dict[str, Cause], measured: Collection[str]) -> list[Cause]:
+    """Return the causes that logs can show: those of a channel need that channel, and some need others beside it.
+
+    What no log shows would share the prior probability of what they do show, and one hypothesis under two names would
+    count twice: the delay of the only channel is that of all measurements.
+
+    Args:
+        known: Every cause of the system by its name there, as :func:`deepkoco.diagnose.causes.catalogue` gives them.
+        measured: Names of the channels that the logs measure.
+    """
+    return [c for c in known.values() if _shown(c, measured)]
+
+
+def _shown(cause: Cause, measured: Collection[str]) -> bool:
+    effect = EFFECTS.get(cause.kind)
+    if effect is None or effect.site != "channel":
+        return True
+    channel = cause.name.removeprefix(f"{cause.kind}(").removesuffix(")")
+    return channel in measured and (not cause.relative or len(measured) > 1)
 
 
 def causes_named(known: dict[str, Cause], names: Sequence[str], system: str) -> list[Cause]:

@@ -54,6 +54,7 @@ CHANNEL_DELAY = Cause(
     "Move the robot by hand and compare the channel with another one that shows the same motion.",
     "command_rate",
     _rate,
+    relative=True,
     tolerance=of_sample,
 )
 LAG = Cause(

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, Healthy, baseline_from, refit_sharply, with_gauges_fixed
-from deepkoco.diagnose.causes import catalogue, causes_named
+from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.healthy_unit import learned_unit
@@ -36,7 +36,7 @@ def evidence_of(
         system: The system as given, or its name.
         healthy: Logs of the same unit in which nothing is wrong.
         window: Length of a window [s]; None takes about one period of the system.
-        only: Causes to try; None tries the whole catalogue.
+        only: Causes to try; None tries all that the logs can show.
 
     Raises:
         LogError: A log cannot be read, or shows no motion.
@@ -45,11 +45,12 @@ def evidence_of(
     began = time.process_time()
     base = any_system(system)
     plain = base.base if isinstance(base, ExtendedSystem) else base
-    every = catalogue(plain)
-    causes = list(every.values()) if only is None else causes_named(every, only, plain.name)
     length = window_length(base) if window is None else window
     with one_thread():
-        data = cut_data(read_logs(recordings, base), (), base, length)
+        logs, every = read_logs(recordings, base), catalogue(plain)
+        shown = shown_causes(every, measured_channels(logs))
+        causes = shown if only is None else causes_named(every, only, plain.name)
+        data = cut_data(logs, (), base, length)
         if len(data.train) == 0:
             raise LogError(
                 "the logs to explain show no window of motion; give a log in which the joint moves"

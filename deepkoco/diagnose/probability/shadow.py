@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, refit_sharply
-from deepkoco.diagnose.causes import Cause, catalogue, is_changed
+from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.priors import strained
@@ -92,7 +92,7 @@ def answer_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None =
         LinAlgError: The logs tell nothing of a parameter.
     """
     healthy = base.learned.healthy
-    causes = list(catalogue(base.start.system.base).values()) if request.causes is None else request.causes
+    causes = request.causes
     if healthy is None:
         problem, reference = _acting(base.problem, base.reference, base.start, acted)
         return probabilities(problem, reference, base.start, causes)
