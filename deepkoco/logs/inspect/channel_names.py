@@ -25,8 +25,9 @@ def named_after(column: ColumnSurvey, channel: Channel, channels: Sequence[Chann
     said = _words(" ".join((*column.hints.words, column.hints.joint or "")))
     alike = [c for c in channels if c.kind == channel.kind and _quantity(c) == _quantity(channel)]
     own = {c.name: _words(c.name) for c in alike}
-    common = set.intersection(*own.values()) if len(alike) > 1 else set()
-    shares = {name: _share(words - common - _GENERAL, said) for name, words in own.items()}
+    # Between channels of one kind, a general word tells them apart as well as any other: "sway_x" from "sway_y".
+    common = set.intersection(*own.values()) if len(alike) > 1 else _GENERAL
+    shares = {name: _share(words - common, said) for name, words in own.items()}
     mine = shares.pop(channel.name)
     return OWN_WORDS * (mine - max(shares.values(), default=0.0))
 

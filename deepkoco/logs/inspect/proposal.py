@@ -177,11 +177,12 @@ class Proposer:
             inside = channel.low <= (column.low or 0.0) and (column.high or 0.0) <= channel.high
             named = bool({channel.name, f"{channel.name}d"} & set(hints.words))
             return (6.0, [f'its name contains "{channel.name}"']) if inside and named else (-6.0, [])
-        score = hints.speaks_for(quantity)
+        fits = hints.unit is not None and parse_unit(hints.unit).quantity == quantity
+        # A unit says what the column measures; a word of another quantity is then a name: the x of "sway_x_deg".
+        score = max(hints.speaks_for(quantity), 0.0 if fits else -math.inf)
         if score > 0:
             why.append(f"its name means {quantity}")
         if hints.unit is not None:
-            fits = parse_unit(hints.unit).quantity == quantity
             score += 3.0 if fits else -6.0
             if fits:
                 why.append(f"its name contains {hints.unit}")
