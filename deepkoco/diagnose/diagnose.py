@@ -88,7 +88,9 @@ def diagnose(
     plain = base.base if isinstance(base, ExtendedSystem) else base
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
     all_causes, measured = catalogue(plain), measured_channels([*recordings, *holdout])
-    causes = shown_causes(all_causes, measured) if only is None else causes_named(all_causes, only, plain.name)
+    causes = (
+        shown_causes(all_causes, measured) if only is None else causes_named(all_causes, only, plain.name)
+    )
     if baseline is not None and healthy:
         raise BaselineError(
             f"both a baseline and {len(healthy)} healthy logs are given; give either the logs or the baseline "

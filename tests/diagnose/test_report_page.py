@@ -74,7 +74,9 @@ def test_the_line_of_least_evidence_is_labelled_above_all_bars_and_grey_bars_bey
 
 
 @pytest.mark.parametrize(("share", "told"), [(1.3, True), (0.7, False)])
-def test_a_refit_that_is_worse_than_the_simulation_as_given_is_explained_where_it_shows(diagnosis, share, told):
+def test_a_refit_that_is_worse_than_the_simulation_as_given_is_explained_where_it_shows(
+    diagnosis, share, told
+):
     gain = diagnosis.gain
     channel = replace(gain.channels[0], refit=share * gain.channels[0].baseline)
     changed = replace(diagnosis, gain=replace(gain, channels=(channel, *gain.channels[1:])))
