@@ -114,7 +114,7 @@ class _Valley:
             found = least_squares(
                 lambda x, share=share: self._left(x[None], share)[0],
                 np.clip(x, low + INSIDE, high - INSIDE),
-                lambda x, share=share: self._slopes_left(x, share),
+                lambda x, share=share: self._slopes_left(x, share),  # pyright: ignore[reportArgumentType]
                 (low, high),
                 ftol=TOLERANCE,
                 max_nfev=EVALUATIONS,
