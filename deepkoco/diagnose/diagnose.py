@@ -26,7 +26,7 @@ from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.weighed import weigh
-from deepkoco.diagnose.window_choice import followed_length
+from deepkoco.diagnose.window_choice import followed_length, length_for_enough
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
@@ -104,6 +104,8 @@ def diagnose(
         # Healthy logs show what the unit does, and their baseline follows it.
         chosen = window is not None or baseline is not None or healthy
         length = usual if chosen else followed_length(recordings, base)
+        if window is None and baseline is None:
+            length = length_for_enough(recordings, base, length, holdout)
         data = cut_data(recordings, holdout, base, length)
         request = DiagnosisRequest(
             recordings,

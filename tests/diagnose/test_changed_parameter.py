@@ -19,6 +19,7 @@ from deepkoco.diagnose.verdict.moved import in_ratio, moved_parameters
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
+from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import Parameter, make_system
 from deepkoco.unit import make_unit
 from tests.oracle.levitated_ball import Maglev, levitated_ball
@@ -122,6 +123,24 @@ def test_parameter_to_which_another_cause_adds_is_left_out_of_the_screening(cart
     tried = [(known[n], {}) for n in ("viscous(cart)", "changed(cart_viscous)", "changed(length)")]
     found = screen(problem, reference, start.prior, tried)
     assert [p.cause.name for p in found] == ["viscous(cart)", "changed(length)"]
+
+
+def test_effect_takes_over_what_the_refit_has_moved_the_parameter_to_which_it_adds(cart_log):
+    system = CartPole()
+    windows = cut_windows([cart_log], system, window_length(system))
+    start = baseline_from(system, windows)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    problem, known = FitProblem(start.system, windows), catalogue(system)
+    tried = [(known[n], {}) for n in ("viscous(cart)", "changed(cart_viscous)")]
+    centre, moved = start.prior.centre.copy(), 0.2
+    centre[start.prior.names.index("cart_viscous")] = reference.values["cart_viscous"] - moved
+    far = Prior(start.prior.names, centre, start.prior.covariance)
+    (point,) = screen(problem, reference, far, tried)
+    assert point.values["viscous(cart).change"] == pytest.approx(moved)
+    assert point.values["cart_viscous"] == pytest.approx(reference.values["cart_viscous"] - moved)
+    # The motion is that of the refit, so its chi2 stays and the penalty of the parameter goes.
+    there = problem.evaluate({**reference.values, **point.values}, state=reference.state)
+    assert there.chi2 == pytest.approx(reference.chi2, rel=1e-6)
 
 
 def test_new_value_says_factor_and_interval():

@@ -152,6 +152,24 @@ def test_simpler_form_of_a_friction_leads_its_class_unless_held_out_windows_show
     assert set(members) == set(scores)
 
 
+def test_only_candidates_that_may_belong_to_a_class_are_fitted_to_its_winner(stage, monkeypatch):
+    problem, start, _ = stage
+    ranking = ranking_of(
+        stage, 1.0, {"coulomb": 100.0, "gain": 97.0, "viscous": 92.0, "stribeck": 91.0, "lag": 70.0}
+    )
+    asked = []
+
+    def expected(problem, start, winner, others, accepted):
+        asked.extend(c.cause.name for c in others)
+        return [1.0] * len(others)
+
+    monkeypatch.setattr(classes, "expected_gaps", expected)
+    members = classes.equivalent(problem, start, ranking)
+    # The gain is in anyway; Stribeck's parameters cost more than a class is wide; a lag is behind by more than chance.
+    assert asked == ["viscous"]
+    assert members == ("coulomb", "gain", "viscous")
+
+
 def test_minor_causes_say_why_they_are_not_named(stage):
     from deepkoco.diagnose.evidence.minor import Minor
     from deepkoco.diagnose.evidence.selected import Selected

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from deepkoco.diagnose.causes.tolerance import Tolerance, share_of_usual
-from deepkoco.systems import System
+from deepkoco.systems import Parameter, System
 from deepkoco.systems.effects import PlacedEffect
 from deepkoco.systems.effects.effect import ALL
 
@@ -125,12 +125,15 @@ class Cause:
         joint = placed.joint(system) if site in ("joint", "pair") else None
         if site == "command" and placed.index != ALL:
             joint = system.command_joints[placed.index]
-        declared = [p.name for p in placed.parameters(system)]
+        parameters = placed.parameters(system)
+        declared = [p.name for p in parameters]
         # If the effect has other parameters on this system (a tilt in a plane has two), all of them are freed.
         same = all(n in declared for n in self.free)
         cause = self if same else replace(self, free=tuple(declared))
         if more := tuple(n for n in self.also if same and n in declared):
             cause = replace(self, free=(*self.free, *more), summary=self.also_summary or self.summary)
+            beside = [p for p in parameters if p.name in more]
+            cause = replace(cause, starts=lambda hint: [*self.starts(hint), *_beside(self.free, beside)])
         return cause._called(placed.name, placed.name, joint, placed.index)
 
     def on_joint(self, joint: int, system: System) -> Cause:
@@ -145,6 +148,21 @@ class Cause:
 
         free = tuple(f"{effect}.{n}" for n in self.free)
         return replace(self, name=name, effect=effect, free=free, starts=starts, joint=joint, index=index)
+
+
+def _beside(sizes: Sequence[str], shapes: Sequence[Parameter]) -> list[dict[str, float]]:
+    """Return starts that choose a shape to both sides of its declared value and leave the sizes at null.
+
+    A load at the middle of a link moves its mass, one at the end its static moment too: other motions, and the first
+    tells nothing of the second.
+
+    Args:
+        sizes: Parameters that are 0 where there is nothing.
+        shapes: Parameters that only say where it is.
+    """
+    none = dict.fromkeys(sizes, 0.0)
+    at = [(p.name, min(max(p.value + side * p.prior_sd, p.low), p.high)) for p in shapes for side in (1, -1)]
+    return [{**none, name: value} for name, value in at]
 
 
 def kind_of(name: str) -> str:

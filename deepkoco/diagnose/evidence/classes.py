@@ -24,27 +24,35 @@ def equivalent(
 
     A candidate is in the class if its BIC is less than :func:`width` behind the winner's. It is also in the class if
     that is expected: fitted to noise-free measurements simulated from the winner, its BIC is less than ``APART``
-    behind, and noise can explain the observed difference. There is no table of equivalent causes.
+    behind, and noise can explain the observed difference. Only candidates for which this can be are fitted so. There is
+    no table of equivalent causes.
     """
     winner = ranking.best
     close = [c for c in ranking.candidates[1:] if winner.delta_bic - c.delta_bic < NEAR]
-    class_names = [winner.cause.name]
-    if not close:
-        return (winner.cause.name,)
-    expected = expected_gaps(problem, start, winner, close, accepted)
-    wide = width(problem, start, ranking)
-    places = SLOTS * len(problem.windows)
+    wide, places = width(problem, start, ranking), SLOTS * len(problem.windows)
     own = penalty(winner.cause, ranking.samples, places)
-    for candidate, gap in zip(close, expected, strict=True):
+    within: dict[str, bool] = {}
+    asked = []
+    for candidate in close:
         behind = winner.delta_bic - candidate.delta_bic
-        mean = gap / ranking.deflation + penalty(candidate.cause, ranking.samples, places) - own
-        # The standard deviation of the observed gap is 2 sqrt(gap).
-        chance = 2.0 * 2.0 * max(gap / ranking.deflation, 1.0) ** 0.5
-        if behind < (wide if candidate.delta_bic > 0.0 else APART) or (
-            mean < APART and behind < APART + chance
-        ):
-            class_names.append(candidate.cause.name)
-    return tuple(class_names)
+        within[candidate.cause.name] = behind < (wide if candidate.delta_bic > 0.0 else APART)
+        # The largest expected gap with which it would be in the class; with the smaller ones noise explains less.
+        most = APART + own - penalty(candidate.cause, ranking.samples, places)
+        if not within[candidate.cause.name] and most > 0.0 and behind < APART + _chance(most):
+            asked.append(candidate)
+    for candidate, chi2 in zip(
+        asked, expected_gaps(problem, start, winner, asked, accepted) if asked else (), strict=True
+    ):
+        gap = chi2 / ranking.deflation
+        mean = gap + penalty(candidate.cause, ranking.samples, places) - own
+        behind = winner.delta_bic - candidate.delta_bic
+        within[candidate.cause.name] = mean < APART and behind < APART + _chance(gap)
+    return (winner.cause.name, *(name for name, yes in within.items() if yes))
+
+
+def _chance(gap: float) -> float:
+    """Return two standard deviations of the observed gap where this one is expected: one is 2 sqrt(gap)."""
+    return 2.0 * 2.0 * max(gap, 1.0) ** 0.5
 
 
 def width(problem: FitProblem, start: Baseline, ranking: Ranking) -> float:

@@ -29,6 +29,7 @@ from deepkoco.fit.tangent import Tangent, parameter_step, simulated
 
 LANES = 160  # simulations in one batch
 RIDGE = 1e-8  # relative; two doses may move the measurements in the same direction
+NEARLY = 0.9  # of a promise by slopes, from which the start that keeps the motion is the better one
 SAME = 1e-2  # relative difference of two responses up to which they are one quantity
 
 
@@ -67,27 +68,59 @@ def screen(
     moved = tangent.respond(doses)
     promises = tangent.promises(moved, np.array(owner, dtype=int), forward)
     points = [StartPoint(c, place, float(p)) for (c, place), p in zip(starts, promises, strict=True)]
+    lasting = [d for d in range(len(doses)) if starts[owner[d]][0].effect != "event"]
+    single = {d: name for d in lasting if (name := _only_change(reference, doses[d]))}
     for cause, place in changed:
         (name,) = cause.free
-        slope = tangent.slope_of(name)
+        slope, promise = tangent.slope_of(name), tangent.promise_of_change(name, prior)
         # Both respond to 1 unit alike, as an addition to the friction does to friction itself.
         unit = problem.system.parameter(name).unit
-        rivals = ((dose, moved[d]) for d, dose in enumerate(doses) if starts[owner[d]][0].effect != "event")
-        if not any(_same_quantity(problem, reference, dose, way, unit, slope) for dose, way in rivals):
-            points.append(StartPoint(cause, place, tangent.promise_of_change(name, prior)))
+        alike = [
+            d
+            for d, own in single.items()
+            if problem.system.parameter(own).unit == unit
+            and _same_response(moved[d], doses[d][own] - reference.values[own], slope)
+        ]
+        if not alike:
+            points.append(StartPoint(cause, place, promise))
+        for d in alike:
+            rival = points[owner[d]]
+            taken = _taken_over(problem, reference, prior, name, single[d])
+            if taken and promise > NEARLY * rival.promise:
+                points[owner[d]] = StartPoint(rival.cause, {**rival.values, **taken}, promise)
     return points
 
 
-def _same_quantity(
-    problem: FitProblem, reference: Fit, dose: Mapping[str, float], moved: Tensor, unit: str, slope: Tensor
-) -> bool:
-    """Return whether a dose moves one parameter of this unit, and the measurements move as along this slope."""
-    given = [n for n, v in dose.items() if v != reference.values[n]]
-    if len(given) != 1 or problem.system.parameter(given[0]).unit != unit:
-        return False
-    (name,) = given
-    response = moved.reshape(-1) / (dose[name] - reference.values[name])
-    return bool((response - slope).norm() <= SAME * slope.norm())
+def _only_change(reference: Fit, dose: Mapping[str, float]) -> str:
+    """Return the parameter that a dose moves; empty where it moves several."""
+    moved = [n for n, v in dose.items() if v != reference.values[n]]
+    return moved[0] if len(moved) == 1 else ""
+
+
+def _same_response(moved: Tensor, amount: float, slope: Tensor) -> bool:
+    """Return whether a dose of this amount moves the measurements as along a slope."""
+    return bool((moved.reshape(-1) / amount - slope).norm() <= SAME * slope.norm())
+
+
+def _taken_over(problem: FitProblem, reference: Fit, prior: Prior, name: str, own: str) -> dict[str, float]:
+    """Return values with which an effect adds what the refit has moved a parameter by; none where it cannot.
+
+    The motion stays the same, and the parameter is back at its prior. Slopes do not lead there: where a log tells much
+    of the sum of both, the finite differences of the two are not equal enough.
+
+    Args:
+        problem: Bounds of the parameters.
+        reference: The refit.
+        prior: Prior of its parameters.
+        name: The parameter.
+        own: The effect's parameter that does the same.
+    """
+    j, given = problem.names.index(own), float(prior.mean([name])[0])
+    moved = float(
+        np.clip(reference.values[own] + reference.values[name] - given, problem.low[j], problem.high[j])
+    )
+    amount = moved - reference.values[own]
+    return {} if amount == 0.0 else {own: moved, name: reference.values[name] - amount}
 
 
 def _doses(
@@ -108,6 +141,8 @@ def _doses(
         step = parameter_step(reference.state.shape[1]) * problem.scale[j]
         if name.endswith(".frequency"):
             continue  # it changes nothing while the amplitude is zero
+        if name.endswith(".along") and not silent:
+            continue  # nor does the place of no load; other starts are other places
         if name.endswith(".centre"):
             # It changes nothing while the stiffness is zero. A stiffness about another centre is the second direction.
             result.append({**result[-1], name: at[name] + problem.scale[j]})
@@ -126,6 +161,8 @@ def _one_way(problem: FitProblem, reference: Fit, cause: Cause, place: Mapping[s
 
 def _linear(cause: Cause, place: Mapping[str, float]) -> bool:
     """Return whether a start only chooses a shape (a frequency, a Stribeck speed) and leaves the size at null."""
+    if cause.kind == "payload":
+        return not any(value for name, value in place.items() if name.endswith(".mass"))
     return cause.kind in ("cogging", "periodic", "spring") or (cause.kind == "stribeck" and len(place) == 1)
 
 

@@ -11,6 +11,7 @@ import torch
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.evidence.candidate_fits import fit_best
+from deepkoco.diagnose.evidence.curved_valley import cheapest_in_valley
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.footholds import ALONE, CLOSE, ITERATIONS, alone, from_halves, trial_of
@@ -80,6 +81,8 @@ def rank(
     prior = prior_with(problem, start, accepted, reference.values)
     tangent = Linearised(problem, reference, prior)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
+    valley = cheapest_in_valley(problem, reference, prior, tried)
+    promises += valley
     promising = promising_starts(promises)
     many = len(reference.free) + problem.windows.state.shape[1] >= MANY
     if many:

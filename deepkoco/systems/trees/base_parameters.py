@@ -89,7 +89,7 @@ def base_parameters(
         raise ValueError(
             f"t has {len(t)} stamps, angles {len(angles)} and commands {len(commands)} rows; 5 or more are needed"
         )
-    regressor = load_regressor(system, *_motion(t, angles, commands), chosen)
+    regressor = load_regressor(system, *smooth_motion(t, angles, commands), chosen)
     declared = [system.parameter(name) for name in chosen]
     sizes = np.array([p.prior_sd for p in declared])
     noise = load_noise * np.array(system.load_scales)
@@ -150,7 +150,7 @@ def load_regressor(
     return (table[..., 0::2] - table[..., 1::2]) / (2.0 * steps)
 
 
-def _motion(
+def smooth_motion(
     t: np.ndarray, angles: np.ndarray, commands: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Angles, speeds, accelerations and commands on even stamps."""

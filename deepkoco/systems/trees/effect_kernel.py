@@ -6,11 +6,11 @@ import math
 
 from numba import njit
 
+from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.learned_kernel import add_term
-from deepkoco.systems.trees.newton_euler_kernel import LANES
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "b7c7b3b769631223"
+COMPILED_WITH = "f85343a70384067f"
 
 # Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
 # on, each is a term of a learned load.
@@ -27,6 +27,8 @@ def is_level(kind):
 @njit(error_model="numpy", nogil=True)
 def deliver(drives, gear, force_limits, law, angle, speed, effort, forces):
     """Forces (M, LANES) of the actuators on their joints."""
+    law, forces, angle, speed = in_rows(law, 6), in_lanes(forces), in_lanes(angle), in_lanes(speed)
+    effort = in_lanes(effort)
     for a in range(len(drives)):
         k, ratio, low, high = drives[a], gear[a], force_limits[a, 0], force_limits[a, 1]
         for i in range(LANES):

@@ -1,8 +1,9 @@
 """The equations of motion of a tree as one compiled loop: for batches without gradients.
 
 Elements are computed in blocks of `LANES`. Inside a block, each quantity of a joint is a row of `LANES` numbers, and
-every statement is a loop over one row, which the compiler turns into vector instructions. All rows of a joint lie side
-by side in one array: the compiler then needs a single check to know that a joint's rows and its parent's differ.
+every statement is a loop over one row, which the compiler turns into vector instructions where it knows that no two
+rows overlap: inner sizes are constants (:mod:`deepkoco.systems.trees.block_sizes`), and what a joint takes from its
+parent or gives to it passes through an array of its own.
 
 Source: the recursions of :mod:`deepkoco.systems.trees.dynamics`.
 """
@@ -14,14 +15,15 @@ import math
 import numpy as np
 from numba import njit
 
+from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.mass_matrix_kernel import factorise, fill_mass, gather_inertias, solve
 from deepkoco.systems.trees.newton_euler_kernel import (
     COS,
     INERTIA,
-    LANES,
     LOAD,
     PULL,
     ROWS,
+    SPARE,
     SPIN,
     SWING,
     gather_forces,
@@ -30,7 +32,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "a0b9591633ccfd2d"
+COMPILED_WITH = "7519e4761dc11d5f"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -58,9 +60,9 @@ def tree_accelerations(
 ):
     """Write the accelerations of N elements."""
     joints, count = angles.shape
-    s = np.empty((joints + 1, ROWS, LANES))
-    mass = np.empty((joints, joints, LANES))
-    quick = np.empty((joints, LANES))
+    s, spare = in_rows(np.empty((joints + 1, ROWS, LANES)), ROWS), in_lanes(np.empty((SPARE, LANES)))
+    mass = in_lanes(np.empty((joints, joints, LANES)))
+    quick = in_lanes(np.empty((joints, LANES)))
     given = np.empty((max(len(drives), 1), LANES))
     which = np.empty(LANES, np.int64)
     base = joints
@@ -114,10 +116,10 @@ def tree_accelerations(
                 for i in range(size):
                     s[k, LOAD, i] += loads[k, first + i]
         place_frames(s, turns, rotation, offset, reference, angles, first, size)
-        move_frames(s, parent, turns, rotation, quick)
-        gather_forces(s, parent, turns, rotation)
-        gather_inertias(s, parent, rotation)
-        fill_mass(s, mass, parent, turns, rotation, passive, which)
+        move_frames(s, spare, parent, turns, rotation, quick)
+        gather_forces(s, spare, parent, turns, rotation)
+        gather_inertias(s, spare, parent, rotation)
+        fill_mass(s, spare, mass, parent, turns, rotation, passive, which)
         factorise(mass, parent)
         solve(s, mass, parent)
         for k in range(joints):
@@ -129,8 +131,8 @@ def tree_accelerations(
 def tree_inverse_inertia(parent, turns, rotation, offset, reference, group, inertia, passive, angles, result):
     """Write M^-1 (J, J, N) of N elements; arguments as for `tree_accelerations`."""
     joints, count = angles.shape
-    s = np.empty((joints + 1, ROWS, LANES))
-    mass = np.empty((joints, joints, LANES))
+    s, spare = in_rows(np.empty((joints + 1, ROWS, LANES)), ROWS), in_lanes(np.empty((SPARE, LANES)))
+    mass = in_lanes(np.empty((joints, joints, LANES)))
     which = np.empty(LANES, np.int64)
     for first in range(0, count, LANES):
         size = min(LANES, count - first)
@@ -143,8 +145,8 @@ def tree_inverse_inertia(parent, turns, rotation, offset, reference, group, iner
                 for i in range(LANES):
                     s[k, INERTIA + row, i] = inertia[k, row, which[i]]
         place_frames(s, turns, rotation, offset, reference, angles, first, size)
-        gather_inertias(s, parent, rotation)
-        fill_mass(s, mass, parent, turns, rotation, passive, which)
+        gather_inertias(s, spare, parent, rotation)
+        fill_mass(s, spare, mass, parent, turns, rotation, passive, which)
         factorise(mass, parent)
         for j in range(joints):
             for k in range(joints):

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from numba import njit
 
-from deepkoco.systems.trees.newton_euler_kernel import COS, FORCE, INERTIA, LANES, LOAD, OFFSET, SIN, TORQUE
+from deepkoco.systems.trees.block_sizes import LANES
+from deepkoco.systems.trees.newton_euler_kernel import COS, INERTIA, LOAD, OFFSET, SIN
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "033bf3ca0fe49118"
+COMPILED_WITH = "9a0264d24f6c68d3"
 
 
 @njit(inline="always", error_model="numpy")
-def gather_inertias(s, parent, rotation):
-    """Add INERTIA of every joint to its parent's."""
+def gather_inertias(s, spare, parent, rotation):
+    """Add INERTIA of every joint to its parent's; ``spare`` is overwritten."""
     base = len(parent)
     for k in range(len(parent) - 1, -1, -1):
         p = parent[k]
@@ -25,14 +26,20 @@ def gather_inertias(s, parent, rotation):
         e0, e1, e2 = rotation[k, 0], rotation[k, 1], rotation[k, 2]
         e3, e4, e5 = rotation[k, 3], rotation[k, 4], rotation[k, 5]
         e6, e7, e8 = rotation[k, 6], rotation[k, 7], rotation[k, 8]
+        for row in range(5):
+            for i in range(LANES):
+                spare[10 + row, i] = s[k, COS + row, i]
+        for row in range(10):
+            for i in range(LANES):
+                spare[15 + row, i] = s[k, INERTIA + row, i]
         for i in range(LANES):
-            c, t, m = s[k, COS, i], s[k, SIN, i], s[k, INERTIA, i]
-            r0, r1, r2 = s[k, OFFSET, i], s[k, OFFSET + 1, i], s[k, OFFSET + 2, i]
-            h0, h1, z = s[k, INERTIA + 1, i], s[k, INERTIA + 2, i], s[k, INERTIA + 3, i]
+            c, t, m = spare[10, i], spare[11, i], spare[15, i]
+            r0, r1, r2 = spare[12, i], spare[13, i], spare[14, i]
+            h0, h1, z = spare[16, i], spare[17, i], spare[18, i]
             x, y = c * h0 - t * h1, t * h0 + c * h1
             h0, h1, h2 = e0 * x + e1 * y + e2 * z, e3 * x + e4 * y + e5 * z, e6 * x + e7 * y + e8 * z
-            xx, yy, zz = s[k, INERTIA + 4, i], s[k, INERTIA + 5, i], s[k, INERTIA + 6, i]
-            xy, xz, yz = s[k, INERTIA + 7, i], s[k, INERTIA + 8, i], s[k, INERTIA + 9, i]
+            xx, yy, zz = spare[19, i], spare[20, i], spare[21, i]
+            xy, xz, yz = spare[22, i], spare[23, i], spare[24, i]
             left, right = c * xx - t * xy, c * xy - t * yy
             i0, i3 = c * left - t * right, t * left + c * right
             i1 = xx + yy - i0
@@ -55,35 +62,34 @@ def gather_inertias(s, parent, rotation):
             )
             g0, g1, g2 = h0 + m * r0, h1 + m * r1, h2 + m * r2
             b0, b1, b2 = r0 * (g0 + h0), r1 * (g1 + h1), r2 * (g2 + h2)
-            s[p, INERTIA, i] += m
-            s[p, INERTIA + 1, i] += g0
-            s[p, INERTIA + 2, i] += g1
-            s[p, INERTIA + 3, i] += g2
-            s[p, INERTIA + 4, i] += x0 * e0 + x1 * e1 + x2 * e2 + (b1 + b2)
-            s[p, INERTIA + 5, i] += y0 * e3 + y1 * e4 + y2 * e5 + (b0 + b2)
-            s[p, INERTIA + 6, i] += z0 * e6 + z1 * e7 + z2 * e8 + (b0 + b1)
-            s[p, INERTIA + 7, i] += x0 * e3 + x1 * e4 + x2 * e5 - (r0 * g1 + r1 * h0)
-            s[p, INERTIA + 8, i] += x0 * e6 + x1 * e7 + x2 * e8 - (r0 * g2 + r2 * h0)
-            s[p, INERTIA + 9, i] += y0 * e6 + y1 * e7 + y2 * e8 - (r1 * g2 + r2 * h1)
+            spare[0, i] = m
+            spare[1, i] = g0
+            spare[2, i] = g1
+            spare[3, i] = g2
+            spare[4, i] = x0 * e0 + x1 * e1 + x2 * e2 + (b1 + b2)
+            spare[5, i] = y0 * e3 + y1 * e4 + y2 * e5 + (b0 + b2)
+            spare[6, i] = z0 * e6 + z1 * e7 + z2 * e8 + (b0 + b1)
+            spare[7, i] = x0 * e3 + x1 * e4 + x2 * e5 - (r0 * g1 + r1 * h0)
+            spare[8, i] = x0 * e6 + x1 * e7 + x2 * e8 - (r0 * g2 + r2 * h0)
+            spare[9, i] = y0 * e6 + y1 * e7 + y2 * e8 - (r1 * g2 + r2 * h1)
+        for row in range(10):
+            for i in range(LANES):
+                s[p, INERTIA + row, i] += spare[row, i]
 
 
 @njit(inline="always", error_model="numpy")
-def fill_mass(s, mass, parent, turns, rotation, passive, which):
-    """Lower triangle of the mass matrix; FORCE and TORQUE become what one unit of acceleration needs."""
+def fill_mass(s, spare, mass, parent, turns, rotation, passive, which):
+    """Lower triangle of the mass matrix; ``spare`` becomes the force and the torque for one unit of acceleration."""
     base = len(turns)
     for k in range(len(turns)):
         h = turns[k]
         slide = 1.0 - h
         for i in range(LANES):
             x, y = s[k, INERTIA + 1, i], s[k, INERTIA + 2, i]
-            s[k, FORCE, i], s[k, FORCE + 1, i], s[k, FORCE + 2, i] = (
-                -h * y,
-                h * x,
-                slide * s[k, INERTIA, i],
-            )
-            s[k, TORQUE, i] = h * s[k, INERTIA + 8, i] + slide * y
-            s[k, TORQUE + 1, i] = h * s[k, INERTIA + 9, i] - slide * x
-            s[k, TORQUE + 2, i] = h * s[k, INERTIA + 6, i]
+            spare[0, i], spare[1, i], spare[2, i] = -h * y, h * x, slide * s[k, INERTIA, i]
+            spare[3, i] = h * s[k, INERTIA + 8, i] + slide * y
+            spare[4, i] = h * s[k, INERTIA + 9, i] - slide * x
+            spare[5, i] = h * s[k, INERTIA + 6, i]
             mass[k, k, i] = h * s[k, INERTIA + 6, i] + slide * s[k, INERTIA, i] + passive[k, 0, which[i]]
         at = k
         while parent[at] != base:
@@ -94,17 +100,17 @@ def fill_mass(s, mass, parent, turns, rotation, passive, which):
             hp = turns[p]
             for i in range(LANES):
                 c, t = s[at, COS, i], s[at, SIN, i]
-                f0, f1, z = s[k, FORCE, i], s[k, FORCE + 1, i], s[k, FORCE + 2, i]
+                f0, f1, z = spare[0, i], spare[1, i], spare[2, i]
                 x, y = c * f0 - t * f1, t * f0 + c * f1
                 f0, f1, f2 = e0 * x + e1 * y + e2 * z, e3 * x + e4 * y + e5 * z, e6 * x + e7 * y + e8 * z
-                q0, q1, z = s[k, TORQUE, i], s[k, TORQUE + 1, i], s[k, TORQUE + 2, i]
+                q0, q1, z = spare[3, i], spare[4, i], spare[5, i]
                 r0, r1, r2 = s[at, OFFSET, i], s[at, OFFSET + 1, i], s[at, OFFSET + 2, i]
                 x, y = c * q0 - t * q1, t * q0 + c * q1
-                s[k, FORCE, i], s[k, FORCE + 1, i], s[k, FORCE + 2, i] = f0, f1, f2
-                s[k, TORQUE, i] = e0 * x + e1 * y + e2 * z + (r1 * f2 - r2 * f1)
-                s[k, TORQUE + 1, i] = e3 * x + e4 * y + e5 * z + (r2 * f0 - r0 * f2)
+                spare[0, i], spare[1, i], spare[2, i] = f0, f1, f2
+                spare[3, i] = e0 * x + e1 * y + e2 * z + (r1 * f2 - r2 * f1)
+                spare[4, i] = e3 * x + e4 * y + e5 * z + (r2 * f0 - r0 * f2)
                 q2 = e6 * x + e7 * y + e8 * z + (r0 * f1 - r1 * f0)
-                s[k, TORQUE + 2, i] = q2
+                spare[5, i] = q2
                 mass[k, p, i] = hp * q2 + (1.0 - hp) * f2
             at = p
 

@@ -11,7 +11,11 @@ import math
 import numpy as np
 from numba import njit
 
-LANES = 32
+from deepkoco.systems.trees.block_sizes import LANES
+
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "5ebbe2c12f58ba66"
+
 # Rows of a joint.
 COS, SIN, OFFSET, SPIN, SWING, PULL, FORCE, TORQUE, INERTIA, LOAD, ROWS = (
     0,
@@ -26,6 +30,8 @@ COS, SIN, OFFSET, SPIN, SWING, PULL, FORCE, TORQUE, INERTIA, LOAD, ROWS = (
     30,
     31,
 )
+
+SPARE = 25  # rows of a second array, through which a joint's quantities pass on their way to its parent
 
 # Range reduction by pi/2 in three parts of 33 bits, and the minimax polynomials of sine and cosine on [-pi/4, pi/4].
 # Source: fdlibm, e_rem_pio2.c, k_sin.c and k_cos.c (Sun Microsystems, 1993).
@@ -73,24 +79,28 @@ def place_frames(s, turns, rotation, offset, reference, angles, first, size):
 
 
 @njit(inline="always", error_model="numpy")
-def move_frames(s, parent, turns, rotation, quick):
-    """SPIN, SWING and PULL of every frame, then FORCE and TORQUE that its own body needs."""
+def move_frames(s, spare, parent, turns, rotation, quick):
+    """SPIN, SWING and PULL of every frame, then FORCE and TORQUE that its own body needs; ``spare`` is overwritten."""
     for k in range(len(turns)):
         h, p = turns[k], parent[k]
         slide = 1.0 - h
         e0, e1, e2 = rotation[k, 0], rotation[k, 1], rotation[k, 2]
         e3, e4, e5 = rotation[k, 3], rotation[k, 4], rotation[k, 5]
         e6, e7, e8 = rotation[k, 6], rotation[k, 7], rotation[k, 8]
+        # The parent's rows in an array of their own: within one, how far two joints lie apart is unknown.
+        for row in range(9):
+            for i in range(LANES):
+                spare[row, i] = s[p, SPIN + row, i]
         for i in range(LANES):
             c, t, v = s[k, COS, i], s[k, SIN, i], quick[k, i]
             x, y, z = s[k, OFFSET, i], s[k, OFFSET + 1, i], s[k, OFFSET + 2, i]
-            w0, w1, w2 = s[p, SPIN, i], s[p, SPIN + 1, i], s[p, SPIN + 2, i]
-            u0, u1, u2 = s[p, SWING, i], s[p, SWING + 1, i], s[p, SWING + 2, i]
+            w0, w1, w2 = spare[0, i], spare[1, i], spare[2, i]
+            u0, u1, u2 = spare[3, i], spare[4, i], spare[5, i]
             # Acceleration of the frame's origin: pull + swing x offset + spin x (spin x offset).
             d0, d1, d2 = w1 * z - w2 * y, w2 * x - w0 * z, w0 * y - w1 * x
-            a0 = s[p, PULL, i] + (u1 * z - u2 * y) + (w1 * d2 - w2 * d1)
-            a1 = s[p, PULL + 1, i] + (u2 * x - u0 * z) + (w2 * d0 - w0 * d2)
-            a2 = s[p, PULL + 2, i] + (u0 * y - u1 * x) + (w0 * d1 - w1 * d0)
+            a0 = spare[6, i] + (u1 * z - u2 * y) + (w1 * d2 - w2 * d1)
+            a1 = spare[7, i] + (u2 * x - u0 * z) + (w2 * d0 - w0 * d2)
+            a2 = spare[8, i] + (u0 * y - u1 * x) + (w0 * d1 - w1 * d0)
             # Into the joint's frame.
             x, y, z = (
                 e0 * w0 + e3 * w1 + e6 * w2,
@@ -143,7 +153,7 @@ def move_frames(s, parent, turns, rotation, quick):
 
 
 @njit(inline="always", error_model="numpy")
-def gather_forces(s, parent, turns, rotation):
+def gather_forces(s, spare, parent, turns, rotation):
     """Add FORCE and TORQUE of every joint to its parent's, and take its own share from LOAD."""
     base = len(turns)
     for k in range(len(turns) - 1, -1, -1):
@@ -156,17 +166,24 @@ def gather_forces(s, parent, turns, rotation):
         e0, e1, e2 = rotation[k, 0], rotation[k, 1], rotation[k, 2]
         e3, e4, e5 = rotation[k, 3], rotation[k, 4], rotation[k, 5]
         e6, e7, e8 = rotation[k, 6], rotation[k, 7], rotation[k, 8]
+        for row in range(5):
+            for i in range(LANES):
+                spare[10 + row, i] = s[k, COS + row, i]
+        for row in range(6):
+            for i in range(LANES):
+                spare[15 + row, i] = s[k, FORCE + row, i]
         for i in range(LANES):
-            c, t = s[k, COS, i], s[k, SIN, i]
-            r0, r1, r2 = s[k, OFFSET, i], s[k, OFFSET + 1, i], s[k, OFFSET + 2, i]
-            f0, f1, z = s[k, FORCE, i], s[k, FORCE + 1, i], s[k, FORCE + 2, i]
+            c, t = spare[10, i], spare[11, i]
+            r0, r1, r2 = spare[12, i], spare[13, i], spare[14, i]
+            f0, f1, z = spare[15, i], spare[16, i], spare[17, i]
             x, y = c * f0 - t * f1, t * f0 + c * f1
             f0, f1, f2 = e0 * x + e1 * y + e2 * z, e3 * x + e4 * y + e5 * z, e6 * x + e7 * y + e8 * z
-            s[p, FORCE, i] += f0
-            s[p, FORCE + 1, i] += f1
-            s[p, FORCE + 2, i] += f2
-            q0, q1, z = s[k, TORQUE, i], s[k, TORQUE + 1, i], s[k, TORQUE + 2, i]
+            spare[0, i], spare[1, i], spare[2, i] = f0, f1, f2
+            q0, q1, z = spare[18, i], spare[19, i], spare[20, i]
             x, y = c * q0 - t * q1, t * q0 + c * q1
-            s[p, TORQUE, i] += e0 * x + e1 * y + e2 * z + (r1 * f2 - r2 * f1)
-            s[p, TORQUE + 1, i] += e3 * x + e4 * y + e5 * z + (r2 * f0 - r0 * f2)
-            s[p, TORQUE + 2, i] += e6 * x + e7 * y + e8 * z + (r0 * f1 - r1 * f0)
+            spare[3, i] = e0 * x + e1 * y + e2 * z + (r1 * f2 - r2 * f1)
+            spare[4, i] = e3 * x + e4 * y + e5 * z + (r2 * f0 - r0 * f2)
+            spare[5, i] = e6 * x + e7 * y + e8 * z + (r0 * f1 - r1 * f0)
+        for row in range(6):
+            for i in range(LANES):
+                s[p, FORCE + row, i] += spare[row, i]

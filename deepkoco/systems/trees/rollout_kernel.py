@@ -14,13 +14,14 @@ from numba import njit
 
 from deepkoco.systems.dry_friction import HUGE
 from deepkoco.systems.dry_friction_loop import rub_element
+from deepkoco.systems.trees.block_sizes import LANES
 from deepkoco.systems.trees.effect_kernel import MOST_VALUES, is_level
 from deepkoco.systems.trees.mass_matrix_kernel import solve
-from deepkoco.systems.trees.newton_euler_kernel import LANES, LOAD, ROWS
+from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "cb4bb03ef8a42c9b"
+COMPILED_WITH = "5172c79c227471be"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -57,7 +58,8 @@ def tree_rollout(
     for e in range(len(kinds)):
         varying += is_level(kinds[e])
     varies = varying > 0
-    s = np.empty((joints + 1, ROWS, LANES))
+    s, spare = np.empty((joints + 1, ROWS, LANES)), np.empty((SPARE, LANES))
+    rows = (s, spare)
     masses = np.empty((2, joints, joints, LANES))
     stages = np.empty((9, joints, LANES))
     which = np.arange(LANES)
@@ -124,7 +126,7 @@ def tree_rollout(
                 for i in range(LANES):
                     direction[j, i] = np.sign(speed[j, i]) + held[j, i]
             runge_kutta(
-                tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push,
+                tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                 own_steady, direction, step, q, v, first, last,
             )  # fmt: skip
             some = False
@@ -178,7 +180,7 @@ def tree_rollout(
                             else:
                                 load[r, i] = 0.0
                 runge_kutta(
-                    tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push,
+                    tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                     own_steady, direction, step, q, v, first, last,
                 )  # fmt: skip
                 for i in range(LANES):

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 from numba import njit
 
+from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.effect_kernel import add_levels, add_loads, deliver
 from deepkoco.systems.trees.force_kernel import add_joint_loads
 from deepkoco.systems.trees.mass_matrix_kernel import factorise, fill_mass, gather_inertias, solve
 from deepkoco.systems.trees.newton_euler_kernel import (
     COS,
     INERTIA,
-    LANES,
     LOAD,
     PULL,
+    ROWS,
     SPIN,
     SWING,
     gather_forces,
@@ -24,7 +25,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "bfbe20610e2159b8"
+COMPILED_WITH = "ac278c95502f8bda"
 
 
 @njit(error_model="numpy", nogil=True)
@@ -32,7 +33,7 @@ def accelerations(
     tree,
     own,
     effects,
-    s,
+    rows,
     mass,
     which,
     forces,
@@ -51,6 +52,15 @@ def accelerations(
     inertia, gravity, passive, law = own
     kinds, places, values, varies, pulled, pulls = effects
     joints = len(turns)
+    s, spare, mass = in_rows(rows[0], ROWS), in_lanes(rows[1]), in_lanes(mass)
+    angle, speed, push, steady = in_lanes(angle), in_lanes(speed), in_lanes(push), in_lanes(steady)
+    direction, result, level, forces = (
+        in_lanes(direction),
+        in_lanes(result),
+        in_lanes(level),
+        in_lanes(forces),
+    )
+    inertia, gravity, passive = in_rows(inertia, 10), in_lanes(gravity), in_rows(passive, 5)
     for i in range(LANES):
         for row in range(3):
             s[joints, SPIN + row, i] = 0.0
@@ -100,10 +110,10 @@ def accelerations(
                 for i in range(LANES):
                     s[k, LOAD, i] -= level[k, i] * direction[k, i]
     place_frames(s, turns, rotation, offset, reference, angle, 0, LANES)
-    move_frames(s, parent, turns, rotation, speed)
-    gather_forces(s, parent, turns, rotation)
-    gather_inertias(s, parent, rotation)
-    fill_mass(s, mass, parent, turns, rotation, passive, which)
+    move_frames(s, spare, parent, turns, rotation, speed)
+    gather_forces(s, spare, parent, turns, rotation)
+    gather_inertias(s, spare, parent, rotation)
+    fill_mass(s, spare, mass, parent, turns, rotation, passive, which)
     factorise(mass, parent)
     solve(s, mass, parent)
     for k in range(joints):
@@ -113,11 +123,18 @@ def accelerations(
 
 @njit(error_model="numpy", nogil=True)
 def runge_kutta(
-    tree, own, effects, s, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
+    tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
     direction, step, end_angle, end_speed, first, last,
 ):  # fmt: skip
     """One step of a block; ``masses[0]`` keeps the factors at its start."""
     joints = len(angle)
+    angle, speed, end_angle, end_speed = (
+        in_lanes(angle),
+        in_lanes(speed),
+        in_lanes(end_angle),
+        in_lanes(end_speed),
+    )
+    stages, first, last = in_lanes(stages), in_lanes(first), in_lanes(last)
     v1, v2, v3, v4 = stages[0], stages[1], stages[2], stages[3]
     a1, a2, a3, a4, q = stages[4], stages[5], stages[6], stages[7], stages[8]
     for k in range(joints):
@@ -127,7 +144,7 @@ def runge_kutta(
     for stage in range(4):
         when, mass = (stage + 1) // 2, masses[min(stage, 1)]
         accelerations(
-            tree, own, effects, s, mass, which, forces, level, q, stages[stage], efforts[when], times[when], push,
+            tree, own, effects, rows, mass, which, forces, level, q, stages[stage], efforts[when], times[when], push,
             steady, direction, stages[4 + stage],
         )  # fmt: skip
         if stage < 3:
@@ -135,13 +152,18 @@ def runge_kutta(
             for k in range(joints):
                 for i in range(LANES):
                     q[k, i] = angle[k, i] + part * stages[stage, k, i]
+                for i in range(LANES):
                     stages[stage + 1, k, i] = speed[k, i] + part * stages[4 + stage, k, i]
     sixth = step / 6.0
     for k in range(joints):
+        # A loop for each result: in one, the compiler would have to check too many rows for overlap.
         for i in range(LANES):
             end_angle[k, i] = angle[k, i] + sixth * (v1[k, i] + 2.0 * (v2[k, i] + v3[k, i]) + v4[k, i])
+        for i in range(LANES):
             end_speed[k, i] = speed[k, i] + sixth * (a1[k, i] + 2.0 * (a2[k, i] + a3[k, i]) + a4[k, i])
+        for i in range(LANES):
             first[k, i] = a1[k, i]
+        for i in range(LANES):
             last[k, i] = a4[k, i]
 
 
