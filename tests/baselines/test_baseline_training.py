@@ -54,7 +54,7 @@ def test_updates_follow_the_steps(every, environments, updates, tmp_path):
     assert BaselineTrainer(make_tracking, config, 0, tmp_path).run()["updates"] == updates
 
 
-@pytest.mark.parametrize("name", ["sac", "deepmdp", "dbc"])
+@pytest.mark.parametrize("name", studied(["sac", "deepmdp", "dbc"], ("dbc",)))
 def test_scaled_rewards_are_learned_as_those_of_a_task_that_pays_so_much(name, tmp_path):
     class Cheaper(Tracking):
         def step(self, actions):
@@ -114,7 +114,7 @@ class StoppedError(Exception):
     pass
 
 
-@pytest.mark.parametrize("steps", [1, 33, 58])
+@pytest.mark.parametrize("steps", studied([1, 33, 58], (33,)))
 def test_a_run_that_fails_at_any_step_goes_on_bit_for_bit(steps, tmp_path):
     done = 0
 

@@ -75,7 +75,8 @@ def reconstruction(found: Identification, log: Recording) -> float:
     state = None
     # A swinging pendulum forgets its start within seconds: the fit of a short stretch leads to that of a longer one.
     for seconds in STRETCHES:
-        windows = cut_windows([log], found.system, seconds).take(np.array([0]))
+        # All stretches begin at the start of the log; windows of a fit leave out a share of their length there.
+        windows = cut_windows([log], found.system, seconds, cover=True).take(np.array([0]))
         problem = FitProblem(found.system, windows, ("theta",))
         state, _ = problem.fit_states(found.fit.values, windows.state if state is None else state, 30)
     assert state is not None
