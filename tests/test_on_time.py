@@ -27,10 +27,26 @@ def test_a_failure_while_threads_wait_is_repeated_in_a_new_folder(tmp_path, monk
 
 def test_a_failure_on_a_machine_with_time_counts_at_once(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "LATE", 1e9)
+    monkeypatch.setattr(module, "busy", lambda: False)
     calls: list[int] = []
     with pytest.raises(AssertionError):
         failing(2, calls)(tmp_path=tmp_path)
     assert len(calls) == 1
+
+
+def test_a_failure_while_other_processes_wait_is_repeated(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "LATE", 1e9)
+    monkeypatch.setattr(module, "busy", lambda: True)
+    calls: list[int] = []
+    failing(2, calls)(tmp_path=tmp_path)
+    assert len(calls) == 3
+
+
+@pytest.mark.parametrize(("load", "waits"), [(1.9, False), (2.1, True)])
+def test_a_machine_is_busy_when_more_processes_want_to_run_than_there_are_cores(monkeypatch, load, waits):
+    monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    assert module.busy() is waits
 
 
 def test_the_last_failure_counts(tmp_path, monkeypatch):

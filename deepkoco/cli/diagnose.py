@@ -99,17 +99,16 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.diagnose.report.text import terminal_table
     from deepkoco.fit.solve.scaled_inverse import DivergedError
     from deepkoco.logs.recording import LogError
-    from deepkoco.output.new_folder import FolderExistsError, check_new
+    from deepkoco.output.new_folder import FolderExistsError
     from deepkoco.output.whole_file import system_error
 
     first = args.recording[0]
-    out = args.out or result_folder(first, "_diagnosis")
     if args.window is not None and not 0.05 <= args.window <= 60.0:
         raise InputError(f"--window {args.window:g}: give a length between 0.05 and 60 s")
     if args.time_limit is not None and not args.time_limit > 0.0:
         raise InputError(f"--time-limit {args.time_limit:g}: give a positive number of seconds")
     try:
-        check_new(out)
+        out = result_folder(args.out, first, "_diagnosis")
         with _Doing(args.json) as say:
             say("reading the logs")
             system, logs = read_logs(args, args.recording, None)

@@ -115,11 +115,10 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.fit.request import FitError, command_delays
     from deepkoco.fit.solve.cma import MissingExtraError
     from deepkoco.logs.recording import LogError
-    from deepkoco.output.new_folder import FolderExistsError, check_new
+    from deepkoco.output.new_folder import FolderExistsError
     from deepkoco.output.whole_file import system_error
 
     first = args.recording[0]
-    out = args.out or result_folder(first, "_identified")
     options = {
         "bounds": {name: (low, high) for name, (low, high) in _numbers("--bounds", args.bounds, 2).items()},
         "start": {name: value for name, (value,) in _numbers("--start", args.start, 1).items()},
@@ -132,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     }
     _check(args)
     try:
-        check_new(out)
+        out = result_folder(args.out, first, "_identified")
         system, logs = read_logs(args, args.recording, None)
         names = list(args.parameters or [p.name for p in system.parameters])
         if args.delays is not None or args.hidden_delays is not None:

@@ -67,10 +67,19 @@ def add_episodes(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def result_folder(first: Path, suffix: str) -> Path:
-    """Default folder of a result: beside the first log, and named after it."""
+def result_folder(out: Path | None, first: Path, suffix: str) -> Path:
+    """Return the new folder of a result; without ``out``, beside the first log and named after it.
+
+    Raises:
+        FolderExistsError: It exists, or a file on its path keeps it from being made.
+        WriteError: The disk is full, or the place cannot be written.
+    """
+    from deepkoco.output.new_folder import check_new
+
     place = first if first.stem else first.resolve()
-    return place.with_name(f"{place.stem}{suffix}")
+    folder = place.with_name(f"{place.stem}{suffix}") if out is None else out
+    check_new(folder)
+    return folder
 
 
 def _episodes(text: str) -> tuple[int, ...]:

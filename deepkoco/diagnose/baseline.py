@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.diagnose.run_to_run import RunToRun
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
@@ -21,6 +22,7 @@ from deepkoco.fit.solve.gauges import Gauge, scale_gauges
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
+from deepkoco.fit.solve.rounded_commands import with_rounded_commands
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
@@ -245,6 +247,8 @@ def few_windows(windows: Windows, parameters: int) -> np.ndarray:
 def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough.
 
+    Where more than noise is left, the noise then contains what the rounding of the logged commands does.
+
     Args:
         start: Prior and present values.
         windows: The windows.
@@ -266,6 +270,11 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
         fit = FitProblem(start.system, windows).fit_one(trial)
         if parts == 1:
             break
+    if fit.chi2 / windows.samples > white_limit(windows):
+        noisy = with_rounded_commands(partial(FitProblem, start.system), windows, fit)
+        if noisy is not windows:
+            trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
+            windows, fit = noisy, FitProblem(start.system, noisy).fit_one(trial)
     return windows, fit
 
 

@@ -13,6 +13,7 @@ from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
 MIN_TRAINING_WINDOWS = 4
+SPARED = 2  # windows beyond these from which on some are held out
 ENOUGH_WINDOWS = (
     36  # for up to twice as many parameters; more parameters have half as many windows as their number
 )
@@ -57,7 +58,7 @@ def cut_data(
     windows = cut_windows(recordings, system, length, noise, cover=bool(holdout))
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
     order = np.cumsum(moves) - 1  # among the windows that are used
-    enough = moves.sum() >= MIN_TRAINING_WINDOWS + 2
+    enough = moves.sum() >= MIN_TRAINING_WINDOWS + SPARED
     keep_back = moves & _held_out(windows, order) & (not holdout) & enough
     train = windows.take(moves & ~keep_back)
     if holdout:

@@ -26,7 +26,7 @@ from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.weighed import weigh
-from deepkoco.diagnose.window_choice import followed_length
+from deepkoco.diagnose.window_choice import followed_length, length_for_enough
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
@@ -83,24 +83,29 @@ def diagnose(
         DivergedError: The simulation of the system as given diverges on these logs.
         TimeLimitError: ``time_limit`` is not positive.
     """
-    began, limit = time.perf_counter(), TimeLimit(time_limit)
+    began = time.perf_counter()
     base = any_system(system)
     plain = base.base if isinstance(base, ExtendedSystem) else base
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
-    known, measured = catalogue(plain), measured_channels([*recordings, *holdout])
-    causes = shown_causes(known, measured) if only is None else causes_named(known, only, plain.name)
-    if baseline is not None:
-        if healthy:
-            raise BaselineError(
-                f"both a baseline and {len(healthy)} healthy logs are given; give either the logs or the baseline "
-                "that was learned from them"
-            )
-        check_learned(baseline, base)
+    all_causes, measured = catalogue(plain), measured_channels([*recordings, *holdout])
+    causes = (
+        shown_causes(all_causes, measured) if only is None else causes_named(all_causes, only, plain.name)
+    )
+    if baseline is not None and healthy:
+        raise BaselineError(
+            f"both a baseline and {len(healthy)} healthy logs are given; give either the logs or the baseline "
+            "that was learned from them"
+        )
     with one_thread():
         usual = window_length(base) if window is None else window
+        limit = TimeLimit(time_limit, began=began)
+        if baseline is not None:
+            check_learned(baseline, base)
         # Healthy logs show what the unit does, and their baseline follows it.
-        known = window is not None or baseline is not None or healthy
-        length = usual if known else followed_length(recordings, base)
+        chosen = window is not None or baseline is not None or healthy
+        length = usual if chosen else followed_length(recordings, base)
+        if window is None and baseline is None:
+            length = length_for_enough(recordings, base, length, holdout)
         data = cut_data(recordings, holdout, base, length)
         request = DiagnosisRequest(
             recordings,

@@ -56,6 +56,8 @@ def on_longer_windows(
         data = _cut_like(base, cut_data(request.recordings, request.holdout, request.system, length))
         if (
             len(data.train) >= MIN_TRAINING_WINDOWS
+            # A gain that is measured on held-out windows is worth more than longer windows.
+            and (data.held is not None or base.data.held is None)
             and left_out(data.train, base.start, found.final.values) <= FOLLOWS
         ):
             if not request.limit.allows(f"fits on windows of {length:g} s"):

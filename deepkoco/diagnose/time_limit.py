@@ -19,8 +19,9 @@ class TimeLimit:
     them. Every later step asks before it begins. Without a limit, no result depends on a clock.
 
     Args:
-        seconds: The limit [s] from now on; None for none.
+        seconds: The limit [s]; None for none.
         clock: Seconds that have passed since some moment.
+        began: When the time began, by the clock; None for now.
 
     Attributes:
         left_out: Steps that were not made, in words.
@@ -29,11 +30,13 @@ class TimeLimit:
         TimeLimitError: The limit is not positive.
     """
 
-    def __init__(self, seconds: float | None = None, clock: Clock = time.perf_counter) -> None:
+    def __init__(
+        self, seconds: float | None = None, clock: Clock = time.perf_counter, began: float | None = None
+    ) -> None:
         if seconds is not None and not seconds > 0.0:
             raise TimeLimitError(f"a time limit of {seconds:g} s: give a positive number of seconds")
         self.seconds, self._clock = seconds, clock
-        self._began = clock()
+        self._began = clock() if began is None else began
         self.left_out: list[str] = []
 
     @property

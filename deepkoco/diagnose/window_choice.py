@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, baseline_from
+from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, SPARED
 from deepkoco.fit.data.windows import Windows, cut_windows, estimate_channels, moving, window_length
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording
@@ -45,7 +46,7 @@ def followed_length(recordings: Sequence[Recording], system: System) -> float:
             break
         windows = cut_windows(recordings, system, share * usual, noise)
         windows = windows.take(moving(windows)) if len(windows) else windows
-        if len(windows) == 0 or int(windows.valid.sum(-1).max(0).values.min()) < SHORTEST:
+        if len(windows) == 0 or _samples(windows) < SHORTEST:
             break
         start = baseline_from(system, windows)
         left = left_out(windows, start, start.values)
@@ -54,6 +55,39 @@ def followed_length(recordings: Sequence[Recording], system: System) -> float:
         if left < least:
             least, best = left, share * usual
     return best
+
+
+def length_for_enough(
+    recordings: Sequence[Recording], system: System, length: float, holdout: Sequence[Recording] = ()
+) -> float:
+    """Return the longest of the length, its half and its quarter of which the logs give enough moving windows.
+
+    A bench records motions of a few seconds, which have fewer periods than a diagnosis needs windows. Where no length
+    gives enough for held-out windows too, the one counts that gives enough to fit; else ``length`` itself.
+
+    Args:
+        recordings: Logs to explain.
+        system: The system as given.
+        length: Usual length of a window [s].
+        holdout: Logs that are never fitted; with them no window is held out.
+    """
+    noise, fitted = estimate_channels(recordings, system), None
+    for share in SHARES[:3]:
+        windows = cut_windows(recordings, system, share * length, noise, cover=bool(holdout))
+        count = int(moving(windows).sum()) if len(windows) else 0
+        if count and _samples(windows) < SHORTEST:
+            break
+        if count >= MIN_TRAINING_WINDOWS + (0 if holdout else SPARED):
+            return share * length
+        if fitted is None and count >= MIN_TRAINING_WINDOWS:
+            fitted = share * length
+    return length if fitted is None else fitted
+
+
+def _samples(windows: Windows) -> int:
+    """Samples of a full window, of the slowest channel that the logs measure."""
+    most = windows.valid.sum(-1).max(0).values
+    return int(most[most > 0].min())
 
 
 def left_out(windows: Windows, start: Baseline, values: Mapping[str, float]) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepkoco.logs.formats.log_file import LogError, LogFile, iso_seconds
-from deepkoco.logs.own_rows import has_own_rows
+from deepkoco.logs.own_rows import has_own_rows, values_present
 from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
@@ -88,10 +88,10 @@ class ChannelReader:
             value = self.log.values(channel.topic, channel.value.name)[row] * scale
             value = value + zero if zero else value
         some = ~(np.isnan(time) & np.isnan(value))
-        if has_own_rows(time, np.isnan(value)):
+        if self._has_own_rows(channel, row, time, value):
             self.notes.append(
                 f'column "{channel.value.name}": {int((~np.isnan(value)).sum())} of {len(value)} rows have a value; '
-                "the others are taken as rows of other columns, because its samples have a rate of their own"
+                "the others are taken as rows of other columns, because its samples have stamps of their own"
             )
             some = ~np.isnan(value)
         time, value, row = time[some], value[some], row[some]
@@ -103,6 +103,15 @@ class ChannelReader:
         series_row, time, value, unknown = self._filled(channel, row, time, value)
         keep = self._increasing(channel, stamp, series_row, time, value, own_time)
         return Series(time[keep], value[keep], target, channel.kind, unknown)
+
+    def _has_own_rows(
+        self, channel: ChannelColumn, row: np.ndarray, time: np.ndarray, value: np.ndarray
+    ) -> bool:
+        missing = np.isnan(value)
+        if not missing.any():
+            return False
+        frame = self.log.table(channel.topic).frame
+        return has_own_rows(time, missing, values_present(frame, channel.value.name)[row])
 
     def _time_column(self, channel: ChannelColumn) -> Column:
         if channel.time is not None:

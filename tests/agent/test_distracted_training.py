@@ -23,14 +23,15 @@ class Stopped(Exception):
 
 
 def factories(observation: str, name: str) -> list[Callable[[int, int], VectorEnv]]:
-    kwargs = {"action_units": "physical", "max_episode_steps": 45}
+    kwargs = {"action_units": "physical", "max_episode_steps": 45 if observation == "states" else 24}
     task = TaskConfig("pendulum", "deepkoco/RodPendulum-v0", kwargs=kwargs)
     return [make_task_factory(task, name, observation, split=split) for split in ("train", "evaluation")]
 
 
 def config(observation: str) -> TrainingConfig:
     chosen = small_config() if observation == "states" else image_config()
-    sizes = {"first_epochs": 5, "iteration_updates": 50, "iteration_epochs": 50, "total_episodes": 10}
+    updates = 50 if observation == "states" else 20
+    sizes = {"first_epochs": 5, "iteration_updates": updates, "iteration_epochs": 50, "total_episodes": 10}
     return dataclasses.replace(chosen, **sizes)
 
 

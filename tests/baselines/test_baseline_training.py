@@ -19,6 +19,7 @@ from baselines.policy import load_policy
 from baselines.training import BaselineTrainer
 from deepkoco.agent.checkpoint import CheckpointError, load_checkpoint
 from deepkoco.koopman.files.folder_files import ModelFolderError
+from tests.studied import studied
 
 HERE = Path(__file__).parent
 
@@ -34,7 +35,7 @@ def same(a, b):
     return a == b or (a != a and b != b)
 
 
-@pytest.mark.parametrize("name", ["sac", "deepmdp", "dbc"])
+@pytest.mark.parametrize("name", studied(["sac", "deepmdp", "dbc"], ("sac",)))
 def test_learns_to_track(name, tmp_path):
     config = small(
         name, total_episodes=50, learning_rate=3e-3, discount=0.5, evaluation_every=25, evaluation_episodes=20,

@@ -230,6 +230,7 @@ def test_holdout_logs_are_never_fitted(log, whole):
     assert result.windows > whole.windows
 
 
+@pytest.mark.study
 def test_model_keeps_given_parameters_where_the_refit_raises_the_held_out_error():
     mine, other, another = (unit_log("rod_pendulum", {}, "steps", seed, 12.0) for seed in (81, 82, 83))
     given = diagnose([other], "rod_pendulum", only=["lag"]).model
@@ -285,7 +286,7 @@ def told(*_, progress, evidence, time_limit):
     return SimpleNamespace(verdict="insufficient", to_json=dict)
 
 
-@pytest.mark.parametrize("window", [[], ["--window", "50"]])
+@pytest.mark.parametrize("window", [[], ["--window", "25"]])
 def test_diagnose_command_says_what_is_missing_where_the_joint_rests(log, tmp_path, capsys, window):
     rng = np.random.default_rng(0)
     t = log.channels["theta"].t

@@ -9,7 +9,7 @@ from tests.studied import studied
 SIMILAR = ["spring", "bristle", "rate_limit", "gear_play", "coulomb", "lag", "sensor_bias", "torque_bias"]
 
 
-@pytest.mark.parametrize("kind", studied(HIDDEN, ("gear_play", "rate_limit")))
+@pytest.mark.parametrize("kind", studied(HIDDEN, ("gear_play",)))
 def test_diagnose_names_the_hidden_cause_among_similar_ones(kind):
     result = diagnose([hysteresis_log(kind, 0)], SYSTEM, window=1.0, only=SIMILAR)
     assert [cause.name for cause in result.causes] == [kind]
@@ -18,7 +18,7 @@ def test_diagnose_names_the_hidden_cause_among_similar_ones(kind):
         assert estimate.value == pytest.approx(HIDDEN[kind][name.split(".")[1]], rel=0.1)
 
 
-@pytest.mark.parametrize("kind", studied(["", *HIDDEN], ("spring",)))
+@pytest.mark.parametrize("kind", studied(["", *HIDDEN], ()))
 def test_diagnose_names_the_hidden_cause_among_all(kind):
     result = diagnose([hysteresis_log(kind, 1)], SYSTEM, window=1.0)
     assert [cause.name for cause in result.causes] == ([kind] if kind else [])

@@ -73,6 +73,17 @@ def test_the_line_of_least_evidence_is_labelled_above_all_bars_and_grey_bars_bey
     assert "Grey bars beyond the dashed line" in picture.caption
 
 
+@pytest.mark.parametrize(("share", "told"), [(1.3, True), (0.7, False)])
+def test_a_refit_that_is_worse_than_the_simulation_as_given_is_explained_where_it_shows(
+    diagnosis, share, told
+):
+    gain = diagnosis.gain
+    channel = replace(gain.channels[0], refit=share * gain.channels[0].baseline)
+    changed = replace(diagnosis, gain=replace(gain, channels=(channel, *gain.channels[1:])))
+    (picture,) = (p for p in draw_all(changed) if p.name == "error_by_horizon")
+    assert ("The refit without the cause is worse here" in picture.caption) is told
+
+
 def test_found_parameters_show_null_and_interval(diagnosis):
     (found,) = (p for p in draw_all(diagnosis) if p.name == "found_parameters")
     (row,) = found.table.to_dict("records")

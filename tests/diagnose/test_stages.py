@@ -14,6 +14,8 @@ STAGES = (
     "deepkoco.diagnose.baseline",
     "deepkoco.diagnose.refitted",
     "deepkoco.diagnose.explanation",
+    "deepkoco.diagnose.weighed",
+    "deepkoco.diagnose.longer_windows",
     "deepkoco.diagnose.verdict.judgement",
     "deepkoco.diagnose.verdict.result",
     "deepkoco.diagnose.diagnose",

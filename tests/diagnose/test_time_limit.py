@@ -81,6 +81,7 @@ def test_a_diagnosis_whose_time_is_over_gives_its_best_answer_and_lists_what_is_
     assert said not in lead(full)
 
 
+@pytest.mark.study
 def test_a_limit_that_is_not_reached_changes_nothing_but_its_own_key(log, full):
     slow = diagnose([log], "rod_pendulum", only=CAUSES, time_limit=1e6).to_json()
     assert slow.pop("time_limit") == {"seconds": 1e6, "left_out": []}

@@ -33,7 +33,11 @@ def stage():
     return windows, start, leaving
 
 
-def verdict(
+def verdict(stage, names, after, **given):
+    return ruling(stage, names, after, **given).verdict
+
+
+def ruling(
     stage, names, after, *, before=10.0, kept=(10.0, 2.0), white=True, doubts=(), lost=None, healthy=False
 ):
     windows, start, leaving = stage
@@ -121,7 +125,7 @@ def test_a_refit_that_strays_from_units_of_one_make_leaves_a_misfit(stage, rough
     held = {"refit": leaving(1.3), "extended": leaving(1.3)}
     gain = SimpleNamespace(fits=held, reduction=0.0)
     start = replace(start, roughness=roughness)
-    assert verdict_of(found, start, windows, before, gain, False, ()) == expected
+    assert verdict_of(found, start, windows, before, gain, False, ()).verdict == expected
 
 
 def test_a_learned_load_competes_again_only_with_causes_that_have_not_outweighed_it(stage):
@@ -150,10 +154,10 @@ def test_verdict_is_unknown_for_three_flexible_causes(stage):
 
 
 def test_verdict_is_unknown_for_lost_commands_with_structure_or_pushes(stage):
-    assert verdict(stage, [], 1.0, lost=object()) == "cause"
-    assert verdict(stage, [], 2.0, lost=object()) == "unknown"
-    assert verdict(stage, ["event"], 1.0, lost=object()) == "unknown"
-    assert verdict(stage, ["coulomb"], 1.0, lost=object()) == "cause"
+    assert verdict(stage, [], 1.0, lost=SimpleNamespace(name="lost_commands")) == "cause"
+    assert verdict(stage, [], 2.0, lost=SimpleNamespace(name="lost_commands")) == "unknown"
+    assert verdict(stage, ["event"], 1.0, lost=SimpleNamespace(name="lost_commands")) == "unknown"
+    assert verdict(stage, ["coulomb"], 1.0, lost=SimpleNamespace(name="lost_commands")) == "cause"
 
 
 def refit_with(stage, chi2, white):
@@ -184,3 +188,40 @@ def test_a_vetoed_explanation_of_a_log_with_a_wrong_unit_is_unknown(stage):
     tiny = tuple(replace(c, value=1e-7 * c.value) for c in windows.commands)
     wrong = replace(windows, commands=tiny)
     assert without_explanation(refit_with(stage, 1.0, True), wrong, start, BASE) == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("names", "after", "given", "words"),
+    [
+        (
+            ["coulomb"],
+            3.0,
+            {"healthy": True},
+            "coulomb (torque = 0), 77.8% of the difference is explained; 98% is asked",
+        ),
+        (["coulomb"], 5.5, {}, "coulomb (torque = 0), 50.0% of the difference is explained; 60% is asked"),
+        (["coulomb"], 3.0, {"kept": (10.0, 9.0), "white": False}, "the held-out error falls by 5%"),
+        (
+            ["coulomb"],
+            1.0,
+            {"kept": (10.0, 10.0)},
+            "the fitted windows improve, but the held-out ones do not",
+        ),
+        (
+            ["coulomb", "viscous", "gain"],
+            3.0,
+            {"white": False},
+            "and gain (factor = 1); no more are searched for",
+        ),
+        (["event", "periodic", "cogging"], 1.0, {}, "So many pushes, tones or detents"),
+    ],
+)
+def test_each_veto_of_selected_causes_says_why(stage, names, after, given, words):
+    found = ruling(stage, names, after, **given)
+    assert found.verdict == "unknown"
+    assert words in found.why
+
+
+def test_named_causes_and_doubts_need_no_further_reason(stage):
+    assert ruling(stage, ["coulomb"], 1.0).why is None
+    assert ruling(stage, ["coulomb"], 1.0, doubts=["its unit is odd"]).why is None

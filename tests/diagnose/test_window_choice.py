@@ -5,12 +5,15 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.window_choice import SHARES, followed_length
+from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
+from deepkoco.diagnose.window_choice import SHARES, followed_length, length_for_enough
 from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, load_system, make_system
 from tests.fit.identify_logs import arm_log
 from tests.oracle.levitated_ball import Maglev, levitated_ball
+from tests.oracle.servo_unit import go1_like
+from tests.oracle.servo_unit import log_of as servo_log
 
 SHOULDER, ELBOW = "shoulder", "elbow"
 LINK = """<link name="{0}"><inertial><mass value="{1}"/><origin xyz="0 0 -0.15"/>
@@ -103,3 +106,30 @@ def test_the_shortest_window_still_has_twenty_steps():
         windows = cut_windows([log], Maglev(), length)
         assert windows.steps >= 20
         assert windows.length == pytest.approx(length, rel=0.05)
+
+
+@pytest.mark.parametrize("seconds", [20.0, 6.0])
+def test_a_short_log_gets_windows_short_enough_to_fit_some_and_to_hold_some_out(seconds):
+    system, unit = make_system("servo_pendulum"), go1_like()
+    log = servo_log(unit, "sin_time_square", 0, seconds)
+    usual = window_length(system)
+    length = length_for_enough([log], system, usual)
+    data = cut_data([log], (), system, length)
+    assert (length == usual) == (seconds == 20.0)
+    assert len(data.train) >= MIN_TRAINING_WINDOWS
+    assert data.held is not None
+
+
+def test_a_log_too_short_for_any_window_keeps_the_usual_length():
+    system = make_system("servo_pendulum")
+    log = servo_log(go1_like(), "sin_sin", 0, 0.4)
+    assert length_for_enough([log], system, window_length(system)) == window_length(system)
+
+
+def test_windows_of_a_log_without_speeds_are_as_short_as_those_with_them():
+    # The speed of the servo pendulum is a channel that benches of servos do not log.
+    system = make_system("servo_pendulum")
+    far = ExtendedSystem(system, (), {"stiffness": 1.0, "inertia": 0.1, "viscous": 0.0, "damping": 0.0})
+    log = servo_log(go1_like(), "sin_time_square", 0, 20.0)
+    assert log.names("measurement") == ("theta",)
+    assert followed_length([log], far) < followed_length([log], system)

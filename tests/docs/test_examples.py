@@ -50,7 +50,7 @@ def test_examples_go_on_from_the_first_graph(
         "environments.md",
         "hidden_cause.md",
         pytest.param("logs.md", marks=pytest.mark.study),
-        "identify.md",
+        pytest.param("identify.md", marks=pytest.mark.study),
         "pages.md",
         "planning.md",
         "runtimes.md",

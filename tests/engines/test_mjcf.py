@@ -289,6 +289,7 @@ def test_a_world_travels_and_goes_on():
     assert (first == again).all()
 
 
+@pytest.mark.study
 def test_an_mjcf_world_is_fitted_to_a_recording_without_it():
     measured = ("q_shoulder", "q_elbow")
     graph = make_graph(MjcfObject(ARM, measured), "mujoco", agent=looker(2), actuation_delay=0.017)

@@ -108,6 +108,11 @@ def test_the_page_shows_what_was_found_and_what_it_was_worth(make_run, tmp_path)
     for expected in ("The simulation lacks: torque bias", "0.5 N m", "257 [", "155 [", "saves 102 ["):
         assert expected in text
     assert text.count("data:video/webm;base64,") == 2
+    # Stills stand in a grid, so none is cut at an edge, and no text speaks of pictures that are not there.
+    assert text.count('<div class="frames">') == 2
+    assert "strip" not in text
+    # A learning curve that looks worse is of another, harder simulator.
+    assert "each cost is of another simulator" in text
     for name in ("cost_on_unit.csv", "cost_on_unit.png", "learning_curves.csv", "learning_curves.png"):
         assert (tmp_path / name).stat().st_size > 0
     screen = io.StringIO()

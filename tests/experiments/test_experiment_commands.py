@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from deepkoco.agent.collection import SpaceError
+from deepkoco.cli.command_line import main
 from deepkoco.runs.aggregate import aggregate, learning_curves, mean_with_band, read_runs
 from deepkoco.runs.environments import make_factory
 from deepkoco.runs.settings import ExperimentError, TaskConfig
@@ -51,9 +52,9 @@ def test_a_run_leaves_settings_metrics_events_checkpoint_and_model(run):
     assert json.loads((run / "model" / "config.json").read_text())["training"]["episodes"] == 7
 
 
-def test_evaluation_prints_one_json_object(run):
-    done = call("evaluate", f"run={run}", "episodes=4", "json=true")
-    result = json.loads(done.stdout)
+def test_evaluation_prints_one_json_object(run, capsys):
+    assert main(["evaluate", str(run), "episodes=4", "json=true"]) == 0
+    result = json.loads(capsys.readouterr().out)
     assert result["n"] == 4
     assert result["mean"] > 0
     assert 0 <= result["upright"] <= 1

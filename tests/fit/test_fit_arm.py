@@ -26,6 +26,7 @@ def test_fit_recovers_a_delay_for_each_joint():
         assert found.estimates[name].value == pytest.approx(late, abs=0.001)
 
 
+@pytest.mark.study
 def test_fit_recovers_the_second_encoder_zero_of_each_log():
     logs = [arm_log(seed, zero) for seed, zero in zip((2, 3), ZEROS, strict=True)]
     found = fit(logs, "two_link_arm", ["mass_2"], start=_known("mass_2"), zero_sd=0.1)

@@ -42,6 +42,7 @@ def test_identify_writes_a_folder_from_a_log(log, tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
+@pytest.mark.study
 def test_identify_writes_hidden_delays(tmp_path, capsys):
     effects = {"actuation_delay": {"delay": {"mean": 0.02, "sd": 0.004}}}
     unit = make_unit("rod_pendulum", effects=effects, sensor={"rate_hz": 200}, seed=4)

@@ -60,6 +60,15 @@ SEESAW = {
 }
 
 
+STEERED = {
+    "units": ("rad", "rad"),
+    "names": ("lean", "steer"),
+    "shown": ("lean_angle", "steer_angle"),
+    "commands": (("steer_torque", "N m"),),
+    "driven": (1,),
+}
+
+
 def columns(tmp_path, frame, system):
     path = tmp_path / "log.csv"
     pd.DataFrame(frame).to_csv(path, index=False)
@@ -148,3 +157,45 @@ def test_joint_states_are_in_radians_by_their_definition_however_far_a_motor_tur
         writer.finish()
     proposal = propose(survey_log(open_log(path)), channels(DRIVE)).proposal
     assert {c.channel.name: c.unit for c in proposal.choices}["motor_angle"] == unit
+
+
+def test_short_symbols_of_forces_and_torques_are_understood(tmp_path):
+    quad = {**SEESAW, "commands": (("thrust_left", "N"), ("thrust_right", "N"))}
+    found = columns(tmp_path, {"t": T, "F_R": 4 + FAST, "F_L": 4 - FAST, "roll_deg": 30 * SLOW}, quad)
+    assert (found["thrust_left"][0], found["thrust_right"][0]) == ("F_L", "F_R")
+
+
+def test_a_column_whose_name_says_nothing_is_a_guess_for_the_only_channel_without_one(tmp_path):
+    frame = {"ms": 1000 * T, "lean_deg": 9 * SLOW, "foo": 0.3 * FAST, "T_steer": FAST}
+    found = columns(tmp_path, frame, STEERED)
+    assert found == {
+        "lean_angle": ("lean_deg", "deg"),
+        "steer_angle": ("foo", "rad"),
+        "steer_torque": ("T_steer", "N m"),
+    }
+    more = columns(tmp_path, {**frame, "bar": SLOW}, STEERED)
+    assert more["steer_angle"] is None  # two columns could be it
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1.0, "rad"), (180 / np.pi, "deg")])
+def test_an_angle_without_a_unit_has_the_one_in_which_the_equations_hold(tmp_path, factor, unit):
+    torque = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, len(T) // 40), 40)
+    speed = np.cumsum(torque) * 0.01
+    angle = np.cumsum(speed) * 0.01  # 1 rad/s2 for each N m
+    system = {**STEERED, "units": ("rad",), "names": ("tilt",), "shown": ("tilt",), "driven": (0,)}
+    found = columns(tmp_path, {"t": T, "tilt": factor * angle, "torque_Nm": torque}, system)
+    assert found["tilt"] == ("tilt", unit)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"), [("ms", "ms"), ("us", "us"), ("millis", "ms"), ("uptime_ms", "ms")]
+)
+def test_a_time_may_be_called_by_its_unit(tmp_path, name, unit):
+    scale = {"ms": 1e3, "us": 1e6}[unit]
+    pd.DataFrame({name: scale * T + rough(T), "foo": FAST}).to_csv(tmp_path / "log.csv", index=False)
+    clock = survey_log(open_log(tmp_path / "log.csv")).clocks[""][0]
+    assert (clock.column, clock.unit) == (name, unit)
+
+
+def rough(t):
+    return np.random.default_rng(0).uniform(0.0, 4.0, len(t))

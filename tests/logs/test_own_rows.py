@@ -95,3 +95,30 @@ def test_a_command_missing_here_and_there_in_a_table_of_one_rate_is_refused(tmp_
     path = written(tmp_path, t, np.column_stack([torque, np.sin(t)]), ("torque", "theta"))
     with pytest.raises(LogError, match="NaN or infinite"):
         read_log(path)
+
+
+def test_messages_at_any_times_have_own_rows_where_each_row_is_of_one_of_them(tmp_path):
+    rng = np.random.default_rng(3)
+    angle = np.cumsum(rng.uniform(0.004, 0.03, 300))  # a sensor that reports when it can
+    command = np.arange(0.0, angle[-1], 0.02)
+    time, table = joined([(command, rng.standard_normal(len(command))), (angle, np.sin(angle))])
+    recording = read_log(written(tmp_path, time, table, ("torque", "theta")))
+    assert len(recording.channels["theta"]) == len(angle)
+    assert recording.channels["torque"].unknown is None
+
+
+@given(st.floats(0.05, 0.6), st.floats(0.05, 0.6), st.integers(0, 10_000))
+def test_cells_missing_from_two_columns_at_random_are_missing(first, second, seed):
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.004, 0.03, 800))
+    missing = rng.uniform(size=(800, 2)) < (first, second)
+    others = ~missing
+    assert not has_own_rows(time, missing[:, 0], others[:, 1:])
+
+
+def test_two_messages_of_one_stamp_are_no_repetition(tmp_path):
+    t = np.arange(0.0, 3.0, 0.01)
+    time, table = joined([(t, np.cos(t)), (t, np.sin(t))])
+    path = written(tmp_path, time, table, ("torque", "theta"))
+    assert survey_log(open_log(path)).clocks[""][0].duplicates == 0
+    assert len(read_log(path).channels["theta"]) == len(t)

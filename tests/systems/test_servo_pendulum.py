@@ -55,3 +55,10 @@ def test_its_picture_hangs_at_zero():
     background = picture[0, 0].astype(int)
     assert (abs(picture[44:] - background) > 30).any()
     assert not (abs(picture[:24] - background) > 30).any()
+
+
+def test_payload_may_be_several_times_what_a_short_arm_carries():
+    # The bound counts in metres of an unknown arm; 3 cm is a short one.
+    system = ExtendedSystem(make_system("servo_pendulum"), ("payload",))
+    most = system.parameter("payload.mass").high
+    assert most * 9.81 * 0.03 >= 2.9 * system.base.load_scale

@@ -147,15 +147,16 @@ def _healthy_estimates(
                 # Every fit frees the simulation's own parameters; here the changed one keeps its new value.
                 trial = replace(trial, free=tuple(n for n in trial.free if n not in cause.free))
             trials.append(replace(trial, state=state, nuisance=nuisance))
+        # A healthy log is far from a large cause, and a fit that starts with it can stay there.
+        trials.append(replace(trials[-1], values=base))
     fits = problem.fit(trials, PATIENCE, CLOSE)
-    return [
+    answers = []
+    for hypothesis, bound, *both in zip(hypotheses, fits[::3], fits[1::3], fits[2::3], strict=True):
+        free = min(both, key=lambda f: f.cost)
         # If the simulation of the cause diverges on a healthy log, this log says nothing about the cause.
-        (
-            0.0 if free.diverged else max(bound.cost - free.cost, 0.0) / deflation,
-            {n: free.values[n] for n in hypothesis.cause.free},
-        )
-        for hypothesis, bound, free in zip(hypotheses, fits[::2], fits[1::2], strict=True)
-    ]
+        chi2 = 0.0 if free.diverged else max(bound.cost - free.cost, 0.0) / deflation
+        answers.append((chi2, {n: free.values[n] for n in hypothesis.cause.free}))
+    return answers
 
 
 def _chi2_together(

@@ -102,7 +102,8 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     unfitted = _with_gain(explanation.unfitted, base, gain)
     white = left.lag_one <= coloured_from(base.train)
     doubts = _doubts(explanation, request.system, missing, left)
-    verdict = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
+    verdict, why = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
+    doubts = doubts if why is None else (*doubts, why)
     if verdict == "unknown" and (found.accepted or found.lost is not None):
         verdict = without_explanation(reference, base.train, base.start, request.system)
     withdrawn = verdict == "nothing" and (bool(found.accepted) or found.lost is not None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, is_changed, kind_of
@@ -34,6 +34,18 @@ MIN_EXPLAINED_FLEXIBLE = 0.9
 CARRY_OVER_FROM = 0.1  # fall of chi2 per sample from which the causes must also improve the held-out windows
 
 
+class Ruling(NamedTuple):
+    """A verdict, and why no cause is named although causes were selected.
+
+    Attributes:
+        verdict: The verdict.
+        why: One sentence; None where causes are named, none were selected, or the doubts say it.
+    """
+
+    verdict: Verdict
+    why: str | None = None
+
+
 def verdict_of(
     found: Selected,
     start: Baseline,
@@ -42,8 +54,8 @@ def verdict_of(
     gain: Gain | None,
     white: bool,
     doubts: Sequence[str],
-) -> Verdict:
-    """Return the verdict on the selected causes.
+) -> Ruling:
+    """Return the verdict on the selected causes, and what speaks against naming them.
 
     Args:
         found: The selection.
@@ -57,18 +69,23 @@ def verdict_of(
     after, causes = found.final, found.accepted
     left = after.chi2 / train.samples > white_limit(train, start.correlation) * start.floor
     if not causes and found.lost is None:
-        return "unknown" if left and not found.usual else "nothing"
+        return Ruling("unknown" if left and not found.usual else "nothing")
     # Without held-out windows, the fit must explain nearly all of the excess chi2.
     most = MIN_EXPLAINED if start.healthy is None and gain is not None else MIN_EXPLAINED_STRICT
     pushes = sum(c.effect == "event" for c in causes)
     lasting = len(causes) - pushes
     # Three causes that are all pushes, tones or detents can fit nearly any residual.
-    if doubts or (only_flexible(found) and len(causes) >= MOST_CAUSES):
-        return "unknown"
+    if doubts:
+        return Ruling("unknown")
+    if only_flexible(found) and len(causes) >= MOST_CAUSES:
+        return Ruling("unknown", f"So many pushes, tones or detents can fit anything: {_told(found)}.")
     if found.lost is not None and (left or (causes and _all_flexible(found))):
         # A loss pattern has hundreds of free positions and can fit nearly any residual, above all together with
         # pushes and tones. Real losses leave no structure.
-        return "unknown"
+        return Ruling(
+            "unknown",
+            f"Nearly any difference can be fitted with {_told(found)}, and more than noise is left.",
+        )
     if found.lost is not None or not lasting:
         gain = None  # pushes and lost commands do not repeat in the held-out windows
     # A prior of units of one make counts as the samples do. A refit that strays from it explains nothing by that, and
@@ -79,30 +96,55 @@ def verdict_of(
     if left:
         searched = [c for c in causes if start.tempering == 1.0 or not is_changed(c)]
         if len(searched) >= MOST_CAUSES * start.system.joints:
-            return "unknown"  # the search limit is reached at each joint, and structure still remains
+            # The search limit is reached at each joint, and structure still remains.
+            return Ruling(
+                "unknown", f"More than noise is left beside {_told(found)}; no more are searched for."
+            )
         share = explained_share(before, after, train, start.floor)
         if strays:
             excess = before.chi2 - start.floor * train.samples
             share = max(share, (before.cost - after.cost) / max(excess + strayed, 1e-12))
         worth = 1.0 if gain is None else gain.reduction
         enough = max(most, MIN_EXPLAINED_FLEXIBLE) if only_flexible(found) else most
-        if share < enough or worth <= (0.0 if white else MIN_REDUCTION):
-            return "unknown"
+        if share < enough:
+            return Ruling("unknown", _too_little(found, share, enough, start.healthy is not None))
+        reduced = 0.0 if white else MIN_REDUCTION
+        if worth <= reduced:
+            text = f"With {_told(found)}, the held-out error falls by {worth:.0%}; more than {reduced:.0%} is asked for"
+            return Ruling("unknown", f"{text} where more than noise is left.")
     plain = before.chi2 - after.chi2 > CARRY_OVER_FROM * train.samples
     if gain is not None and (left or plain):
         # Several false causes together can fit the training windows; they do not improve the held-out windows.
         fits = gain.fits["refit"], gain.fits["extended"]
         carried = carries_over(before, after, *fits, ~touched(train, after.values))
         if not carried or (lasting > 1 and gain.reduction <= 0.0):
-            return "unknown"
+            return Ruling(
+                "unknown", f"With {_told(found)}, the fitted windows improve, but the held-out ones do not."
+            )
     if not causes:
-        return "cause"
+        return Ruling("cause")
     families = [CAUSES[kind_of(name)].family for name in found.steps[0][1]]
     if families[0] != PARAMETER:
         # Almost every mechanism can also be written as another value of a parameter; that is no rival mechanism.
         families = [f for f in families if f != PARAMETER]
-    families = set(families)
-    return "ambiguous" if len(families) > 1 else "cause"
+    return Ruling("ambiguous" if len(set(families)) > 1 else "cause")
+
+
+def _told(found: Selected) -> str:
+    """The selected causes with their values: `payload (mass = 0.081 kg)`."""
+    told = []
+    for cause in found.accepted:
+        values = ((n.rpartition(".")[2], found.final.values.get(n)) for n in cause.free)
+        known = ", ".join(f"{n} = {x:.3g}" for n, x in values if x is not None)
+        told.append(f"{cause.name} ({known})" if known else cause.name)
+    return " and ".join(told + ([found.lost.name] if found.lost else []))
+
+
+def _too_little(found: Selected, share: float, enough: float, healthy: bool) -> str:
+    given = "where healthy logs show what a sound unit leaves" if healthy else "where more than noise is left"
+    return (
+        f"With {_told(found)}, {share:.1%} of the difference is explained; {enough:.0%} is asked for {given}."
+    )
 
 
 def without_explanation(

@@ -9,6 +9,7 @@ import numpy as np
 from deepkoco.logs.formats import LogFile
 from deepkoco.logs.formats.log_file import LogError, iso_seconds
 from deepkoco.logs.inspect.names import read_name
+from deepkoco.logs.own_rows import values_present
 from deepkoco.logs.series import counting_column
 from deepkoco.logs.sidecar import ISO
 from deepkoco.logs.units import factor_between, parse_unit
@@ -32,7 +33,7 @@ class Clock:
         jitter_s: standard deviation of the positive steps without gaps [s].
         gaps: number of steps of more than 1.5 median steps.
         longest_gap_s: the longest step [s].
-        duplicates: number of repeated stamps.
+        duplicates: number of repeated stamps; rows of two messages that fill other columns may share one.
         resets: rows at which the stamps decrease.
         missing: number of rows without a stamp.
         counter: column that counts the stretches between resets, None if there is none.
@@ -106,6 +107,14 @@ def _score(log: LogFile, topic: str, name: str) -> float | None:
     return 3.0 * says + 1.0 * hinted + 2.0 * forward + (0.5 if name.lower() in ("t", "time") else 0.0)
 
 
+def _repeated(log: LogFile, topic: str, name: str, rows: np.ndarray) -> int:
+    """How many of these rows have a value in a column that the row before, of the same stamp, has filled too."""
+    if not len(rows):
+        return 0
+    filled = values_present(log.table(topic).frame, name)
+    return int((filled[rows] & filled[rows - 1]).any(axis=1).sum()) if filled.shape[1] else len(rows)
+
+
 def _timelike(words: tuple[str, ...]) -> bool:
     return any("time" in word or "stamp" in word for word in words)
 
@@ -170,7 +179,7 @@ def _clock(log: LogFile, topic: str, name: str, unit: str, named: bool) -> Clock
         jitter_s=float(forward[~is_gap].std()) if median else None,
         gaps=int(is_gap.sum()),
         longest_gap_s=float(forward.max()) if len(forward) else None,
-        duplicates=int((step == 0).sum()),
+        duplicates=_repeated(log, topic, name, good[1:][step == 0]),
         resets=tuple(int(row) for row in resets),
         missing=len(values) - len(good),
         counter=counting_column(log, topic, resets) if len(resets) else None,

@@ -9,6 +9,8 @@ from typing import NamedTuple
 from deepkoco.logs.inspect.choice import Proposal
 from deepkoco.logs.inspect.evidence import samples_of
 from deepkoco.logs.inspect.joints import has_named_joints, propose_joints
+from deepkoco.logs.inspect.left_over import with_what_is_left
+from deepkoco.logs.inspect.lone_units import with_likely_units
 from deepkoco.logs.inspect.misfit import misfit
 from deepkoco.logs.inspect.proposal import Proposer
 from deepkoco.logs.inspect.survey import Survey
@@ -58,7 +60,12 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
             proposals[found.name] = found, propose_joints([survey, *others], found)
             continue
         proposer = proposer or Proposer(survey, samples)
-        proposals[found.name] = found, proposer.propose(found)
+        proposal = proposer.propose(found)
+        if system is not None:
+            # The log of a system that the user names holds most of its channels, and follows its equations. Known
+            # systems compete by the evidence of the log alone.
+            proposal = with_likely_units(found, with_what_is_left(survey, proposal), samples)
+        proposals[found.name] = found, proposal
     usable = [name for name, (_, proposal) in proposals.items() if proposal.complete]
     if not usable:
         raise _nothing(survey, next(iter(proposals.values()))[1], system is not None)

@@ -13,6 +13,7 @@ WORDS: dict[str, dict[str, float]] = {
         **dict.fromkeys(("theta", "angle", "jpos", "qpos"), 3.0),
         **dict.fromkeys(("pos", "position", "q", "phi", "alpha", "encoder", "enc", "th", "positions"), 2.0),
         **dict.fromkeys(("beta", "psi", "pitch", "roll", "yaw", "joint", "rot", "rotation"), 1.0),
+        **dict.fromkeys(("gamma", "delta", "tilt", "lean", "heading"), 1.0),
     },
     "angular velocity": {
         **dict.fromkeys(
@@ -25,7 +26,7 @@ WORDS: dict[str, dict[str, float]] = {
     "torque": {
         **dict.fromkeys(("torque", "tau", "trq"), 3.0),
         **dict.fromkeys(("effort", "moment", "tq", "efforts"), 2.0),
-        **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "data"), 1.0),
+        **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "data", "t", "m"), 1.0),
     },
     "voltage": {
         **dict.fromkeys(("voltage", "volt", "volts"), 3.0),
@@ -35,7 +36,7 @@ WORDS: dict[str, dict[str, float]] = {
     "current": {**dict.fromkeys(("current", "curr", "amps"), 3.0), "i": 1.0},
     "force": {
         **dict.fromkeys(("force", "thrust"), 3.0),
-        **dict.fromkeys(("u", "input", "command", "cmd"), 1.0),
+        **dict.fromkeys(("u", "input", "command", "cmd", "f"), 1.0),
     },
     "ratio": {
         **dict.fromkeys(("throttle", "duty", "pwm", "dutycycle"), 3.0),
@@ -45,9 +46,13 @@ WORDS: dict[str, dict[str, float]] = {
     "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed"), 2.0),
     "time": {
         **dict.fromkeys(("time", "timestamp", "stamp", "t", "datetime", "date"), 3.0),
-        **dict.fromkeys(("sec", "secs", "seconds", "clock"), 2.0),
+        **dict.fromkeys(
+            ("sec", "secs", "seconds", "clock", "ms", "msec", "millis", "us", "usec", "micros"), 2.0
+        ),
+        **dict.fromkeys(("ns", "nsec", "nanos", "uptime"), 2.0),
     },
 }
+_NO_TIMES = tuple(name for name in WORDS if name != "time")
 COMMANDED = (
     "cmd",
     "command",
@@ -114,8 +119,12 @@ class NameHints:
     counting: bool
 
     def speaks_for(self, quantity: str) -> float:
-        """Evidence of the words for a quantity [nats]; negative if another quantity fits better."""
-        scores = {name: self._score(name) for name in WORDS}
+        """Evidence of the words for a quantity [nats]; negative if another quantity fits better.
+
+        A time always grows, which the values show. So a word for it speaks for no column that is not asked for a time:
+        the t of ``t_steer`` may be a torque.
+        """
+        scores = {name: self._score(name) for name in WORDS if name in (quantity, *_NO_TIMES)}
         others = max((score for name, score in scores.items() if name != quantity), default=0.0)
         own = scores.get(quantity, 0.0)
         return own if own >= others else own - others
@@ -160,6 +169,8 @@ def read_name(name: str) -> NameHints:
             part = match.group(1)
         if part:
             words.append(part.lower())
+    if unit is None and len(parts) == 1 and words == [parts[0].lower()] and _is_time(SUFFIXES.get(words[0])):
+        unit = SUFFIXES[words[0]]  # a column that is called "ms" and nothing else
     found = set(words) if name.strip() else {"index"}  # a column without a name counts the rows
     return NameHints(
         tuple(words),
@@ -178,6 +189,10 @@ def _unit_suffix(parts: list[str]) -> tuple[list[str], str | None]:
             if unit is not None:
                 return parts[:-length], unit
     return parts, None
+
+
+def _is_time(unit: str | None) -> bool:
+    return unit is not None and unit != "s" and parse_unit(unit).quantity == "time"
 
 
 def _known(text: str) -> bool:

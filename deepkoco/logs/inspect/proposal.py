@@ -163,9 +163,25 @@ class Proposer:
             if column.label not in taken:
                 said, why = self._name_evidence(column, channel, joint, system)
                 rows.append((column, said, why))
+        rows = [
+            (column, said - self._elsewhere(column, channel, said, system), why) for column, said, why in rows
+        ]
         rows.sort(key=lambda row: -row[1])
         most = BEST if channel.kind == "measurement" else len(rows)
         return [*rows[:most], (None, NOTHING, [])]
+
+    def _elsewhere(self, column: ColumnSurvey, channel: Channel, said: float, system: System) -> float:
+        """By how much a column's name speaks more for a channel of another kind [nats]: ``T_steer`` is no angle."""
+        joints = {
+            c.name: k for k, (a, b, more) in enumerate(joint_groups(system)) for c in (a, b, *more) if c
+        }
+        quantity = parse_unit(channel.unit).quantity
+        others = [
+            self._name_evidence(column, other, joints[other.name], system)[0]
+            for other in (*system.measurements, *system.commands)
+            if other.default is None and parse_unit(other.unit).quantity != quantity
+        ]
+        return max(0.0, max(others, default=-math.inf) - said)
 
     def _name_evidence(
         self, column: ColumnSurvey, channel: Channel, joint: int, system: System

@@ -10,7 +10,7 @@ from deepkoco.logs.formats import LogFile
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.inspect.clock import Clock, find_clocks, stamps
 from deepkoco.logs.inspect.names import NameHints, read_name
-from deepkoco.logs.own_rows import has_own_rows
+from deepkoco.logs.own_rows import has_own_rows, values_present
 from deepkoco.logs.quantum import quantum_of
 from deepkoco.logs.series import far_values
 
@@ -131,7 +131,10 @@ def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnS
     if (
         stamped is not None
         and kind == "number"
-        and has_own_rows(stamps(log, stamped)[here], np.isnan(values))
+        and np.isnan(values).any()
+        and has_own_rows(
+            stamps(log, stamped)[here], np.isnan(values), values_present(table.frame, name)[here]
+        )
     ):
         finite = finite[~np.isnan(values)]
         values = values[~np.isnan(values)]

@@ -17,7 +17,8 @@ def _payload(system: System, place: int = 0) -> tuple[Parameter, ...]:
     site, way = _site_and_way(system, place)
     if way is not None:
         where = f"on {site}"
-    mass = Parameter("mass", 0.0, "kg", 0.0, 20.0 * scale, scale, f"m_p, point mass {where}")
+    # An arm may be as short as 3 cm, and carry several times the load that it has usually.
+    mass = Parameter("mass", 0.0, "kg", 0.0, 100.0 * scale, scale, f"m_p, point mass {where}")
     if way is None:
         return (mass,)
     text = f"s_p, from the joint of {site} to the point mass, along the link"

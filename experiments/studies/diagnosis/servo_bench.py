@@ -44,6 +44,7 @@ class Xl330Bench(System):
     """(m l^2 + J) theta'' = servo(q) - m g l sin(theta + z) - b theta' - friction of the gear, theta = 0 hanging."""
 
     name, joints = "xl330_bench", 1
+    mass = MASS
     state_names, state_units = ("theta", "omega"), ("rad", "rad/s")
 
     def __init__(self) -> None:
@@ -77,7 +78,7 @@ class Xl330Bench(System):
 
     @property
     def load_scale(self) -> float:
-        return MASS * GRAVITY * LENGTH
+        return self.mass * GRAVITY * LENGTH
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         return state[..., :1]
@@ -100,12 +101,12 @@ class Xl330Bench(System):
         return deliver
 
     def _weight(self, motion: Motion, parameters: Parameters) -> Tensor:
-        mass = MASS + parameters.get("payload", 0.0)
+        mass = self.mass + parameters.get("payload", 0.0)
         return -mass * GRAVITY * LENGTH * torch.sin(motion.angles[0] + parameters["zero"])
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
         p, deliver, friction = parameters, self.delivery(parameters), gear_friction_of(parameters)
-        inertia = (MASS + p.get("payload", 0.0)) * LENGTH**2 + p["armature"]
+        inertia = (self.mass + p.get("payload", 0.0)) * LENGTH**2 + p["armature"]
 
         def acceleration(motion: Motion) -> tuple[Tensor, ...]:
             motor, weight, speed = deliver(motion)[0], self._weight(motion, p), motion.speeds[0]
@@ -120,7 +121,7 @@ class Xl330Bench(System):
         return acceleration
 
     def inverse_inertia(self, parameters: Parameters) -> InverseInertia:
-        inverse = 1.0 / ((MASS + parameters.get("payload", 0.0)) * LENGTH**2 + parameters["armature"])
+        inverse = 1.0 / ((self.mass + parameters.get("payload", 0.0)) * LENGTH**2 + parameters["armature"])
         return lambda motion: ((inverse,),)
 
     def dry_friction_limits(self, parameters: Parameters) -> tuple[Tensor, ...]:

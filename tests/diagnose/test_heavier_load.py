@@ -1,0 +1,64 @@
+"""A servo carries two or three times the load that its healthy logs show."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose import diagnose
+from deepkoco.systems import make_system
+from experiments.studies.diagnosis.servo_bench import SHARE_PER_GAIN, Xl330Bench
+from tests.oracle.servo_unit import MOTIONS, ServoUnit, go1_like, log_of
+
+# Friction is asked for, because the given system has none and the healthy logs show it.
+ASKED = ["payload", "gain", "spring", "viscous", "coulomb", "bristle", "load_friction"]
+LIGHT = 0.15  # load of the small servo [kg]
+
+
+class LightBench(Xl330Bench):
+    """The bench of a small servo with a load that it can lift three times over, at a gain of 400."""
+
+    mass = LIGHT
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.parameters = tuple(
+            replace(p, value=400.0) if p.name == "servo_gain" else p for p in self.parameters
+        )
+
+
+def small_servo() -> ServoUnit:
+    constant, resistance = 0.37, 3.2
+    stall = 7.3 * constant / resistance
+    stiffness = SHARE_PER_GAIN * 400.0 * stall
+    return ServoUnit(stiffness, constant**2 / resistance, stall, LIGHT, 0.1, 1.2e-3, 0.006, 0.015, 0.15, 0.01)
+
+
+def logs_of(unit: ServoUnit, factor: float, held: str):
+    """The log with another load, and the healthy logs of the other motions, each of another day."""
+    rng = np.random.default_rng(5)
+    healthy = [log_of(unit.today(rng, 0.01), motion, k) for k, motion in enumerate(MOTIONS) if motion != held]
+    return log_of(replace(unit.today(rng, 0.01), mass=factor * unit.mass), held, 50), healthy
+
+
+@pytest.mark.study
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("factor", [2.0, 3.0])
+def test_a_heavier_load_of_a_servo_is_named_from_six_seconds(factor):
+    unit = go1_like()
+    log, healthy = logs_of(unit, factor, "sin_time_square")
+    found = diagnose([log], make_system("servo_pendulum"), healthy=healthy, only=ASKED)
+    assert found.verdict == "cause"
+    assert found.names == ("payload",)
+    mass = found.causes[0].parameters["payload.mass"].value
+    assert mass == pytest.approx((factor - 1.0) * unit.mass, rel=0.1)
+
+
+@pytest.mark.study
+@pytest.mark.timeout(900)
+def test_a_healthy_log_far_from_a_heavy_load_does_not_excuse_it():
+    # A fit of a healthy log that starts with the heavy load stays with it, and no value of it seemed worse there.
+    log, healthy = logs_of(small_servo(), 3.0, "sin_time_square")
+    found = diagnose([log], LightBench(), healthy=healthy, only=["payload", "viscous"])
+    assert found.names == ("payload",)
+    assert found.unexplained["allowed_by_healthy_logs"] == []
