@@ -17,16 +17,19 @@ from numba.np.arrayobj import make_array
 LANES = 32  # elements of a block
 
 
-@intrinsic
-def in_lanes(_: Any, array: types.Array) -> tuple[Any, Callable[..., Any]]:
+def _in_lanes(_: Any, array: types.Array) -> tuple[Any, Callable[..., Any]]:
     """Return an array (..., LANES) as one of which the compiler knows the last size."""
     return array(array), _with_sizes(LANES)
 
 
-@intrinsic(prefer_literal=True)
-def in_rows(_: Any, array: types.Array, rows: types.IntegerLiteral) -> tuple[Any, Callable[..., Any]]:
+def _in_rows(_: Any, array: types.Array, rows: types.IntegerLiteral) -> tuple[Any, Callable[..., Any]]:
     """Return an array (..., rows, LANES) as one of which the compiler knows the last two sizes."""
     return array(array, rows), _with_sizes(rows.literal_value, LANES)
+
+
+# Compiled code calls these without the first argument, which only numba gives.
+in_lanes: Any = intrinsic(_in_lanes)
+in_rows: Any = intrinsic(prefer_literal=True)(_in_rows)
 
 
 def _with_sizes(*inner: int) -> Callable[..., Any]:
