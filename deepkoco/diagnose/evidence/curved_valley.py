@@ -11,7 +11,6 @@ parameters near their priors.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, cast
 
 import numpy as np
 import torch
@@ -112,10 +111,10 @@ class _Valley:
             if name in self.cause.free:
                 x[k] += FIRST if name.endswith(".mass") else BEYOND
         for share in SHARES:
-            found = cast(Any, least_squares)(
+            found = least_squares(
                 lambda x, share=share: self._left(x[None], share)[0],
                 np.clip(x, low + INSIDE, high - INSIDE),
-                lambda x, share=share: self._slopes_left(x, share),
+                lambda x, share=share: self._slopes_left(x, share),  # pyright: ignore[reportArgumentType]
                 (low, high),
                 ftol=TOLERANCE,
                 max_nfev=EVALUATIONS,

@@ -7,7 +7,7 @@ number of lanes apart, so the compiler would have to check every pair of rows in
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from numba.core import cgutils, types
 from numba.core.imputils import impl_ret_borrowed
@@ -17,19 +17,16 @@ from numba.np.arrayobj import make_array
 LANES = 32  # elements of a block
 
 
+@intrinsic
 def _in_lanes(_: Any, array: types.Array) -> tuple[Any, Callable[..., Any]]:
     """Return an array (..., LANES) as one of which the compiler knows the last size."""
     return array(array), _with_sizes(LANES)
 
 
+@intrinsic(prefer_literal=True)
 def _in_rows(_: Any, array: types.Array, rows: types.IntegerLiteral) -> tuple[Any, Callable[..., Any]]:
     """Return an array (..., rows, LANES) as one of which the compiler knows the last two sizes."""
     return array(array, rows), _with_sizes(rows.literal_value, LANES)
-
-
-# Compiled code calls these without the first argument, which only numba gives.
-in_lanes: Any = intrinsic(_in_lanes)
-in_rows: Any = intrinsic(prefer_literal=True)(_in_rows)
 
 
 def _with_sizes(*inner: int) -> Callable[..., Any]:
@@ -41,3 +38,8 @@ def _with_sizes(*inner: int) -> Callable[..., Any]:
         return impl_ret_borrowed(context, builder, signature.return_type, array._getvalue())
 
     return compiled
+
+
+# A compiled function calls them without the context that the compiler hands in.
+in_lanes = cast(Callable[[Any], Any], _in_lanes)
+in_rows = cast(Callable[[Any, int], Any], _in_rows)

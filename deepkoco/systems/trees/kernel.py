@@ -32,7 +32,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "a485b47d72383d46"
+COMPILED_WITH = "8c9e331f6d6d4fac"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
