@@ -43,3 +43,17 @@ def test_an_outside_force_frees_the_components_that_load_a_joint(arm):
     # The reach of the arm times the force is a tenth of the load that the shoulder or the elbow typically has.
     reach = 0.1 * min(arm.load_scales[0] / 0.4, arm.load_scales[1] / 0.1)
     assert np.isclose(declared["force(fore).x"].prior_sd, reach, rtol=0.05)
+
+
+def test_a_short_flange_may_carry_a_tool_of_the_size_of_the_robot():
+    text = ARM.replace(
+        '<site name="grip" pos=".2 0 0"/>',
+        '<body name="flange" pos=".2 0 0"><joint name="roll" axis="0 0 1"/>'
+        '<geom type="box" size=".03 .02 .01" pos=".005 0 0"/></body>',
+    )
+    arm = TreeSystem(compile_tree(mujoco.MjModel.from_xml_string(text), "arm"))
+    declared = {p.name: p for p in ExtendedSystem(arm, ("payload",)).parameters}
+    # The flange's own centre of mass is 5 mm off its axis; the way to it is 0.5 m.
+    assert declared["payload.along"].high == pytest.approx(0.1)
+    fore = {p.name: p for p in ExtendedSystem(arm, ("payload(fore)",)).parameters}
+    assert fore["payload(fore).along"].high == pytest.approx(0.4)

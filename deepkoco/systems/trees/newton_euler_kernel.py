@@ -14,7 +14,7 @@ from numba import njit
 from deepkoco.systems.trees.block_sizes import LANES
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "5ebbe2c12f58ba66"
+COMPILED_WITH = "29ced50dd5f2037f"
 
 # Rows of a joint.
 COS, SIN, OFFSET, SPIN, SWING, PULL, FORCE, TORQUE, INERTIA, LOAD, ROWS = (

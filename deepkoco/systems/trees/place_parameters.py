@@ -19,6 +19,7 @@ AHEAD, BEHIND = (
     2.0,
     0.5,
 )  # bounds of a payload's place, beyond the link and behind its axis [lengths of the link]
+TOOL = 0.1  # length of what a last link carries, as a share of the way from the base to it: a flange itself is short
 FORCE_SD, LARGEST_FORCE = 0.1, 2.0  # of a force, as shares of the one that equals a joint's typical load
 
 
@@ -46,7 +47,7 @@ def payload_ways(tree: Tree) -> dict[str, PayloadWay]:
         if max((float(np.abs(lever).max()) for lever in turning), default=0.0) < FAINT:
             continue
         at = float(direction @ site.offset)
-        length = max(length, 2.0 * abs(at))
+        length = max(length, 2.0 * abs(at), _room_for_tool(tree, site.joint))
         found[site.name] = PayloadWay(at, min(at, 0.0) - BEHIND * length, AHEAD * length, 0.5 * length)
     return found
 
@@ -72,6 +73,14 @@ def force_parameters(tree: Tree, load_scales: Sequence[float]) -> dict[str, tupl
         if own:
             found[site.name] = tuple(own)
     return found
+
+
+def _room_for_tool(tree: Tree, joint: int) -> float:
+    """Length that a tool on a last link has at least [m]; 0 on a link that carries another one."""
+    if any(other.parent == joint for other in tree.joints):
+        return 0.0
+    steps = [np.linalg.norm(tree.joints[k].frame.offset) for k in _to_base(tree.joints, joint)]
+    return TOOL * float(np.sum(steps))
 
 
 def _to_base(joints: Sequence[Joint], k: int) -> list[int]:
