@@ -69,6 +69,7 @@ class ChannelReader:
         self.log, self.where, self.fill = log, where, fill
         self.shift = (log.origin_ns - origin_ns) / 1e9
         self.notes: list[str] = []
+        self._own_rows = ""
 
     def read(self, channel: ChannelColumn, target: str, own_time: bool) -> Series:
         """Read one channel in the unit `target`; with `own_time`, a command may repeat samples.
@@ -89,11 +90,8 @@ class ChannelReader:
             value = value + zero if zero else value
         some = ~(np.isnan(time) & np.isnan(value))
         if self._has_own_rows(channel, row, time, value):
-            self.notes.append(
-                f'column "{channel.value.name}": {int((~np.isnan(value)).sum())} of {len(value)} rows have a value; '
-                "the others are taken as rows of other columns, because its samples have stamps of their own"
-            )
             some = ~np.isnan(value)
+            self._note_own_rows(channel.value.name, int(some.sum()), len(value))
         time, value, row = time[some], value[some], row[some]
         self._refuse(channel, stamp, row, ~np.isfinite(time), "without a time stamp", "drop those rows")
         late = np.abs(time) > LATEST
@@ -103,6 +101,15 @@ class ChannelReader:
         series_row, time, value, unknown = self._filled(channel, row, time, value)
         keep = self._increasing(channel, stamp, series_row, time, value, own_time)
         return Series(time[keep], value[keep], target, channel.kind, unknown)
+
+    def _note_own_rows(self, name: str, count: int, rows: int) -> None:
+        """Say in one note which columns have rows of their own."""
+        if self._own_rows and self.notes and self.notes[-1] == self._own_rows:
+            self.notes.pop()
+            self._own_rows += f', "{name}" {count}'
+        else:
+            self._own_rows = f'empty cells are rows of other columns: of {rows} rows, "{name}" has {count}'
+        self.notes.append(self._own_rows)
 
     def _has_own_rows(
         self, channel: ChannelColumn, row: np.ndarray, time: np.ndarray, value: np.ndarray

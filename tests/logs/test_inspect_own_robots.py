@@ -199,3 +199,31 @@ def test_a_time_may_be_called_by_its_unit(tmp_path, name, unit):
 
 def rough(t):
     return np.random.default_rng(0).uniform(0.0, 4.0, len(t))
+
+
+@pytest.mark.parametrize("name", ["ts", "Zeit", "recorded"])
+def test_text_that_reads_as_dates_is_a_time_under_any_name(tmp_path, name):
+    stamps = pd.to_datetime(1764060000 + T, unit="s").strftime("%H:%M:%S.%f")
+    frame = {name: stamps, "angle_deg": 9 * SLOW, "torque_Nm": FAST, "mode": "auto"}
+    found = columns(
+        tmp_path,
+        frame,
+        {**STEERED, "units": ("rad",), "names": ("tilt",), "shown": ("angle",), "driven": (0,)},
+    )
+    assert found == {"angle": ("angle_deg", "deg"), "steer_torque": ("torque_Nm", "N m")}
+
+
+@pytest.mark.parametrize(("factor", "asked"), [(180 / np.pi, "(deg, mrad)"), (1000.0, "(mrad)")])
+def test_a_command_far_above_its_limit_is_asked_for_the_units_that_bring_it_below(tmp_path, factor, asked):
+    frame = {"t": T, "tilt": 0.4 * np.roll(FAST, 5), "goal": 0.4 * factor * FAST}
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    servo = {
+        "units": ("rad",),
+        "names": ("tilt",),
+        "shown": ("tilt",),
+        "driven": (0,),
+        "commands": (("goal", "rad"),),
+    }
+    survey = survey_log(open_log(tmp_path / "log.csv"))
+    doubts = doubts_of(survey, propose(survey, channels(servo)).proposal)
+    assert any(f"check its unit {asked}" in d for d in doubts)

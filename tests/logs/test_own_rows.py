@@ -105,6 +105,10 @@ def test_messages_at_any_times_have_own_rows_where_each_row_is_of_one_of_them(tm
     recording = read_log(written(tmp_path, time, table, ("torque", "theta")))
     assert len(recording.channels["theta"]) == len(angle)
     assert recording.channels["torque"].unknown is None
+    said = [note for note in recording.warnings if "rows of other columns" in note]
+    assert len(said) == 1
+    assert '"torque"' in said[0]
+    assert '"theta"' in said[0]
 
 
 @given(st.floats(0.05, 0.6), st.floats(0.05, 0.6), st.integers(0, 10_000))

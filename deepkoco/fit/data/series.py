@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deepkoco.fit.data.differenced import differenced_speeds, shown_between
 from deepkoco.fit.data.even_stamps import with_even_stamps
 from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import System
@@ -32,6 +33,14 @@ class CommandSeries:
 def channel_series(
     recording: Recording, system: System
 ) -> tuple[CommandSeries, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Commands and measurements of a recording, at the times that they show.
+
+    Angles are unwrapped, stamps of a regular loop even, and speeds that are differences of positions stand between
+    these.
+
+    Raises:
+        LogError: A command or every measurement is missing, or a sample is not finite.
+    """
     where = recording.path or "the recording"
     for command in system.commands:
         if command.name not in recording.channels and command.default is None:
@@ -59,7 +68,9 @@ def channel_series(
         wanted = ", ".join(c.name for c in system.measurements)
         raise LogError(f"{where}: no measurement of {system.name} is mapped; map at least one of: {wanted}")
     names = [command.name for command in system.commands if command.name in recording.channels]
+    differenced = differenced_speeds(series, system)
     series, moved = with_even_stamps(series, [recording.channels[name].t for name in names])
+    series = shown_between(series, differenced)
     logged = [replace(recording.channels[name], t=t) for name, t in zip(names, moved, strict=True)]
     if not logged:
         # A log of a free motion: every command is at its default.

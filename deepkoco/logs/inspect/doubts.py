@@ -10,7 +10,7 @@ import pandas as pd
 from deepkoco.logs.checks.derivative import slip
 from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.clock import Clock
-from deepkoco.logs.inspect.evidence import AGREES
+from deepkoco.logs.inspect.evidence import AGREES, POSITIONS, SPEEDS
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
 
@@ -18,6 +18,7 @@ FEW_TEXTS = 0.2  # share of cells below which text in a column is a mistake
 MANY_LETTERS = 40  # of a cell that is shown
 MANY = 8  # largest number of listed names
 MANY_COUNTS = 50  # different whole numbers from which they are taken for counts
+ROOM = 1.2  # times its limit that a command may reach
 OFF = 0.25  # tolerance of the logarithm of a ratio of units
 _RATE = {"rad": "rad/s", "m": "m/s"}
 
@@ -143,7 +144,7 @@ def _units(survey: Survey, proposal: Proposal) -> list[str]:
             if top > 20.0 * limit:
                 result.append(
                     f'"{choice.column.name}" reaches {top:.3g} {si}, {top / limit:.0f} times the limit '
-                    f"of {proposal.system} ({limit:g} {si}); check its unit (m{si}, %)"
+                    f"of {proposal.system} ({limit:g} {si}); check its unit ({_smaller(si, top, limit)})"
                 )
             elif top < limit / 200.0:
                 result.append(
@@ -151,6 +152,14 @@ def _units(survey: Survey, proposal: Proposal) -> list[str]:
                     f"{proposal.system}; check its unit, or give the ratio of a gear (key scale)"
                 )
     return result
+
+
+def _smaller(si: str, top: float, limit: float) -> str:
+    """Units in which a command that is far above its limit in SI would be near it, the nearest first."""
+    alike = next((units for units in (*POSITIONS.values(), *SPEEDS.values()) if si in units), (f"m{si}", "%"))
+    sizes = {u: top * (0.01 if u == "%" else factor_between(u, si)) / limit for u in alike if u != si}
+    near = [u for u in sorted(sizes, key=lambda u: -sizes[u]) if sizes[u] <= ROOM]
+    return ", ".join(near) or ", ".join(sizes)
 
 
 def _counts(survey: Survey, choice: Choice) -> bool:

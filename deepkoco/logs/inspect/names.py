@@ -45,11 +45,11 @@ WORDS: dict[str, dict[str, float]] = {
     "length": dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position"), 2.0),
     "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed"), 2.0),
     "time": {
-        **dict.fromkeys(("time", "timestamp", "stamp", "t", "datetime", "date"), 3.0),
+        **dict.fromkeys(("time", "timestamp", "stamp", "t", "ts", "datetime", "date", "zeit"), 3.0),
         **dict.fromkeys(
             ("sec", "secs", "seconds", "clock", "ms", "msec", "millis", "us", "usec", "micros"), 2.0
         ),
-        **dict.fromkeys(("ns", "nsec", "nanos", "uptime"), 2.0),
+        **dict.fromkeys(("ns", "nsec", "nanos", "uptime", "elapsed"), 2.0),
     },
 }
 _NO_TIMES = tuple(name for name in WORDS if name != "time")
