@@ -7,30 +7,18 @@ import pytest
 
 from deepkoco.diagnose import diagnose
 from deepkoco.systems import make_system
-from experiments.studies.diagnosis.servo_bench import SHARE_PER_GAIN, Xl330Bench
+from experiments.studies.diagnosis.heavier_load import GAIN, LIGHT, LightBench
+from experiments.studies.diagnosis.servo_bench import SHARE_PER_GAIN
 from tests.oracle.servo_unit import MOTIONS, ServoUnit, go1_like, log_of
 
 # Friction is asked for, because the given system has none and the healthy logs show it.
 ASKED = ["payload", "gain", "spring", "viscous", "coulomb", "bristle", "load_friction"]
-LIGHT = 0.15  # load of the small servo [kg]
-
-
-class LightBench(Xl330Bench):
-    """The bench of a small servo with a load that it can lift three times over, at a gain of 400."""
-
-    mass = LIGHT
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.parameters = tuple(
-            replace(p, value=400.0) if p.name == "servo_gain" else p for p in self.parameters
-        )
 
 
 def small_servo() -> ServoUnit:
     constant, resistance = 0.37, 3.2
     stall = 7.3 * constant / resistance
-    stiffness = SHARE_PER_GAIN * 400.0 * stall
+    stiffness = SHARE_PER_GAIN * GAIN * stall
     return ServoUnit(stiffness, constant**2 / resistance, stall, LIGHT, 0.1, 1.2e-3, 0.006, 0.015, 0.15, 0.01)
 
 
