@@ -27,6 +27,9 @@ SHORTER = (0.0625, 0.03125, 0.015625)
 LOST = 1.0  # squared error, as a share of the motion
 FOLLOWS = 0.1  # squared error of a simulation, as a share of the motion in its window, up to which it follows its log
 SOME = 20  # windows that are simulated
+PERIODS = (
+    2.5  # usual windows that the logs last, at least, to be cut into shorter ones: one motion shows no law
+)
 SHORTEST = 16  # samples of each channel that a window keeps
 
 
@@ -62,7 +65,8 @@ def length_for_enough(
 ) -> float:
     """Return the longest of the length, its half and its quarter of which the logs give enough moving windows.
 
-    A bench records motions of a few seconds, which have fewer periods than a diagnosis needs windows. Where no length
+    A bench records motions of a few seconds, which have fewer periods than a diagnosis needs windows. Where the logs
+    have fewer than ``PERIODS`` of them, the length stays as it is, and they do not suffice. Where no length
     gives enough for held-out windows too, the one counts that gives enough to fit; else ``length`` itself.
 
     Args:
@@ -72,7 +76,8 @@ def length_for_enough(
         holdout: Logs that are never fitted; with them no window is held out.
     """
     noise, fitted = estimate_channels(recordings, system), None
-    for share in SHARES[:3]:
+    seconds = sum(recording.stop - recording.start for recording in recordings)
+    for share in SHARES[:3] if seconds > PERIODS * length else ():
         windows = cut_windows(recordings, system, share * length, noise, cover=bool(holdout))
         count = int(moving(windows).sum()) if len(windows) else 0
         if count and _samples(windows) < SHORTEST:
