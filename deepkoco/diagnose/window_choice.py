@@ -63,11 +63,11 @@ def followed_length(recordings: Sequence[Recording], system: System) -> float:
 def length_for_enough(
     recordings: Sequence[Recording], system: System, length: float, holdout: Sequence[Recording] = ()
 ) -> float:
-    """Return the longest of the length, its half and its quarter of which the logs give enough moving windows.
+    """Return the length where the logs give enough moving windows to fit, else the longest of its half and quarter.
 
     A bench records motions of a few seconds, which have fewer periods than a diagnosis needs windows. Where the logs
-    have fewer than ``PERIODS`` of them, the length stays as it is, and they do not suffice. Where no length
-    gives enough for held-out windows too, the one counts that gives enough to fit; else ``length`` itself.
+    have fewer than ``PERIODS`` of them, the length stays as it is, and they do not suffice. A shorter length gives
+    enough windows to hold some out too; where none does, the one counts that gives enough to fit.
 
     Args:
         recordings: Logs to explain.
@@ -82,7 +82,7 @@ def length_for_enough(
         count = int(moving(windows).sum()) if len(windows) else 0
         if count and _samples(windows) < SHORTEST:
             break
-        if count >= MIN_TRAINING_WINDOWS + (0 if holdout else SPARED):
+        if count >= MIN_TRAINING_WINDOWS + (0 if holdout or share == 1.0 else SPARED):
             return share * length
         if fitted is None and count >= MIN_TRAINING_WINDOWS:
             fitted = share * length
