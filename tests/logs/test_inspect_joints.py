@@ -1,4 +1,4 @@
-"""Mapping of logs of many joints: names, units, directions and zeros against a model."""
+"""Units, directions and zeros of the joints of a log against a model."""
 
 import json
 
@@ -14,15 +14,12 @@ from torch import Tensor
 from deepkoco.cli.command_line import main
 from deepkoco.logs import read_log
 from deepkoco.logs.formats import open_log
-from deepkoco.logs.inspect import doubts_of, mapping_of, propose, survey_log
+from deepkoco.logs.inspect import mapping_of, propose, survey_log
 from deepkoco.logs.inspect.joints.finding import from_ranges
 from deepkoco.logs.inspect.joints.goals import track
 from deepkoco.logs.inspect.joints.gravity import Slow, signs_and_zeros
-from deepkoco.logs.inspect.joints.log_joints import log_joints
-from deepkoco.logs.inspect.joints.match import match_joints
 from deepkoco.logs.sidecar import dump_sidecar
-from deepkoco.systems import SYSTEMS, Channel, Motion, Parameter, System, load_system
-from tests.logs.test_lerobot import write_v21
+from deepkoco.systems import SYSTEMS, Channel, Motion, Parameter, System
 
 WEIGHT = (3.0, 1.2)  # gravity on the two links, horizontal [N m]
 
@@ -120,80 +117,6 @@ def write(path, motion, signs=(1, 1), zeros=(0.0, 0.0), names=("pitch", "elbow")
 def findings(path, system):
     fitting = propose(survey_log(open_log(path)), system)
     return fitting, {joint.model: joint for joint in fitting.proposal.joints}
-
-
-@pytest.mark.parametrize(
-    ("log", "model"),
-    [
-        (
-            ("rotation", "pitch", "elbow", "wrist_pitch", "wrist_roll", "jaw"),
-            ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"),
-        ),
-        (("0", "1", "2"), ("hip", "knee", "ankle")),
-        (("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"), ("FL_hip", "FL_thigh", "FL_calf")),
-    ],
-)
-def test_match_joints_by_name_and_order(log, model):
-    assert [(m.log, m.model) for m in match_joints(log, model)] == [(k, k) for k in range(len(log))]
-
-
-@settings(deadline=None)
-@given(order=st.permutations(["elbow_flex", "shoulder_lift", "wrist_roll", "gripper"]))
-def test_match_joints_prefers_equal_names_to_the_order(order):
-    model = ["shoulder_lift", "elbow_flex", "wrist_roll", "gripper"]
-    assert all(order[m.log] == model[m.model] for m in match_joints(order, model))
-
-
-def test_match_joints_leaves_strangers_out():
-    assert [
-        (m.log, m.model) for m in match_joints(["elbow", "camera_zoom"], ["wrist", "elbow", "shoulder"])
-    ] == [(0, 1)]
-
-
-@pytest.mark.parametrize(
-    ("names", "joints"),
-    [
-        (["q_elbow", "dq_elbow", "goal_elbow", "load_elbow"], {"elbow": {"position", "speed", "goal", "effort"}}),
-        (["observation.state[a.pos]", "action[a.pos]"], {"a": {"position", "goal"}}),
-        (["dof_pos[0]", "des_dof_pos[0]", "dof_pos[1]"], {"0": {"position", "goal"}, "1": {"position"}}),
-        (["position[arm_1]", "velocity[arm_1]", "effort[arm_1]"], {"arm_1": {"position", "speed", "effort"}}),
-        (["interface_values[hip].values[position]", "interface_values[hip].values[effort]"],
-         {"hip": {"position", "effort"}}),
-        (["pos_meas1", "vel_meas1", "tau_con1"], {"1": {"position", "speed", "goal effort"}}),
-    ],
-)  # fmt: skip
-def test_columns_are_grouped_by_joint(tmp_path, names, joints):
-    t = 0.01 * np.arange(40)
-    pd.DataFrame({"t": t, **{n: np.sin(t + k) for k, n in enumerate(names)}}).to_csv(
-        tmp_path / "a.csv", index=False
-    )
-    found = log_joints(survey_log(open_log(tmp_path / "a.csv")).columns)
-    assert {joint.label: set(joint.columns) for joint in found} == joints
-
-
-PAN_TILT = """<mujoco><compiler angle="radian"/><worldbody><body name="base" pos="0 0 0.1">
-<joint name="pan" axis="0 0 1" damping="0.02"/><geom size="0.05" mass="0.4"/><body name="camera" pos="0 0 0.08">
-<joint name="tilt" axis="0 1 0" damping="0.02"/><geom size="0.04" pos="0.03 0 0" mass="0.6"/></body></body></worldbody>
-<actuator><velocity name="pan_rate" joint="pan" kv="0.6"/><velocity name="tilt_rate" joint="tilt" kv="0.8"/></actuator>
-</mujoco>"""
-
-
-@pytest.mark.parametrize("suffix", ["_deg", " [rad]", ""])
-def test_columns_that_are_called_as_joints_and_commands_of_speed_servos_are_mapped(tmp_path, suffix):
-    t = 0.01 * np.arange(600)
-    table = {"t": t, "cmd_pan": np.cos(2.0 * t), "cmd_tilt": np.cos(3.1 * t), "temperature": 30.0 + 0.1 * t}
-    table |= {f"pan{suffix}": np.sin(2.0 * t), f"tilt{suffix}": 0.4 * np.sin(3.1 * t)}
-    (tmp_path / "pan_tilt.xml").write_text(PAN_TILT)
-    pd.DataFrame(table).to_csv(tmp_path / "log.csv", index=False)
-    robot = load_system(str(tmp_path / "pan_tilt.xml"))
-    proposal = propose(survey_log(open_log(tmp_path / "log.csv")), robot).proposal
-    found = {c.channel.name: c.column.name for c in proposal.choices if c.column is not None}
-    assert found == {
-        "q_pan": f"pan{suffix}",
-        "q_tilt": f"tilt{suffix}",
-        "pan_rate": "cmd_pan",
-        "tilt_rate": "cmd_tilt",
-    }
 
 
 @settings(
@@ -340,68 +263,3 @@ def test_inspect_writes_a_sidecar_that_says_what_is_not_known(tmp_path, capsys, 
     assert main(["inspect", str(logs), "--system", Arm.name, "--json"]) == 0
     described = json.loads(capsys.readouterr().out)
     assert [joint["sign"] for joint in described["proposal"]["joints"]] == [1, -1]
-
-
-def test_a_lerobot_dataset_is_mapped_by_the_names_of_its_joints(tmp_path):
-    """Its third joint has no partner in the model."""
-    dataset = write_v21(tmp_path / "mine")
-    survey = survey_log(open_log(dataset / "episode_0"))
-    choices = {c.channel.name: c for c in propose(survey, Arm()).proposal.choices}
-    assert choices["q_shoulder_lift"].column.name == "observation.state[shoulder_lift.pos]"
-    assert choices["shoulder_lift"].column.name == "action[shoulder_lift.pos]"
-    assert choices["dq_shoulder_lift"].column is None
-
-
-MACHINE = """
-<mujoco><worldbody>
-  <body name="arm"><joint name="first" axis="0 0 1" damping=".1"/>
-    <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
-    <body name="fore" pos=".3 0 0"><joint name="second" axis="0 0 1" damping=".1"/>
-      <geom type="capsule" size=".02" fromto="0 0 0 .2 0 0"/></body></body></worldbody>
-  <actuator>{}</actuator></mujoco>
-"""
-
-
-def machine(tmp_path, actuators: str, frame: pd.DataFrame):
-    """Proposal for a log of a machine with two joints, and its doubts."""
-    (tmp_path / "machine.xml").write_text(MACHINE.format(actuators))
-    frame.to_csv(tmp_path / "log.csv", index=True)
-    survey = survey_log(open_log(tmp_path / "log.csv"))
-    proposal = propose(survey, str(tmp_path / "machine.xml")).proposal
-    return {c.channel.name: c for c in proposal.choices}, doubts_of(survey, proposal), proposal
-
-
-def swings(*names: str) -> dict[str, np.ndarray]:
-    t = 0.01 * np.arange(600)
-    return {name: np.sin((1.0 + 0.3 * k) * t) for k, name in enumerate(names)}
-
-
-def test_efforts_without_joint_go_to_the_first_motors_with_the_unit_of_their_name(tmp_path):
-    frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings("encoder0", "encoder1", "torque_mNm")})
-    motors = '<motor name="m1" joint="first"/><motor name="m2" joint="second"/>'
-    choices, _, proposal = machine(tmp_path, motors, frame)
-    assert choices["m1"].column.name == "torque_mNm"
-    assert (choices["m1"].unit, choices["m1"].sureness) == ("mN m", "a guess")
-    assert choices["m2"].column is None
-    assert proposal.time == "s"  # of t; the index that pandas writes is no clock
-    assert all(joint.tracking is None for joint in proposal.joints)
-
-
-def test_words_give_the_order_of_joints_where_columns_have_another(tmp_path):
-    frame = pd.DataFrame(
-        {"t": 0.01 * np.arange(600)}
-        | swings("elbow_pos", "shoulder_pos", "elbow_vel_goal", "shoulder_vel_goal")
-    )
-    servos = '<velocity name="v1" joint="first" kv="1"/><velocity name="v2" joint="second" kv="1"/>'
-    choices, _, _ = machine(tmp_path, servos, frame)
-    assert choices["q_first"].column.name == "shoulder_pos"
-    assert choices["v2"].column.name == "elbow_vel_goal"
-
-
-def test_a_column_in_a_unit_that_its_command_does_not_have_is_a_doubt(tmp_path):
-    frame = pd.DataFrame(
-        {"t": 0.01 * np.arange(600)} | swings("q_first [rad]", "q_second [rad]", "tau_first [N m]")
-    )
-    motors = '<motor name="first" joint="first" gear="9"/><motor name="m2" joint="second"/>'
-    _, doubts, _ = machine(tmp_path, motors, frame)
-    assert any('"tau_first [N m]" is in N m, and first of' in doubt for doubt in doubts)
