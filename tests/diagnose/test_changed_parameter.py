@@ -44,6 +44,14 @@ def cart_log():
     return cart_pole_log(seed=4, seconds=12.0)
 
 
+def refitted(log, system):
+    """Baseline of a log, the problem of its moving windows and the sharp refit there."""
+    windows = cut_windows([log], system, window_length(system))
+    start = baseline_from(system, windows)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    return start, FitProblem(start.system, windows), reference
+
+
 @pytest.mark.study
 def test_wrong_mass_beyond_its_prior_is_the_headline(cart_log):
     result = diagnose([cart_log], Misread(0.12, 0.01))
@@ -100,10 +108,8 @@ def test_parameter_that_differs_from_healthy_logs_is_named_and_a_control_is_not(
 
 def test_promise_of_a_changed_parameter_is_the_fall_of_the_cost_of_its_fit(cart_log):
     system = Misread(0.19, 0.001)
-    windows = cut_windows([cart_log], system, window_length(system))
-    start = baseline_from(system, windows)
-    windows, reference = refit_sharply(start, windows.take(moving(windows)))
-    problem, known = FitProblem(start.system, windows), catalogue(system)
+    start, problem, reference = refitted(cart_log, system)
+    known = catalogue(system)
     for name in ("changed(pole_mass)", "changed(length)"):
         cause = known[name]
         (point,) = screen(problem, reference, start.prior, [(cause, {})])
@@ -116,10 +122,8 @@ def test_promise_of_a_changed_parameter_is_the_fall_of_the_cost_of_its_fit(cart_
 
 def test_parameter_to_which_another_cause_adds_is_left_out_of_the_screening(cart_log):
     system = CartPole()
-    windows = cut_windows([cart_log], system, window_length(system))
-    start = baseline_from(system, windows)
-    windows, reference = refit_sharply(start, windows.take(moving(windows)))
-    problem, known = FitProblem(start.system, windows), catalogue(system)
+    start, problem, reference = refitted(cart_log, system)
+    known = catalogue(system)
     tried = [(known[n], {}) for n in ("viscous(cart)", "changed(cart_viscous)", "changed(length)")]
     found = screen(problem, reference, start.prior, tried)
     assert [p.cause.name for p in found] == ["viscous(cart)", "changed(length)"]
@@ -127,10 +131,8 @@ def test_parameter_to_which_another_cause_adds_is_left_out_of_the_screening(cart
 
 def test_effect_takes_over_what_the_refit_has_moved_the_parameter_to_which_it_adds(cart_log):
     system = CartPole()
-    windows = cut_windows([cart_log], system, window_length(system))
-    start = baseline_from(system, windows)
-    windows, reference = refit_sharply(start, windows.take(moving(windows)))
-    problem, known = FitProblem(start.system, windows), catalogue(system)
+    start, problem, reference = refitted(cart_log, system)
+    known = catalogue(system)
     tried = [(known[n], {}) for n in ("viscous(cart)", "changed(cart_viscous)")]
     centre, moved = start.prior.centre.copy(), 0.2
     centre[start.prior.names.index("cart_viscous")] = reference.values["cart_viscous"] - moved

@@ -8,7 +8,7 @@ import pytest
 from deepkoco.diagnose import diagnose
 from deepkoco.systems import make_system
 from experiments.studies.diagnosis.heavier_load import GAIN, LIGHT, LightBench
-from experiments.studies.diagnosis.servo_bench import SHARE_PER_GAIN
+from experiments.studies.diagnosis.servo_bench import SHARE_PER_GAIN, VOLTS
 from tests.oracle.servo_unit import MOTIONS, ServoUnit, go1_like, log_of
 
 # Friction is asked for, because the given system has none and the healthy logs show it.
@@ -17,7 +17,7 @@ ASKED = ["payload", "gain", "spring", "viscous", "coulomb", "bristle", "load_fri
 
 def small_servo() -> ServoUnit:
     constant, resistance = 0.37, 3.2
-    stall = 7.3 * constant / resistance
+    stall = VOLTS * constant / resistance
     stiffness = SHARE_PER_GAIN * GAIN * stall
     return ServoUnit(stiffness, constant**2 / resistance, stall, LIGHT, 0.1, 1.2e-3, 0.006, 0.015, 0.15, 0.01)
 

@@ -79,7 +79,7 @@ def log_of(unit: ServoUnit, motion: str, seed: int, seconds: float = 6.0, reach:
         now = k / RATE
         goal, on = goal_at(now), 0.0 if off[0] <= now < off[1] else 1.0
         t.append(now)
-        # A turn of noise below a tick: the magnet's own.
+        # The sensor has noise of less than one tick before it rounds, so its readings flicker between two ticks.
         angles.append(TICK * np.round((q + unit.zero + 0.3 * TICK * rng.standard_normal()) / TICK))
         goals.append(goal)
         enabled.append(on)

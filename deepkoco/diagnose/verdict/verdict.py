@@ -74,9 +74,9 @@ def verdict_of(
     most = MIN_EXPLAINED if start.healthy is None and gain is not None else MIN_EXPLAINED_STRICT
     pushes = sum(c.effect == "event" for c in causes)
     lasting = len(causes) - pushes
-    # Three causes that are all pushes, tones or detents can fit nearly any residual.
     if doubts:
         return Ruling("unknown")
+    # Three causes that are all pushes, tones or detents can fit nearly any residual.
     if only_flexible(found) and len(causes) >= MOST_CAUSES:
         return Ruling("unknown", f"So many pushes, tones or detents can fit anything: {_told(found)}.")
     if found.lost is not None and (left or (causes and _all_flexible(found))):

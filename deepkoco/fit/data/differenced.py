@@ -12,6 +12,9 @@ Samples = tuple[np.ndarray, np.ndarray]
 
 SAME = 1e-3  # difference from the quotient, as a share of its standard deviation, up to which a speed is one
 ROUNDED = 0.6  # steps of its grid by which a logged speed may be rounded
+# Coarsest grid, as a share of the same deviation, at which rounding is allowed for. On a coarser one, a speed that was
+# measured may be within a step of the quotient as well.
+COARSEST = 0.01
 MOSTLY = 0.95  # share of such samples from which a speed is a difference
 FEWEST = 40  # samples that show it
 
@@ -59,9 +62,8 @@ def _side(t: np.ndarray, position: np.ndarray, t_speed: np.ndarray, speed: np.nd
         quotient = np.diff(position) / step
         levels = np.diff(np.unique(speed))
         grid = float(levels.min()) if len(levels) else 0.0
-        near = SAME * float(np.std(quotient)) + (
-            ROUNDED * grid if grid < SAME * 10.0 * np.std(quotient) else 0.0
-        )
+        spread = float(np.std(quotient))
+        near = SAME * spread + (ROUNDED * grid if grid < COARSEST * spread else 0.0)
         for side, logged in enumerate((speed[1:], speed[:-1])):
             if near > 0.0 and float((np.abs(logged - quotient) <= near).mean()) >= MOSTLY:
                 return side

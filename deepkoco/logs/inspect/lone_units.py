@@ -120,9 +120,8 @@ def _misfit(
     efforts = [_held(c, samples, grid) for c in drives]
     reach = max(LEAST, round(REACH / step))
     bump = np.pad((1.0 - np.linspace(-1.0, 1.0, 2 * reach + 1) ** 2) ** 3, 1)
-    second = (
-        np.diff(bump, 2) / step**2
-    )  # its sum and its first moment vanish exactly, so offsets do not count
+    # The sum and the first moment of the second difference vanish exactly, so offsets do not count.
+    second = np.diff(bump, 2) / step**2
     speeds = [np.gradient(values, step) for values in q]
     law = system.accelerations(system.default_parameters())
     angles, rates, drive = (tuple(map(torch.from_numpy, part)) for part in (q, speeds, efforts))
