@@ -28,17 +28,19 @@ def of_masses(s, spare, mass, parent, turns, rotation):
     fill_mass(in_rows(s, ROWS), in_lanes(spare), in_lanes(mass), parent, turns, rotation, mass, which)
 
 
-@pytest.mark.parametrize("part", [of_forces, of_frames, of_inertias, of_masses])
-def test_loops_over_lanes_are_vector_instructions(part):
+@pytest.mark.parametrize(
+    ("part", "products"), [(of_forces, 48), (of_frames, 116), (of_inertias, 82), (of_masses, 34)]
+)
+def test_loops_over_lanes_are_vector_instructions(part, products):
     joints = 3
     arrays = [np.ones((joints + 1, ROWS, LANES)), np.ones((SPARE, LANES)), np.ones((joints, joints, LANES))]
     compiled = njit(error_model="numpy")(part)
     compiled(*arrays, np.array([3, 0, 1]), np.ones(joints), np.ones((joints, 9)))
     (code,) = compiled.inspect_llvm().values()
     vectors = len(re.findall(r"= fmul <\d+ x double>", code))
-    # A loop that may not be a vector keeps its numbers one by one; one that may keeps a copy for rows that overlap.
-    assert vectors > 20
-    assert vectors >= 0.7 * len(re.findall(r"= fmul double", code))
+    # Every product of the loops stands there as a vector, more than once where a processor has narrow vectors. How often
+    # products also stand there one by one, for rows that overlap, depends on the processor and tells nothing.
+    assert vectors >= 0.9 * products
 
 
 def test_known_sizes_change_no_values():
