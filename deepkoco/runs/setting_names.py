@@ -30,24 +30,34 @@ def check_names(command: str, arguments: Sequence[str]) -> None:
         # Added (+) and removed (~) settings, options and files of groups are Hydra's to judge.
         if not re.fullmatch(r"\w+(\.\w+)*", name) or name.split(".")[0] == "hydra" or name in known:
             continue
+        # Arguments of an environment have the names that the file of the task gives them.
+        if any(known.get(group) for group in _groups(name)):
+            continue
         if suggestion := did_you_mean(name, known):
             raise ExperimentError(f"{name}: there is no such setting{suggestion}")
 
 
-def _known_settings(command: str, arguments: Sequence[str]) -> set[str]:
+def _known_settings(command: str, arguments: Sequence[str]) -> dict[str, bool]:
+    """Dotted names, and whether a setting holds entries of any name."""
     if command == "evaluate":
-        return set(_names(asdict(EvaluateConfig())))
+        return dict(_names(asdict(EvaluateConfig())))
     chosen = [a.removeprefix("agent=").split(",") for a in arguments if a.startswith("agent=")]
     agents = [name for name in (chosen[-1] if chosen else [DEFAULT_AGENT]) if name in AGENTS]
-    known: set[str] = set()
+    known: dict[str, bool] = {}
     for name in agents:
-        known |= set(_names(asdict(TrainRunConfig(agent=settings_class(name)()))))
+        known |= dict(_names(asdict(TrainRunConfig(agent=settings_class(name)()))))
     return known
 
 
-def _names(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Dotted names of settings and of the groups that they are in."""
+def _names(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, bool]]:
+    """Dotted names of settings and of the groups that they are in; a group without a setting takes any."""
     for name, value in settings.items():
-        yield prefix + name
+        yield prefix + name, isinstance(value, Mapping) and not value
         if isinstance(value, Mapping):
             yield from _names(value, f"{prefix}{name}.")
+
+
+def _groups(name: str) -> Iterator[str]:
+    """Groups that a dotted name is in."""
+    parts = name.split(".")
+    return (".".join(parts[:k]) for k in range(1, len(parts)))

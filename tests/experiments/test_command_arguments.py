@@ -52,7 +52,10 @@ def test_a_mistyped_setting_is_answered_with_the_nearest(monkeypatch, capsys, co
 def test_settings_that_hydra_judges_are_left_alone():
     check_names(
         "train",
-        ["+task.kwargs.modl=x", "~seed", "-m", "hydra.launcher.n_jobs=2", "task.kwargs=null", "zzz=1"],
+        [
+            *("+task.kwargs.modl=x", "task.kwargs.tsk=hard", "~seed"),
+            *("-m", "hydra.launcher.n_jobs=2", "task.kwargs=null", "zzz=1"),
+        ],
     )
 
 

@@ -38,8 +38,8 @@ def test_loops_over_lanes_are_vector_instructions(part, products):
     compiled(*arrays, np.array([3, 0, 1]), np.ones(joints), np.ones((joints, 9)))
     (code,) = compiled.inspect_llvm().values()
     vectors = len(re.findall(r"= fmul <\d+ x double>", code))
-    # Every product of the loops stands there as a vector, more than once where a processor has narrow vectors. How often
-    # products also stand there one by one, for rows that overlap, depends on the processor and tells nothing.
+    # Every product of the loops stands there as a vector, more than once where a processor has narrow vectors. How
+    # many of them also stand there one by one, for rows that overlap, depends on the processor and tells nothing.
     assert vectors >= 0.9 * products
 
 
