@@ -88,7 +88,7 @@ def read_trained(path: Path, task: str | None = None) -> TrainedRun:
     try:
         stored = read_controller(path)
     except ModelFolderError as error:
-        raise RunFolderError(f"{path.parent}: not the settings of a run: {error}") from error
+        raise RunFolderError(str(error)) from error
     details = _read_settings(path / SETTINGS_FILE) if is_run else _as_settings(stored)
     if task is not None:
         settings = TaskSettings(TaskConfig(name=task, id=task))

@@ -129,6 +129,15 @@ def test_the_task_of_a_run_and_of_a_model_is_read_with_its_distractors(run, tmp_
     assert given.trained_horizon is None
 
 
+def test_a_folder_that_is_no_run_is_told_by_its_own_name(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert main(["show", str(tmp_path / "empty")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        f"deepkoco show: {tmp_path / 'empty'}: no config.json; give the folder of a finished training run"
+    )
+
+
 def test_an_unfinished_run_and_damaged_settings_are_told(run, tmp_path):
     (run / "config.yaml").write_text("task: {id: [")
     with pytest.raises(RunFolderError, match="not the settings of a run"):
