@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TEXTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("results/**/*.md")])
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
+TEXTS = sorted([*PAGES, *ROOT.glob("results/**/*.md")])
 
 
 def words(path: str) -> str:
@@ -62,10 +63,19 @@ def test_the_page_on_designs_counts_no_cases_by_hand():
     assert "cases so far" not in words("docs/design.md") + words("results/diagnose/README.md")
 
 
-@pytest.mark.parametrize(
-    "path", [path for path in TEXTS if path.parent.name in ("docs", ROOT.name)], ids=lambda p: p.stem
-)
+@pytest.mark.parametrize("path", [*PAGES, *ROOT.glob("docs/*.ipynb")], ids=lambda p: p.name)
 def test_no_page_installs_from_an_index_that_has_no_package(path):
     text = path.read_text(encoding="utf-8")
     told = [text[m.start() - 90 : m.end() + 20] for m in re.finditer(r"pip install \"?deepkoco", text)]
     assert all("finds nothing" in said for said in told), told
+
+
+def test_a_reader_sees_that_the_executor_of_gpus_has_not_run_where_it_is_chosen():
+    rows = [
+        line
+        for page in ("graph", "executors")
+        for line in (ROOT / f"docs/{page}.md").read_text(encoding="utf-8").splitlines()
+        if line.startswith("|") and re.search(r"\bcuda\b", line) and "`eager`" not in line
+    ]
+    assert len(rows) == 2
+    assert all("not yet run on a GPU" in row.replace("has not yet run", "not yet run") for row in rows)
