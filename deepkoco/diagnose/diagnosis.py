@@ -83,6 +83,7 @@ class Finding:
     evidence: tuple[Evidence, ...] = ()
     given: dict[str, float] = field(default_factory=dict)  # value before, of a parameter that changed
     same_as: tuple[Moved, ...] = ()  # parameters of the simulation that would do exactly the same
+    probabilities: dict[str, float] = field(default_factory=dict)  # of all that may stand in its place
 
     def to_json(self) -> dict[str, Any]:
         """Return the finding under the keys of report.json."""
@@ -92,6 +93,7 @@ class Finding:
             "class": list(self.members),
             "delta_bic": self.delta_bic,
             "probability": self.probability,
+            **({"probabilities": self.probabilities} if self.probabilities else {}),
             "parameters": {n: vars(e) for n, e in self.parameters.items()},
             "evidence": [vars(e) for e in self.evidence],
             **({"given": self.given} if self.given else {}),
@@ -170,6 +172,7 @@ class Diagnosis:
         moved: Where nothing is missing: parameters far from their given values with which the simulation explains the
             log.
         evidence: Answer of the method of probabilities, which changes no verdict; None where it did not run.
+        probabilities: Of "nothing", where nothing is missing, and of what might be missing all the same.
         time_limit: Time that was allowed [s]; None for no limit.
         left_out: Steps that were not made because this time was over.
     """
@@ -197,6 +200,7 @@ class Diagnosis:
     final: dict[str, Estimate] = field(default_factory=dict)
     moved: tuple[Moved, ...] = ()
     evidence: dict[str, Any] | None = None
+    probabilities: dict[str, float] = field(default_factory=dict)
     time_limit: float | None = None
     left_out: tuple[str, ...] = ()
 
@@ -263,6 +267,7 @@ class Diagnosis:
                 "seed": self.seed,
                 "versions": self.versions,
                 "seconds": self.seconds,
+                **({"probabilities": self.probabilities} if self.probabilities else {}),
                 **({} if self.evidence is None else {"evidence": self.evidence}),
                 **self._limited(),
             }

@@ -128,6 +128,7 @@ def test_every_picture_has_its_table_and_the_page_needs_no_other_file(report):
         "friction_curve",
         "missing_torque",
         "parameters",
+        "probabilities",
         "replay",
     ]
     assert all((report / f"{name}.csv").stat().st_size > 50 for name in pictures)

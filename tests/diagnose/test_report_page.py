@@ -84,6 +84,23 @@ def test_a_refit_that_is_worse_than_the_simulation_as_given_is_explained_where_i
     assert ("The refit without the cause is worse here" in picture.caption) is told
 
 
+def test_probabilities_are_drawn_and_told_for_every_named_cause(diagnosis):
+    (cause,) = diagnosis.causes
+    (picture,) = (p for p in draw_all(diagnosis) if p.name == "probabilities")
+    assert picture.table["probability"].tolist() == list(cause.probabilities.values())
+    assert picture.table["candidate"].tolist()[0] == spoken(cause.name)
+    assert f"torque bias {cause.probability:.2f}, " in page_of(diagnosis)
+    assert diagnosis.to_json()["causes"][0]["probabilities"] == cause.probabilities
+
+
+def test_of_nothing_the_probability_is_told_too(diagnosis):
+    chances = {"nothing": 0.9, "gain": 0.05, "unknown": 0.05}
+    quiet = replace(diagnosis, verdict="nothing", causes=(), probabilities=chances)
+    (picture,) = (p for p in draw_all(quiet) if p.name == "probabilities")
+    assert picture.table["candidate"].tolist() == ["nothing", "gain", "something else"]
+    assert quiet.to_json()["probabilities"] == chances
+
+
 def test_found_parameters_show_null_and_interval(diagnosis):
     (found,) = (p for p in draw_all(diagnosis) if p.name == "found_parameters")
     (row,) = found.table.to_dict("records")

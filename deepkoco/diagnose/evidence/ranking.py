@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.residuals.residuals import Dispersion
 from deepkoco.fit.fit import Fit
@@ -62,12 +60,6 @@ class Ranking:
     def compared(self, causes: Iterable[Cause], others: Iterable[Cause]) -> bool:
         """Return whether all these causes competed in it, beside exactly these others."""
         return {*self.beside} == {c.name for c in others} and {c.name for c in causes} <= {*self.asked}
-
-    def probabilities(self) -> dict[str, float]:
-        """Return the weight exp(delta BIC / 2) of each candidate, normalised over all candidates and the reference."""
-        score = np.array([0.0] + [c.delta_bic for c in self.candidates])
-        weight = np.exp(0.5 * (score - score.max()))
-        return dict(zip([c.cause.name for c in self.candidates], weight[1:] / weight.sum(), strict=True))
 
 
 def with_better_fit(candidate: Candidate, fit: Fit, deflation: float) -> Candidate:

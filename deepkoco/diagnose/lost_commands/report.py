@@ -14,6 +14,7 @@ from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.elimination import without
 from deepkoco.diagnose.evidence.event_windows import touched
+from deepkoco.diagnose.evidence.how_probable import alone, listed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.selection import PATIENCE
@@ -71,7 +72,7 @@ def best_losses(
     if score <= wanted:
         return None
     needed = (lost.charge + wanted) * deflation
-    return Losses(_finding(lost, cause, ratio, score, needed), lost.problem, lost.fit, lost.charge)
+    return Losses(_finding(lost, cause, ratio, score, needed, wanted), lost.problem, lost.fit, lost.charge)
 
 
 def deflation_with(positions: int, spread: Dispersion, samples: float) -> float:
@@ -178,7 +179,9 @@ def _by_chance(lost: LostCommands) -> bool:
     return all(mannwhitneyu(x[which], x[~which]).pvalue > CHANCE for x in all_seen)
 
 
-def _finding(lost: LostCommands, cause: Cause, ratio: float, score: float, needed: float) -> Finding:
+def _finding(
+    lost: LostCommands, cause: Cause, ratio: float, score: float, needed: float, wanted: float
+) -> Finding:
     """Return the finding of the report.
 
     Args:
@@ -187,6 +190,7 @@ def _finding(lost: LostCommands, cause: Cause, ratio: float, score: float, neede
         ratio: Fall of the cost.
         score: Fall of the BIC.
         needed: Fall of the cost that would have sufficed.
+        wanted: Fall of the BIC that is asked for.
     """
     from scipy.stats import binomtest
 
@@ -199,4 +203,14 @@ def _finding(lost: LostCommands, cause: Cause, ratio: float, score: float, neede
     )
     evidence = Evidence("likelihood_ratio", ratio, needed, text)
     own = {f"{cause.effect}.share": Estimate(lost.share, float(interval.low), float(interval.high), "1")}
-    return Finding(cause.name, cause.family, (cause.name,), score, 1.0, own, (evidence,))
+    chances = alone(cause.name, score, wanted)
+    return Finding(
+        cause.name,
+        cause.family,
+        (cause.name,),
+        score,
+        chances[cause.name],
+        own,
+        (evidence,),
+        probabilities=listed(chances),
+    )

@@ -13,7 +13,7 @@ from deepkoco.diagnose.report.figures.layout import held_out_models
 from deepkoco.diagnose.report.joint_rows import joint_rows, noise_by_channel
 from deepkoco.diagnose.report.next_steps import next_steps
 from deepkoco.diagnose.report.parameter_table import interval, parameter_rows
-from deepkoco.diagnose.report.text import headline, lead, noise_of, rival_of, spoken
+from deepkoco.diagnose.report.text import chances, headline, lead, noise_of, rival_of, spoken
 from deepkoco.diagnose.report.unexplained_text import remains
 from deepkoco.pages.figures import Shown
 from deepkoco.pages.links import Link
@@ -106,6 +106,7 @@ def _cause(cause: Finding, diagnosis: Diagnosis) -> dict[str, Any]:
         "title": spoken(cause.name),
         "summary": CAUSES[kind].summary if kind in CAUSES else "",
         "members": ", ".join(spoken(n) for n in cause.members[1:]),
+        "chances": chances(cause.probabilities),
         "parameters": [
             {
                 "name": spoken(name.rpartition(".")[2]),

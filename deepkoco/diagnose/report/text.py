@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.markup import escape
 from rich.table import Table
@@ -11,6 +11,7 @@ from rich.table import Table
 from deepkoco.diagnose.causes import CAUSES, changed_parameter, kind_of
 from deepkoco.diagnose.causes.parameter import SCALED
 from deepkoco.diagnose.diagnosis import Diagnosis, Estimate, Finding, Moved
+from deepkoco.diagnose.evidence.how_probable import UNKNOWN
 from deepkoco.pages.units import in_one_unit, telling_digits
 from deepkoco.systems.named_joints import COMMON
 
@@ -140,7 +141,27 @@ def _explained(diagnosis: Diagnosis) -> str:
         others = [spoken(n) for n in cause.members[1:]]
         if others:
             text += f" These data cannot distinguish {spoken(cause.name)} from {' or '.join(others)}."
+            if len(cause.probabilities) > 1:
+                text += f" Their probabilities: {chances(cause.probabilities)}."
     return " ".join([text, *_minor_texts(diagnosis), beside_causes(diagnosis)]).strip()
+
+
+def chances(probabilities: Mapping[str, float]) -> str:
+    """Return probabilities as a list: "payload 0.87, gain 0.08, something else 0.05".
+
+    Args:
+        probabilities: Of causes, of "nothing" and of "unknown", a cause outside of the catalogue.
+    """
+    return ", ".join(f"{candidate(n)} {p:.2f}" for n, p in probabilities.items())
+
+
+def candidate(name: str) -> str:
+    """Return what may stand in the place of a cause, in words.
+
+    Args:
+        name: A cause, "nothing" or "unknown".
+    """
+    return "something else" if name == UNKNOWN else spoken(name)
 
 
 def _farthest(diagnosis: Diagnosis) -> str:
@@ -210,6 +231,8 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
     table.add_column(style="bold")
     table.add_column()
     _add_row(table, "verdict", diagnosis.verdict)
+    if diagnosis.probabilities:
+        _add_row(table, "probability", chances(diagnosis.probabilities))
     for cause in diagnosis.causes:
         _add_cause(table, cause)
     gain = diagnosis.gain
@@ -258,6 +281,8 @@ def _add_cause(table: Table, cause: Finding) -> None:
     _add_row(table, "cause", f"{spoken(cause.name)} ({cause.family}), delta BIC {cause.delta_bic:.0f}")
     if len(cause.members) > 1:
         _add_row(table, "indistinguishable", ", ".join(spoken(n) for n in cause.members))
+    if cause.probabilities:
+        _add_row(table, "probability", chances(cause.probabilities))
     for name, e in cause.parameters.items():
         d = telling_digits(e.low, e.high)
         _add_row(table, f"  {name}", f"{e.value:.{d}g}  [{e.low:.{d}g}, {e.high:.{d}g}] {e.unit}")

@@ -10,6 +10,7 @@ import numpy as np
 from deepkoco.diagnose.causes import Cause, Motion, is_changed
 from deepkoco.diagnose.causes.driving import driving_command
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
+from deepkoco.diagnose.evidence.how_probable import listed
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.selection import DETECTION
@@ -43,18 +44,30 @@ def finding(
     members: tuple[str, ...] = (),
     evidence: tuple[Evidence, ...] = (),
     before: Mapping[str, float] | None = None,
+    chances: Mapping[str, float] | None = None,
 ) -> Finding:
-    """Return a candidate in the form in which the report shows it; ``before`` has the baseline's values."""
-    cause = candidate.cause
+    """Return a candidate in the form in which the report shows it.
+
+    Args:
+        problem: The windows.
+        candidate: The candidate.
+        ranking: It gives the deflation of the intervals.
+        members: Class of the candidate.
+        evidence: What speaks for it.
+        before: Values of the baseline.
+        chances: Probabilities of all that may stand in its place.
+    """
+    cause, chances = candidate.cause, chances or {}
     return Finding(
         cause.name,
         cause.family,
         members or (cause.name,),
         candidate.delta_bic,
-        ranking.probabilities()[cause.name],
+        chances.get(cause.name, 0.0),
         estimates(problem, candidate.fit, _shown(problem, cause), ranking.deflation),
         evidence,
         {n: before[n] for n in cause.free} if before is not None and is_changed(cause) else {},
+        probabilities=listed(chances) if members else {},
     )
 
 

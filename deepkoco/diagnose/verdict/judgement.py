@@ -9,6 +9,8 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
+from deepkoco.diagnose.evidence.classes import width
+from deepkoco.diagnose.evidence.how_probable import how_probable
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual, load_may_win
 from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_bending,
@@ -35,6 +37,7 @@ from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of,
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of, without_explanation
+from deepkoco.diagnose.weighed import detection_of
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
@@ -128,7 +131,7 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
             doubts = (*doubts, *doubts_of_names(found.accepted, found.lost))
         else:
             learned = None
-    named = _named(explanation, request.system, missing) if verdict in ("cause", "ambiguous") else ()
+    named = _named(request, explanation, missing) if verdict in ("cause", "ambiguous") else ()
     if scattered and (verdict != "unknown" or (white and not found.accepted and found.lost is None)):
         # White residuals that are larger than the noise need a noise cause; no other cause is missing.
         verdict, named = (verdict if verdict == "ambiguous" else "cause"), (*named, *scattered)
@@ -167,8 +170,10 @@ def _learned_load(
         return None, (f"a learned load ({error})",)
 
 
-def _named(explanation: Explanation, system: System, missing: Sequence[MissingTorque]) -> tuple[Finding, ...]:
-    base, found = explanation.base, explanation.found
+def _named(
+    request: DiagnosisRequest, explanation: Explanation, missing: Sequence[MissingTorque]
+) -> tuple[Finding, ...]:
+    base, found, system = explanation.base, explanation.found, request.system
     places = SLOTS * len(base.train)
     prior, healthy, given = base.learned.prior, base.learned.healthy is not None, base.start.values
     spread = np.sqrt(prior.covariance.diagonal())
@@ -184,7 +189,11 @@ def _named(explanation: Explanation, system: System, missing: Sequence[MissingTo
         evidence = evidence_for(best.cause, best, ranking, motion, own, places)
         if not is_changed(best.cause):
             evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)
-        named = finding(base.problem, best, replace(ranking, deflation=deflation), members, evidence, given)
+        wanted = FURTHER if k or found.lost is not None else detection_of(request, explanation)
+        apart = width(found.acting, base.start, ranking)
+        chances = how_probable(ranking.candidates, wanted, apart, members)
+        ranking = replace(ranking, deflation=deflation)
+        named = finding(base.problem, best, ranking, members, evidence, given, chances)
         same = same_parameter(found.acting, best.cause, found.final, given, deflation)
         wide = over_classes(named.parameters, found.acting, found.accepted, found.steps, k)
         result.append(replace(named, same_as=same, parameters=wide))

@@ -8,6 +8,7 @@ from deepkoco.diagnose.baseline import Healthy as HealthyLogs
 from deepkoco.diagnose.causes import catalogue, kind_of
 from deepkoco.diagnose.causes.tolerance import Healthy
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
+from deepkoco.diagnose.evidence.how_probable import alone, listed
 from deepkoco.diagnose.evidence.minor import sample_period
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.residuals.scatter import Scatter
@@ -63,7 +64,20 @@ def scatter_findings(
         text = f"With this cause, the likelihood ratio of the residuals is {verdict.likelihood_ratio:.0f}."
         evidence = Evidence("likelihood_ratio", verdict.likelihood_ratio, deflation * detection, text)
         estimate = Estimate(verdict.value, verdict.low, verdict.high, declared.unit)
-        found.append(Finding(name, cause.family, (name,), score, 1.0, {placed: estimate}, (evidence,)))
+        chances = alone(name, score, detection)
+        own = {placed: estimate}
+        found.append(
+            Finding(
+                name,
+                cause.family,
+                (name,),
+                score,
+                chances[name],
+                own,
+                (evidence,),
+                probabilities=listed(chances),
+            )
+        )
     if any(kind_of(f.name) == "jitter" for f in found):
         # Jitter already explains why the channels are noisier than their data sheets say.
         found = [f for f in found if kind_of(f.name) != "noise_level"]

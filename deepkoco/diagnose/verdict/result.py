@@ -11,6 +11,8 @@ from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, describe_data
 from deepkoco.diagnose.data_sheet import with_usual_spread
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Evidence, Finding, Moved
+from deepkoco.diagnose.evidence.classes import width
+from deepkoco.diagnose.evidence.how_probable import NOTHING, how_probable, listed
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.healthy import describe_healthy
 from deepkoco.diagnose.lost_commands.search import why_not_searched
@@ -33,6 +35,7 @@ from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
+from deepkoco.diagnose.weighed import detection_of
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.gauges import text_of_gauges
 from deepkoco.fit.solve.identifiability import Direction, unidentified
@@ -57,7 +60,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
     return Diagnosis(
         verdict=judgement.verdict,
         causes=judgement.causes,
-        candidates=_candidates(explanation, judgement),
+        candidates=_candidates(request, explanation, judgement),
         gain=judgement.gain,
         chi2_before=judgement.before.chi2 / train.samples,
         chi2_after=at_end.chi2 / train.samples,
@@ -82,6 +85,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),
         time_limit=request.limit.seconds,
         left_out=tuple(request.limit.left_out),
+        probabilities=_of_nothing(request, explanation) if judgement.verdict == "nothing" else {},
     )
 
 
@@ -119,13 +123,31 @@ def insufficient(request: DiagnosisRequest) -> Diagnosis:
     )
 
 
-def _candidates(explanation: Explanation, judgement: Judgement) -> tuple[Finding, ...]:
+def _candidates(
+    request: DiagnosisRequest, explanation: Explanation, judgement: Judgement
+) -> tuple[Finding, ...]:
     """Return everything that was tried, the largest fall of the BIC first."""
     problem, lost = explanation.base.problem, explanation.found.lost
     given = explanation.base.start.values
-    ranked = [finding(problem, c, explanation.first, before=given) for c in explanation.first.candidates]
+    first, wanted = explanation.first, detection_of(request, explanation)
+    chances = how_probable(first.candidates, wanted, width(problem, explanation.base.start, first))
+    ranked = [finding(problem, c, first, before=given, chances=chances) for c in first.candidates]
     traced = (*judgement.scattered, *([lost] if lost else []))
     return tuple(sorted((*ranked, *traced), key=lambda c: -c.delta_bic))
+
+
+def _of_nothing(request: DiagnosisRequest, explanation: Explanation) -> dict[str, float]:
+    """Return the probability that nothing is missing, and of what might be missing all the same.
+
+    It is empty where causes are significant and not named: how much of them a healthy unit has decides there.
+    """
+    found, first = explanation.found, explanation.first
+    if explanation.weights is not None:
+        return listed({NOTHING: explanation.weights.nothing, **explanation.weights.causes})
+    if found.minor or found.accepted or found.lost is not None:
+        return {}
+    wide = width(explanation.base.problem, explanation.base.start, first)
+    return listed(how_probable(first.candidates, detection_of(request, explanation), wide))
 
 
 def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement: Judgement) -> dict:

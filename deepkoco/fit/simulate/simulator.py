@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -10,25 +10,15 @@ from torch import Tensor
 
 from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.simulate.bytecode.along_windows import along_windows
 from deepkoco.fit.simulate.command_effort import command_efforts
 from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.play import behind_play
 from deepkoco.fit.simulate.sensor_filter import filtered
-from deepkoco.fit.simulate.step import (
-    Drive,
-    Equations,
-    Step,
-    corrected,
-    directions,
-    replaced,
-    rows_of,
-    step_of,
-    turning,
-)
-from deepkoco.systems import ExtendedSystem, System
+from deepkoco.fit.simulate.step import equations_of
+from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
+from deepkoco.systems import System
 from deepkoco.systems.channel_delay import ahead_of_latest, latest
-from deepkoco.systems.dry_friction import Levels
-from deepkoco.systems.motion import Motion
 from deepkoco.systems.rollout import RolloutInput
 
 
@@ -77,16 +67,16 @@ def integrate(
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
-    equations = _equations(system, own, lanes)
+    equations = equations_of(system, own, lanes)
     start, slope = zip(
         *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
         strict=True,
     )
     pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
     parts = initial.permute(2, 1, 0).contiguous().unbind(0)
+    t0 = torch.from_numpy(windows.t0)[:, None]
     compiled = system.rollout(own)
     if compiled is not None:
-        t0 = torch.from_numpy(windows.t0)[:, None]
         loads = None if push is None else push.permute(0, 3, 2, 1)
         given = RolloutInput(h, parts, t0, start, slope, loads, equations.friction)
         if (found := compiled.run(given)) is not None:
@@ -94,102 +84,10 @@ def integrate(
             return Nodes(
                 found.value, (*(v[:-1] for v in fast), *found.first), (*(v[1:] for v in fast), *found.last)
             )
-    angle, speed = parts[:joints], parts[joints:]
-    angles, speeds = [angle], [speed]
-    firsts, lasts = [], []
-    rest: Levels = (None,) * joints
-    half = 0.5 * h
-    time = torch.from_numpy(windows.t0)[:, None]
-    # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
-    offsets = torch.tensor([i * h for i in range(windows.steps)], dtype=torch.float64)[:, None, None]
-    at = [(time + offsets + later).unbind(0) for later in (0.0, half, h)]
-    efforts = [_over_steps(start, slope, later) for later in (0.0, half, h)]
-    loads = [None] * windows.steps if pushes is None else [p.unbind(0) for p in pushes.unbind(0)]
-    remembered = _first_memory(equations, angle, speed, efforts, loads, time)
-    for i in range(windows.steps):
-        begin, middle, end = (effort[i] for effort in efforts)
-        t1, t2, t4 = (t[i] for t in at)
-        drive = Drive((begin, middle, end), (t1, t2, t4), loads[i], remembered)
-        direction = directions(speed, rest, equations.friction)
-        step = step_of(equations, angle, speed, drive, direction, h)
-        rows = turning(speed, step.speed, equations.friction)
-        if len(rows) == len(windows) or (len(rows) and apart):
-            # Parameters that differ from log to log have one value per window.
-            step = corrected(equations, step, angle, speed, drive, direction, h)
-        elif len(rows):
-            step = _corrected_in(rows, equations, step, angle, speed, drive, direction, h)
-        if remembered:
-            now = Motion(step.angle, step.speed, end, None, t4, equations.smoothing)
-            remembered = equations.memory.advanced(remembered, angle, now)
-        angle, speed = step.angle, step.speed
-        angles.append(angle)
-        speeds.append(speed)
-        firsts.append(step.first)
-        lasts.append(step.last)
-        rest = step.rest
-    value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
-    first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
-    last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
-    fast = value[joints:]
-    return Nodes(value, (*(v[:-1] for v in fast), *first), (*(v[1:] for v in fast), *last))
-
-
-def _equations(
-    system: System, parameters: Mapping[str, Tensor], lanes: Mapping[str, slice] | None
-) -> Equations:
-    smoothing = tuple(torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds)
-    inverse = system.inverse_inertia(parameters)
-    if not isinstance(system, ExtendedSystem):
-        free, friction = system.free_accelerations(parameters), system.dry_friction_levels(parameters)
-        return Equations(free, friction, inverse, smoothing)
-    free, friction = (
-        system.free_accelerations(parameters, lanes),
-        system.dry_friction_levels(parameters, lanes),
-    )
-    return Equations(free, friction, inverse, smoothing, system.joint_memory(parameters))
-
-
-def _first_memory(
-    equations: Equations,
-    angle: tuple[Tensor, ...],
-    speed: tuple[Tensor, ...],
-    efforts: list[list[tuple[Tensor, ...]]],
-    loads: Sequence[tuple[Tensor, ...] | None],
-    time: Tensor,
-) -> tuple[Tensor, ...]:
-    """What effects remember at the start of the windows; nothing where none does."""
-    if not equations.memory.parts or not loads:
-        return ()
-    motion = Motion(angle, speed, efforts[0][0], loads[0], time, equations.smoothing)
-    inverse = equations.inverse(motion)
-    needed = tuple(-a / inverse[j][j] for j, a in enumerate(equations.free(motion)))
-    return equations.memory.start(motion, needed)
-
-
-def _corrected_in(
-    rows: Tensor,
-    equations: Equations,
-    step: Step,
-    angle: tuple[Tensor, ...],
-    speed: tuple[Tensor, ...],
-    drive: Drive,
-    direction: Levels,
-    h: float,
-) -> Step:
-    """As :func:`corrected`, in some windows only."""
-    first, last = rows_of(step.first, rows), rows_of(step.last, rows)
-    own = Step(rows_of(step.angle, rows), rows_of(step.speed, rows), first, last, step.rest)
-    share = tuple(None if x is None else x.index_select(0, rows) for x in direction)
-    part = corrected(equations, own, rows_of(angle, rows), rows_of(speed, rows), drive.rows(rows), share, h)
-    return replaced(step, rows, part)
-
-
-def _over_steps(
-    start: tuple[Tensor, ...], slope: tuple[Tensor, ...], later: float
-) -> list[tuple[Tensor, ...]]:
-    """Efforts of every command (W, L) at a time after the start of each of the n steps."""
-    values = [a if later == 0.0 else torch.add(a, b, alpha=later) for a, b in zip(start, slope, strict=True)]
-    return list(zip(*(v.unbind(0) for v in values), strict=True))
+    given = StepsInput(h, parts, t0, start, slope, pushes, bool(apart))
+    if (fast := along_windows(system, own, lanes, given)) is not None:
+        return fast
+    return in_torch(equations, given)
 
 
 def predict(

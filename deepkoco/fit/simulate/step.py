@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.dry_friction import DryFriction, Levels, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, InverseInertia, Motion
@@ -63,6 +65,28 @@ class Equations(NamedTuple):
     inverse: InverseInertia
     smoothing: Values
     memory: JointMemory = JointMemory(())
+
+
+def equations_of(
+    system: System, parameters: Mapping[str, Tensor], lanes: Mapping[str, slice] | None
+) -> Equations:
+    """Return the equations of a system under some values.
+
+    Args:
+        system: The system.
+        parameters: Named values, each scalar, (L,), (W, 1) or (W, L).
+        lanes: Effect -> lanes in which it acts; None for all.
+    """
+    smoothing = tuple(torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds)
+    inverse = system.inverse_inertia(parameters)
+    if not isinstance(system, ExtendedSystem):
+        free, friction = system.free_accelerations(parameters), system.dry_friction_levels(parameters)
+        return Equations(free, friction, inverse, smoothing)
+    free, friction = (
+        system.free_accelerations(parameters, lanes),
+        system.dry_friction_levels(parameters, lanes),
+    )
+    return Equations(free, friction, inverse, smoothing, system.joint_memory(parameters))
 
 
 class Step(NamedTuple):

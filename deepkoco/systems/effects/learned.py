@@ -16,6 +16,7 @@ from torch import Tensor
 from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.joint_state import JointState
 from deepkoco.systems.parameter import Parameter, Parameters
+from deepkoco.systems.plain import is_readable
 from deepkoco.systems.system import System
 
 REACH = 1.5  # scales, up to which the terms go on; beyond the data they are a guess that must not run away
@@ -144,7 +145,12 @@ def _load(joint: JointState, p: Parameters) -> Tensor:
 
 
 def _acting(p: Parameters) -> Parameters:
-    """The scales, and the weights that are not 0 everywhere: there are many terms and a model has few."""
+    """The scales, and the weights that are not 0 everywhere: there are many terms and a model has few.
+
+    Where values cannot be read, all terms are kept.
+    """
+    if not all(is_readable(value) for value in p.values()):
+        return p
     return {name: value for name, value in p.items() if name in SCALES or bool((value != 0.0).any())}
 
 

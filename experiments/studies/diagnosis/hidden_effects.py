@@ -37,6 +37,7 @@ COLUMNS: tuple[str, ...] = (
     "ES",
     "verdict",
     "classes",
+    "probabilities",
     "parameters",
     "chi2_before",
     "chi2_after",

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import itertools
 import json
 import sys
 import time
@@ -36,6 +35,8 @@ from experiments.plumbing.provenance import provenance
 from experiments.studies.diagnosis.hidden.cases import CONDITIONS, make_case, record_case
 from experiments.studies.diagnosis.hidden.measures import wilson
 from experiments.studies.diagnosis.own_robots.cases import draw_case, right_names
+from experiments.studies.diagnosis.reliability import binned
+from experiments.studies.diagnosis.reliability import table_of as reliability_table
 from tests.oracle.machines import MACHINES
 from tests.oracle.mujoco_robots import compiled, draw_robot
 
@@ -61,7 +62,6 @@ COLUMNS = (
     "cpu_evidence",
     "note",
 )
-EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.9, 0.99, 1.0)  # of stated probabilities in the table of reliability
 NAMED = 0.5  # probability from which a cause counts as named
 CLEAR = 0.3  # ES from which naming counts
 LEAST = 0.01  # probability from which a cause is kept in a row
@@ -273,12 +273,7 @@ def reliability(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         chances = json.loads(r["probabilities"])
         if r["system"] != "mujoco":
             stated += [(p, n in wanted) for n, p in chances.items()]
-    found = []
-    for low, high in itertools.pairwise(EDGES):
-        inside = [(p, hit) for p, hit in stated if low < p <= high]
-        mean = sum(p for p, _ in inside) / len(inside) if inside else None
-        found.append({"from": low, "to": high, "stated": mean, **wilson([hit for _, hit in inside])})
-    return found
+    return binned(stated)
 
 
 def table_of(found: Mapping[str, Any]) -> str:
@@ -287,11 +282,7 @@ def table_of(found: Mapping[str, Any]) -> str:
     for name in dict.fromkeys([*found["present"], *found["evidence"]]):
         cells = [_cell(found[method].get(name, "")) for method in ("present", "evidence")]
         lines.append(f"| {name} | {cells[0]} | {cells[1]} |")
-    lines += ["", "| stated | mean | true | of |", "|---|---|---|---|"]
-    for row in found["reliability"]:
-        mean = "" if row["stated"] is None else f"{row['stated']:.3f}"
-        lines.append(f"| {row['from']:g} to {row['to']:g} | {mean} | {row['count']} | {row['of']} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", reliability_table(found["reliability"])])
 
 
 def _cell(value: Any) -> str:

@@ -9,6 +9,7 @@ import torch
 from deepkoco.fit.data.noise import Noise
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.shooting import ShootingProblem
+from deepkoco.fit.simulate import simulator
 from deepkoco.fit.simulate.simulator import integrate
 from deepkoco.systems import ExtendedSystem
 from deepkoco.systems.effects import effects_of
@@ -48,6 +49,12 @@ def arm(tmp_path) -> TreeSystem:
     return TreeSystem.from_file(path)
 
 
+def steps_in_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no compiled loop simulate."""
+    monkeypatch.setattr(TreeSystem, "rollout", lambda *_: None)
+    monkeypatch.setattr(simulator, "along_windows", lambda *_: None)
+
+
 def three_windows(arm: TreeSystem, rng: np.random.Generator) -> Windows:
     stamps = np.arange(0.0, 3.0, 0.05)
     sizes = [4.0, 0.8, 2.0][: len(arm.commands)]
@@ -85,7 +92,7 @@ def test_compiled_rollout_takes_the_steps_of_the_simulator(arm, kind, monkeypatc
     push[1, 4, :, 20:40] = 2.0
     compiled = integrate(system, windows, values, start, push)
     assert system.rollout(values) is not None
-    monkeypatch.setattr(TreeSystem, "rollout", lambda *_: None)
+    steps_in_torch(monkeypatch)
     expected = integrate(system, windows, values, start, push)
     for part, other in zip(compiled, expected, strict=True):
         for own, wanted in zip(part, other, strict=True):
@@ -115,7 +122,7 @@ def test_compiled_rollout_has_every_term_of_a_learned_load(arm, joint, monkeypat
     start = start.repeat(lanes, 1, 1)
     assert system.rollout(values) is not None
     compiled = integrate(system, windows, values, start)
-    monkeypatch.setattr(TreeSystem, "rollout", lambda *_: None)
+    steps_in_torch(monkeypatch)
     expected = integrate(system, windows, values, start)
     none = integrate(arm, windows, {p.name: values[p.name] for p in arm.parameters}, start)
     j = arm.joint_names.index(joint)
@@ -143,7 +150,7 @@ def test_loads_that_follow_a_joint_with_two_actuators_see_their_sum(tmp_path, ef
     windows = three_windows(arm, rng)
     start = torch.from_numpy(rng.normal(size=(3, 6)) * 0.3).repeat(2, 1, 1)
     compiled = integrate(system, windows, values, start)
-    monkeypatch.setattr(TreeSystem, "rollout", lambda *_: None)
+    steps_in_torch(monkeypatch)
     expected = integrate(system, windows, values, start)
     assert all((v[..., 1] - v[..., 0]).abs().max() > 1e-3 for v in expected.value)
     for part, other in zip(compiled, expected, strict=True):
@@ -168,7 +175,7 @@ def test_one_push_may_act_on_all_lanes(arm, monkeypatch):
     push[1, 0, :, 20:40] = 2.0
     one = integrate(arm, windows, values, start, push)
     every = integrate(arm, windows, values, start, push.expand(3, LANES, 3, windows.steps))
-    monkeypatch.setattr(TreeSystem, "rollout", lambda self, parameters: None)
+    steps_in_torch(monkeypatch)
     slow = integrate(arm, windows, values, start, push)
     for a, b, c in zip(one.value, every.value, slow.value, strict=True):
         torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)

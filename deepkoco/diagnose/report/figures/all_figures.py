@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from deepkoco.diagnose.diagnosis import Details, Diagnosis
+from deepkoco.diagnose.report.figures.chances_figure import probabilities
 from deepkoco.diagnose.report.figures.error_map import error_map
 from deepkoco.diagnose.report.figures.friction_figure import friction_picture
 from deepkoco.diagnose.report.figures.joints_figure import joints_picture
@@ -35,6 +36,7 @@ def draw_all(diagnosis: Diagnosis, layout: Layout = DESKTOP) -> list[Picture]:
         replay,
         missing_picture,
         friction_picture,
+        probabilities,
         candidates,
         found_parameters,
         error_by_horizon,

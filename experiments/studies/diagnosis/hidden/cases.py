@@ -144,12 +144,19 @@ def judge(case: Case, recorded: Recorded, system: str, condition: str) -> dict[s
         "ES": " + ".join(f"{x:.3f}" for x in strengths),
         "verdict": result.verdict,
         "classes": json.dumps([list(c.members) for c in result.causes]),
+        "probabilities": json.dumps(stated(result)),
         "parameters": json.dumps(_estimates(result, hidden)),
         "chi2_before": round(result.chi2_before, 4),
         "chi2_after": round(result.chi2_after, 4),
         **_gains(result, oracle),
         "cpu_s": round(spent, 2),
     }
+
+
+def stated(result: Diagnosis) -> list[dict[str, float]]:
+    """The probabilities that a report states, for each place of a named cause, or for "nothing"."""
+    places = [c.probabilities for c in result.causes] or [result.probabilities]
+    return [{n: round(p, 4) for n, p in place.items()} for place in places if place]
 
 
 def small_effects(system: str) -> dict[str, Mapping[str, float]]:

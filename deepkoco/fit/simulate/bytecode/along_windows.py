@@ -1,0 +1,213 @@
+"""Simulation of windows and lanes by the bytecode of a system: which effects act where, and whether it is right."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.simulate.bytecode.program import Program, TraceError, program_of
+from deepkoco.fit.simulate.nodes import Nodes
+from deepkoco.fit.simulate.step import equations_of
+from deepkoco.fit.simulate.torch_steps import StepsInput, first_memory, in_torch
+from deepkoco.systems import ExtendedSystem, System
+from deepkoco.systems.plain import is_plain
+
+CHECKED = 2  # steps of a new program that are compared with torch
+LANES = 3  # in which they are
+TIMES = (0.0, 1.3, 47.0)  # log times of the windows in which they are [s]
+BROAD = 1e3  # largest command there
+SAME = 1e-9  # relative difference up to which both are the same
+
+PLACES = ("body", "load", "memory")  # of effects that are part of the equations of motion
+Key = tuple[tuple[str, ...], tuple[str, ...], float, bool]
+_programs: WeakKeyDictionary[System, dict[Key, Program | None]] = WeakKeyDictionary()
+_parts: WeakKeyDictionary[System, dict[tuple[str, ...], ExtendedSystem]] = WeakKeyDictionary()
+
+
+def along_windows(
+    system: System,
+    values: Mapping[str, Tensor],
+    lanes: Mapping[str, slice] | None,
+    given: StepsInput,
+) -> Nodes | None:
+    """Simulate by bytecode; None where the equations cannot be traced, or where gradients are wanted.
+
+    Lanes with the same effects are simulated together, under a program with these effects alone.
+
+    Args:
+        system: Dynamics.
+        values: Named values, each scalar, (L,), (W, 1) or (W, L).
+        lanes: Effect -> lanes in which it acts; None for all.
+        given: Start and drive.
+    """
+    tensors = [torch.as_tensor(v) for v in values.values()]
+    loads = [] if given.loads is None else [given.loads]
+    if not is_plain([*tensors, *given.start, *given.begin, *given.slope, *loads]):
+        return None
+    windows, count = given.start[0].shape
+    steps, joints = len(given.begin[0]), system.joints
+    groups = []
+    inside = _in_equations(system)
+    lanes = {name: part for name, part in (lanes or {}).items() if name in inside}
+    for first, last in _groups(lanes, count):
+        acting = _with_effects(
+            system, [n for n in inside if n not in lanes or first in range(*lanes[n].indices(count))]
+        )
+        own = {n: v for n, v in values.items() if "." not in n or n.partition(".")[0] in _names(acting)}
+        own = {n: torch.as_tensor(v) for n, v in own.items()}
+        part = _of_lanes(given, first, last)
+        own = {n: v[..., first:last] if v.ndim and v.shape[-1] == count else v for n, v in own.items()}
+        program = _known(acting, own, part)
+        if program is None:
+            return None
+        groups.append((first, last, acting, own, part, program))
+    value = np.empty((2 * joints, steps + 1, windows, count))
+    ends = np.empty((2, joints, steps, windows, count))
+    for first, last, acting, own, part, program in groups:
+        found = _run(acting, own, part, program)
+        value[..., first:last], ends[0, ..., first:last], ends[1, ..., first:last] = found
+    states = torch.from_numpy(value).unbind(0)
+    fast = states[joints:]
+    return Nodes(
+        states,
+        (*(v[:-1] for v in fast), *torch.from_numpy(ends[0]).unbind(0)),
+        (*(v[1:] for v in fast), *torch.from_numpy(ends[1]).unbind(0)),
+    )
+
+
+def _names(system: System) -> tuple[str, ...]:
+    return tuple(e.name for e in system.effects) if isinstance(system, ExtendedSystem) else ()
+
+
+def _groups(lanes: Mapping[str, slice], count: int) -> list[tuple[int, int]]:
+    """Neighbouring lanes in which the same effects act: the first of each group, and the one behind its last."""
+    edges = sorted({0, count, *(e for part in lanes.values() for e in (part.start, part.stop))})
+    return list(itertools.pairwise(edges))
+
+
+def _in_equations(system: System) -> tuple[str, ...]:
+    """Effects that are part of the equations; the others change commands, times or measurements."""
+    if not isinstance(system, ExtendedSystem):
+        return ()
+    return tuple(e.name for e in system.effects if e.effect.place in PLACES)
+
+
+def _with_effects(system: System, names: Sequence[str]) -> System:
+    """The system with some of its effects alone."""
+    if not isinstance(system, ExtendedSystem):
+        return system
+    known = _parts.setdefault(system.base, {})
+    key = tuple(names)
+    if key not in known:
+        known[key] = ExtendedSystem(system.base, key)
+    return known[key]
+
+
+def _of_lanes(given: StepsInput, first: int, last: int) -> StepsInput:
+    def cut(x: Tensor) -> Tensor:
+        return x[..., first:last]
+
+    return given._replace(
+        start=tuple(cut(x) for x in given.start),
+        begin=tuple(cut(x) for x in given.begin),
+        slope=tuple(cut(x) for x in given.slope),
+        loads=None if given.loads is None else cut(given.loads),
+    )
+
+
+def _known(system: System, values: Mapping[str, Tensor], given: StepsInput) -> Program | None:
+    """The program of a system, traced at its first use and compared with torch; None where it has none."""
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    key = (_names(system), tuple(values), given.step, given.loads is not None)
+    known = _programs.setdefault(base, {})
+    if key not in known:
+        loaded = given.loads is not None
+        try:
+            program = program_of(system, tuple(values), given.step, loaded)
+            known[key] = program if _is_right(system, values, given.step, loaded, program) else None
+        except (TraceError, RuntimeError, TypeError, ValueError, LookupError):
+            # Equations of a user may do anything; torch runs them as they are, and says what is wrong with them.
+            known[key] = None
+    return known[key]
+
+
+def _is_right(system: System, names: Iterable[str], h: float, loaded: bool, program: Program) -> bool:
+    """Whether a program gives what torch gives: a trace does not see what Python decides by other things.
+
+    What is compared depends on the system alone, so that an answer never depends on which log was simulated first.
+    """
+    rng, joints = np.random.default_rng(0), system.joints
+    shape = (len(TIMES), LANES)
+
+    def drawn(*size: int) -> Tensor:
+        return torch.from_numpy(rng.standard_normal(size))
+
+    values = {}
+    for name in names:
+        p = system.parameter(name)
+        away = p.value + 0.3 * p.prior_sd * drawn(LANES).abs()
+        values[name] = away.clamp(p.low, p.high)
+    efforts = []
+    for c in system.commands:
+        low, high = max(c.low, -BROAD), min(c.high, BROAD)
+        efforts.append(low + (high - low) * torch.from_numpy(rng.random((CHECKED, *shape))))
+    start = tuple(drawn(*shape) for _ in range(2 * joints))
+    slope = tuple(drawn(CHECKED, *shape) for _ in efforts)
+    loads = drawn(CHECKED, joints, *shape) if loaded else None
+    given = StepsInput(h, start, torch.tensor(TIMES, dtype=torch.float64)[:, None], efforts, slope, loads)
+    wanted = in_torch(equations_of(system, values, None), given)
+    value, first, last = _run(system, values, given, program)
+    pairs = [
+        *zip(wanted.value, value, strict=True),
+        *zip(wanted.left[joints:], first, strict=True),
+        *zip(wanted.right[joints:], last, strict=True),
+    ]
+    return all(np.allclose(b, a.numpy(), rtol=SAME, atol=SAME, equal_nan=True) for a, b in pairs)
+
+
+def _run(
+    system: System, values: Mapping[str, Tensor], given: StepsInput, program: Program
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States (2 J, n + 1, W, L), and accelerations (J, n, W, L) at both ends of each step."""
+    from deepkoco.fit.simulate.bytecode.machine import BLOCK, roll
+
+    shape = tuple(given.start[0].shape)
+    columns, steps, joints = int(np.prod(shape)), len(given.begin[0]), system.joints
+
+    def flat(tensor: Tensor) -> np.ndarray:
+        return np.ascontiguousarray(tensor.expand(shape).numpy()).reshape(columns)
+
+    start = [flat(x) for x in given.start]
+    start += [np.zeros(columns) for _ in program.rubbing]
+    if program.memories:
+        start += [flat(x) for x in first_memory(equations_of(system, values, None), given)]
+    parameters = np.empty((len(program.parameters), columns))
+    for row, name in enumerate(program.parameters):
+        parameters[row] = flat(values[name])
+    begin, slope = (
+        np.stack([x.expand(steps, *shape).numpy().reshape(steps, columns) for x in each], 1)
+        for each in (given.begin, given.slope)
+    )
+    loads = np.empty((0, 0, 0))
+    if given.loads is not None:
+        loads = np.ascontiguousarray(given.loads.expand(steps, joints, *shape).numpy()).reshape(
+            steps, joints, columns
+        )
+    value = np.empty((2 * joints, steps + 1, columns))
+    first, last = np.empty((joints, steps, columns)), np.empty((joints, steps, columns))
+    p = program
+    roll(
+        p.prologue, p.step, p.mend, p.remember, np.zeros((p.count, BLOCK)), p.constants, p.fixed, parameters, p.known,
+        np.stack(start), p.state_rows, begin, slope, p.effort_rows, flat(given.time), p.time_rows, loads, p.load_rows,
+        given.step, p.after_rows, p.near_row, p.mended_rows, p.memory_rows, value, first, last,
+    )  # fmt: skip
+    return (
+        value.reshape(2 * joints, steps + 1, *shape),
+        first.reshape(joints, steps, *shape),
+        last.reshape(joints, steps, *shape),
+    )

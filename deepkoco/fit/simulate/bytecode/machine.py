@@ -1,0 +1,244 @@
+"""The loop that runs bytecode: each instruction works on a row of numbers, one for each simulation of a block.
+
+Torch needs some microseconds to begin an operation, and a step of a simulation has hundreds of them. Here a block of
+simulations goes through all steps of its windows before the next block begins, and an instruction begins within
+nanoseconds.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+OPCODES = (
+    "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
+    "cosh", "tanh", "exp", "expm1", "log", "log1p", "pow", "sign", "floor", "ceil", "erf", "max", "min", "lt", "le",
+    "gt", "ge", "eq", "ne", "and", "or", "xor", "not", "where", "copy",
+)  # fmt: skip
+"""Instructions by number: target, and up to three sources; truth is 1 and 0."""
+BLOCK = 128  # simulations in a block: its rows stay in the cache
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def execute(code: np.ndarray, table: np.ndarray, n: int) -> None:
+    """Run instructions on the first n numbers of the rows of a table.
+
+    Args:
+        code: (K, 5) number of the instruction, row of its target, rows of its sources. No target is a source.
+        table: (R, N) rows.
+        n: How many numbers of a row count.
+    """
+    for k in range(code.shape[0]):
+        op = code[k, 0]
+        t, a, b, c = table[code[k, 1]], table[code[k, 2]], table[code[k, 3]], table[code[k, 4]]
+        if op == 0:
+            for i in range(n):
+                t[i] = a[i] + b[i]
+        elif op == 1:
+            for i in range(n):
+                t[i] = a[i] - b[i]
+        elif op == 2:
+            for i in range(n):
+                t[i] = a[i] * b[i]
+        elif op == 3:
+            for i in range(n):
+                t[i] = a[i] / b[i]
+        elif op == 4:
+            for i in range(n):
+                t[i] = -a[i]
+        elif op == 5:
+            for i in range(n):
+                t[i] = abs(a[i])
+        elif op == 6:
+            for i in range(n):
+                t[i] = math.sqrt(a[i])
+        elif op == 7:
+            for i in range(n):
+                t[i] = math.sin(a[i])
+        elif op == 8:
+            for i in range(n):
+                t[i] = math.cos(a[i])
+        elif op == 9:
+            for i in range(n):
+                t[i] = math.tan(a[i])
+        elif op == 10:
+            for i in range(n):
+                t[i] = math.asin(a[i])
+        elif op == 11:
+            for i in range(n):
+                t[i] = math.acos(a[i])
+        elif op == 12:
+            for i in range(n):
+                t[i] = math.atan(a[i])
+        elif op == 13:
+            for i in range(n):
+                t[i] = math.atan2(a[i], b[i])
+        elif op == 14:
+            for i in range(n):
+                t[i] = math.sinh(a[i])
+        elif op == 15:
+            for i in range(n):
+                t[i] = math.cosh(a[i])
+        elif op == 16:
+            for i in range(n):
+                t[i] = math.tanh(a[i])
+        elif op == 17:
+            for i in range(n):
+                t[i] = math.exp(a[i])
+        elif op == 18:
+            for i in range(n):
+                t[i] = math.expm1(a[i])
+        elif op == 19:
+            for i in range(n):
+                t[i] = math.log(a[i])
+        elif op == 20:
+            for i in range(n):
+                t[i] = math.log1p(a[i])
+        elif op == 21:
+            for i in range(n):
+                t[i] = a[i] ** b[i]
+        elif op == 22:
+            for i in range(n):
+                t[i] = 1.0 if a[i] > 0.0 else (-1.0 if a[i] < 0.0 else 0.0 * a[i])
+        elif op == 23:
+            for i in range(n):
+                t[i] = np.floor(a[i])
+        elif op == 24:
+            for i in range(n):
+                t[i] = np.ceil(a[i])
+        elif op == 25:
+            for i in range(n):
+                t[i] = math.erf(a[i])
+        elif op == 26:  # not a number wins, as in torch
+            for i in range(n):
+                t[i] = a[i] if a[i] > b[i] or a[i] != a[i] else b[i]
+        elif op == 27:
+            for i in range(n):
+                t[i] = a[i] if a[i] < b[i] or a[i] != a[i] else b[i]
+        elif op == 28:
+            for i in range(n):
+                t[i] = 1.0 if a[i] < b[i] else 0.0
+        elif op == 29:
+            for i in range(n):
+                t[i] = 1.0 if a[i] <= b[i] else 0.0
+        elif op == 30:
+            for i in range(n):
+                t[i] = 1.0 if a[i] > b[i] else 0.0
+        elif op == 31:
+            for i in range(n):
+                t[i] = 1.0 if a[i] >= b[i] else 0.0
+        elif op == 32:
+            for i in range(n):
+                t[i] = 1.0 if a[i] == b[i] else 0.0
+        elif op == 33:
+            for i in range(n):
+                t[i] = 1.0 if a[i] != b[i] else 0.0
+        elif op == 34:
+            for i in range(n):
+                t[i] = 1.0 if a[i] != 0.0 and b[i] != 0.0 else 0.0
+        elif op == 35:
+            for i in range(n):
+                t[i] = 1.0 if a[i] != 0.0 or b[i] != 0.0 else 0.0
+        elif op == 36:
+            for i in range(n):
+                t[i] = 1.0 if (a[i] != 0.0) != (b[i] != 0.0) else 0.0
+        elif op == 37:
+            for i in range(n):
+                t[i] = 1.0 if a[i] == 0.0 else 0.0
+        elif op == 38:
+            for i in range(n):
+                t[i] = b[i] if a[i] != 0.0 else c[i]
+        elif op == 39:
+            for i in range(n):
+                t[i] = a[i]
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def roll(
+    prologue, step, mend, remember, table, constants, fixed, parameters, known, state, state_rows, begin, slope,
+    effort_rows, clock, time_rows, loads, load_rows, h, after_rows, near_row, mended_rows, memory_rows, value, first,
+    last,
+):  # fmt: skip
+    """Simulate C windows over n steps, block by block.
+
+    Args:
+        prologue: Instructions that read parameters alone.
+        step: Those of a step.
+        mend: Those of a step in which a joint with dry friction turns, rests or leaves.
+        remember: Those for what effects remember.
+        table: (R, N) rows; their content does not matter.
+        constants: (c,) numbers, for the rows ``fixed``.
+        parameters: (P, C), for the rows ``known``.
+        state: (S, C) angles, speeds, shares at rest and memories at the start, for ``state_rows``.
+        begin, slope: (n, M, C) efforts at the start of each step, and their change per second.
+        effort_rows: (3, M) rows of the efforts at start, middle and end of a step.
+        clock: (C,) log time at the start [s].
+        time_rows: (3,) rows of the time.
+        loads: (n, J, C) outside loads; (0, 0, 0) for none.
+        load_rows: (J,)
+        h: Step [s].
+        after_rows: (4 J,) rows of angles, speeds and accelerations at both ends after ``step``.
+        near_row: Row that tells where ``mend`` counts; -1 for none.
+        mended_rows: (4 J + r,) as ``after_rows`` after ``mend``, with the shares at rest.
+        memory_rows: Rows of the memories after ``remember``.
+        value: (2 J, n + 1, C) angles and speeds, filled.
+        first, last: (J, n, C) accelerations at both ends of each step, filled.
+    """
+    steps, commands, columns = begin.shape
+    width, joints = table.shape[1], first.shape[0]
+    resting = mended_rows.shape[0] - 4 * joints if near_row >= 0 else 0
+    for r in range(fixed.shape[0]):
+        table[fixed[r], :] = constants[r]
+    for at in range(0, columns, width):
+        n = min(width, columns - at)
+        for r in range(known.shape[0]):
+            table[known[r], :n] = parameters[r, at : at + n]
+        for r in range(state_rows.shape[0]):
+            table[state_rows[r], :n] = state[r, at : at + n]
+        for s in range(2 * joints):
+            value[s, 0, at : at + n] = state[s, at : at + n]
+        execute(prologue, table, n)
+        for k in range(steps):
+            for m in range(commands):
+                for i in range(n):
+                    e, de = begin[k, m, at + i], slope[k, m, at + i]
+                    table[effort_rows[0, m], i] = e
+                    table[effort_rows[1, m], i] = e + 0.5 * h * de
+                    table[effort_rows[2, m], i] = e + h * de
+            for i in range(n):
+                now = clock[at + i] + k * h
+                table[time_rows[0], i] = now
+                table[time_rows[1], i] = now + 0.5 * h
+                table[time_rows[2], i] = now + h
+            for j in range(load_rows.shape[0]):
+                table[load_rows[j], :n] = loads[k, j, at : at + n]
+            execute(step, table, n)
+            if near_row >= 0:
+                near = table[near_row]
+                some = False
+                for i in range(n):
+                    some = some or near[i] != 0.0
+                if some:
+                    execute(mend, table, n)
+                    for r in range(4 * joints):
+                        own, other = table[after_rows[r]], table[mended_rows[r]]
+                        for i in range(n):
+                            own[i] = other[i] if near[i] != 0.0 else own[i]
+            if memory_rows.shape[0]:
+                execute(remember, table, n)
+            for j in range(joints):
+                value[j, k + 1, at : at + n] = table[after_rows[j], :n]
+                value[joints + j, k + 1, at : at + n] = table[after_rows[joints + j], :n]
+                first[j, k, at : at + n] = table[after_rows[2 * joints + j], :n]
+                last[j, k, at : at + n] = table[after_rows[3 * joints + j], :n]
+            for s in range(2 * joints):
+                table[state_rows[s], :n] = table[after_rows[s], :n]
+            for r in range(resting):
+                own = table[state_rows[2 * joints + r]]
+                share = table[mended_rows[4 * joints + r]]
+                for i in range(n):
+                    own[i] = share[i] if some and near[i] != 0.0 else 0.0
+            for r in range(memory_rows.shape[0]):
+                table[state_rows[2 * joints + resting + r], :n] = table[memory_rows[r], :n]

@@ -1,0 +1,210 @@
+"""The program of a system: its integration step as bytecode, traced from the same equations as the steps in torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.simulate.bytecode.translate import Nodes, Rows, instructions, needed_for, translated
+from deepkoco.fit.simulate.step import Drive, Equations, Step, corrected, directions, equations_of, step_of
+from deepkoco.graph.execution.fused.trace import TraceError, trace
+from deepkoco.systems.motion import Motion
+from deepkoco.systems.system import System
+
+ONE = (1, 1)  # shape of an example: one window in one lane
+
+
+@dataclass(frozen=True)
+class Program:
+    """Instructions of a step, and the rows in which its values lie; see :func:`machine.roll`.
+
+    Attributes:
+        prologue, step, mend, remember: (K, 5) instructions.
+        count: Rows of the table.
+        constants: (c,) numbers.
+        fixed: (c,) their rows.
+        parameters: Names that are read.
+        known: Their rows.
+        state_rows: Rows of angles, speeds, shares at rest and memories.
+        effort_rows: (3, M)
+        time_rows: (3,)
+        load_rows: (J,) or none.
+        after_rows, near_row, mended_rows, memory_rows: Rows of results.
+        rubbing: Joints with dry friction.
+        memories: Number of values that effects remember.
+    """
+
+    prologue: np.ndarray
+    step: np.ndarray
+    mend: np.ndarray
+    remember: np.ndarray
+    count: int
+    constants: np.ndarray
+    fixed: np.ndarray
+    parameters: tuple[str, ...]
+    known: np.ndarray
+    state_rows: np.ndarray
+    effort_rows: np.ndarray
+    time_rows: np.ndarray
+    load_rows: np.ndarray
+    after_rows: np.ndarray
+    near_row: int
+    mended_rows: np.ndarray
+    memory_rows: np.ndarray
+    rubbing: tuple[int, ...]
+    memories: int
+
+
+def program_of(system: System, names: Sequence[str], h: float, loaded: bool) -> Program:
+    """Trace the step of a system and translate it.
+
+    Args:
+        system: The system.
+        names: Parameters that have values.
+        h: Step [s].
+        loaded: Whether there are outside loads.
+
+    Raises:
+        TraceError: The equations do something that is no instruction, or look at values.
+    """
+    return _Builder(system, names, h, loaded).program()
+
+
+class _Builder:
+    def __init__(self, system: System, names: Sequence[str], h: float, loaded: bool) -> None:
+        self.system, self.h, self.joints = system, h, system.joints
+        given = {n: system.parameter(n).value for n in names}
+        self.parameters = {f"p.{n}": torch.full(ONE, v, dtype=torch.float64) for n, v in given.items()}
+        plain = equations_of(
+            system, {n: torch.tensor(v, dtype=torch.float64) for n, v in given.items()}, None
+        )
+        self.rubbing, self.memories = plain.friction.joints, len(plain.memory.parts)
+        count, joints = len(system.commands), range(system.joints)
+        zero = torch.zeros(ONE, dtype=torch.float64)
+        self.state = [f"{x}.{j}" for x in ("q", "v") for j in joints]
+        self.state += [f"r.{j}" for j in self.rubbing] + [f"m.{k}" for k in range(self.memories)]
+        self.efforts = [[f"e{s}.{k}" for k in range(count)] for s in range(3)]
+        self.times = ["t0", "t1", "t2"]
+        self.loads = [f"f.{j}" for j in joints] if loaded else []
+        self.after = [f"after.{x}.{j}" for x in ("q", "v", "first", "last") for j in joints]
+        moving = [*self.state, *(n for e in self.efforts for n in e), *self.times, *self.loads]
+        self.moving = {name: zero.clone() for name in moving}
+
+    def program(self) -> Program:
+        nodes, pool = Nodes(), Rows()
+        rows: dict[int, int] = {}
+        inputs = {n: nodes.add(("input", n), steady=True) for n in self.parameters}
+        inputs |= {n: nodes.add(("input", n)) for n in (*self.moving, *self.after)}
+        step = self._outputs(nodes, self._step, self.moving, inputs)
+        stepped = self.moving | {n: torch.zeros(ONE, dtype=torch.float64) for n in self.after}
+        mend = self._outputs(nodes, self._mended, stepped, inputs) if self.rubbing else {}
+        remember = self._outputs(nodes, self._remembered, stepped, inputs) if self.memories else {}
+
+        near = step.pop("near", None)
+        done = {k for k, node in enumerate(nodes.listed) if node[0] in ("input", "constant")}
+        for node in sorted(done):
+            # What a step leaves lies in the rows of its results.
+            if nodes.listed[node][0] == "constant" or not nodes.listed[node][1].startswith("after."):
+                rows[node] = pool.take()
+        wanted = [*step.values(), *([] if near is None else [near]), *mend.values(), *remember.values()]
+        moving = [n for n in needed_for(nodes, wanted, done) if not nodes.steady[n]]
+        steady = {s for n in moving for s in nodes.listed[n][1:] if nodes.steady[s] and s not in done}
+        prologue = instructions(nodes, sorted(steady), rows, done, pool)
+        done |= steady
+        # The rows of the results are taken first, so that the results of a step are sources of what follows.
+        code = instructions(nodes, [*step.values(), *([] if near is None else [near])], rows, done, pool)
+        after = [rows[step[n]] for n in self.after]
+        rows |= {inputs[n]: row for n, row in zip(self.after, after, strict=True)}
+        mending = instructions(nodes, list(mend.values()), rows, done, pool)
+        remembering = instructions(nodes, list(remember.values()), rows, done, pool)
+
+        constants = [k for k in sorted(done) if nodes.listed[k][0] == "constant"]
+        used = [n for n in self.parameters if inputs[n] in rows]
+
+        def places(names: list[str]) -> np.ndarray:
+            return np.array([rows[inputs[n]] for n in names], dtype=np.int64)
+
+        return Program(
+            prologue,
+            code,
+            mending,
+            remembering,
+            pool.count,
+            np.array([nodes.listed[k][2] for k in constants], dtype=np.float64),
+            np.array([rows[k] for k in constants], dtype=np.int64),
+            tuple(n.removeprefix("p.") for n in used),
+            places(used),
+            places(self.state),
+            np.array([places(e) for e in self.efforts], dtype=np.int64).reshape(3, -1),
+            places(self.times),
+            places(self.loads),
+            np.array(after, dtype=np.int64),
+            -1 if near is None else rows[near],
+            np.array([rows[k] for k in mend.values()], dtype=np.int64),
+            np.array([rows[k] for k in remember.values()], dtype=np.int64),
+            self.rubbing,
+            self.memories,
+        )
+
+    def _outputs(
+        self,
+        nodes: Nodes,
+        function: Callable[[dict[str, Tensor]], dict[str, Tensor]],
+        moving: Mapping[str, Tensor],
+        inputs: Mapping[str, int],
+    ) -> dict[str, int]:
+        """Nodes of the results of a function, each in a row of its own."""
+        traced = trace(function, {**self.parameters, **moving})
+        found = translated(nodes, traced, inputs)
+        return {name: nodes.copy(node) for name, node in found.items()}
+
+    def _given(self, x: Mapping[str, Tensor]) -> tuple[Equations, tuple, tuple, Drive, tuple]:
+        """Equations, angles, speeds, drive and directions of dry friction."""
+        joints = range(self.joints)
+        values = {n: x[f"p.{n}"] for n in (name.removeprefix("p.") for name in self.parameters)}
+        equations = equations_of(self.system, values, None)
+        angle, speed = (tuple(x[f"{s}.{j}"] for j in joints) for s in ("q", "v"))
+        rest = tuple(x[f"r.{j}"] if j in self.rubbing else None for j in joints)
+        efforts = [tuple(x[n] for n in names) for names in self.efforts]
+        t0, t1, t2 = (x[n] for n in self.times)
+        loads = tuple(x[n] for n in self.loads) if self.loads else None
+        memory = tuple(x[f"m.{k}"] for k in range(self.memories))
+        drive = Drive((efforts[0], efforts[1], efforts[2]), (t0, t1, t2), loads, memory)
+        return equations, angle, speed, drive, directions(speed, rest, equations.friction)
+
+    def _step(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
+        equations, angle, speed, drive, direction = self._given(x)
+        step = step_of(equations, angle, speed, drive, direction, self.h)
+        found = self._named(step)
+        if self.rubbing:
+            turns = [speed[j] * step.speed[j] <= 0.0 for j in self.rubbing]
+            near = turns[0]
+            for other in turns[1:]:
+                near = near | other
+            found["near"] = near
+        return found
+
+    def _mended(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
+        equations, angle, speed, drive, direction = self._given(x)
+        parts = [tuple(x[f"after.{s}.{j}"] for j in range(self.joints)) for s in ("q", "v", "first", "last")]
+        step = Step(parts[0], parts[1], parts[2], parts[3], (None,) * self.joints)
+        step = corrected(equations, step, angle, speed, drive, direction, self.h)
+        held = {f"rest.{j}": step.rest[j] for j in self.rubbing}
+        return {**self._named(step), **{n: v for n, v in held.items() if v is not None}}
+
+    def _remembered(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
+        equations, angle, _, drive, _ = self._given(x)
+        after = [tuple(x[f"after.{s}.{j}"] for j in range(self.joints)) for s in ("q", "v")]
+        now = Motion(after[0], after[1], drive.efforts[2], None, drive.times[2], equations.smoothing)
+        return {f"m.{k}": v for k, v in enumerate(equations.memory.advanced(drive.memory, angle, now))}
+
+    def _named(self, step: Step) -> dict[str, Tensor]:
+        parts = (step.angle, step.speed, step.first, step.last)
+        return dict(zip(self.after, (v for part in parts for v in part), strict=True))
+
+
+__all__ = ["Program", "TraceError", "program_of"]
