@@ -47,8 +47,8 @@ ACTUATION, CAMERA = 0.007, 0.008  # [s]
 FITTED = ("mass", "motor_constant", "viscous", "coulomb")
 DELAYS = {"actuation_delay.delay": ACTUATION, "theta.delay": CAMERA}
 SPREAD = 0.2  # of the true parameters around the nominal ones
-# Stretches of the log, in which the initial state is found [s]. From 14 to 20.5 s at once, two units of five ended in a
-# state that does not lead through the log.
+# Stretches of the log, in which the initial state is found [s]. Where the last one followed that of 14 s at once, one
+# more unit of five ended in a state that does not lead through the log.
 STRETCHES = tuple(np.arange(1.0, SECONDS - 0.25, 0.5).tolist())
 FRAME = 2  # a frame of the camera for so many samples of the encoder
 NOISE_DENSITY = (0.0, 0.5)  # of angle [rad2/s] and speed [rad2/s3] in the estimator
