@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.residuals.residuals import white_limit
+from deepkoco.diagnose.residuals.residuals import MAX_CHI2_SD, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
@@ -96,6 +96,17 @@ class Baseline:
     def least_deflation(self) -> float:
         """Smallest deflation on any log of this unit: floor times correlation."""
         return self.floor * self.correlation
+
+    def most_noise(self, windows: Windows, deviations: float = MAX_CHI2_SD) -> float:
+        """chi2 per sample of a log above which it contains more than this unit leaves when nothing is wrong.
+
+        Args:
+            windows: The windows of the log.
+            deviations: The limit in standard deviations of chi2 per sample.
+        """
+        known = math.inf if self.healthy is None else self.healthy.windows.samples
+        apart = 0.0 if self.runs is None else self.runs.floor_variance
+        return self.floor * white_limit(windows, self.correlation, deviations, known, apart)
 
     @property
     def healthy_lag_one(self) -> float:

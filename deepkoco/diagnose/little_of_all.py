@@ -18,7 +18,6 @@ from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.explanation import Explanation, of_mean
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import Parameter
@@ -83,7 +82,7 @@ def with_little_of_all(
         causes: The catalogue.
     """
     base, found = explanation.base, explanation.found
-    limit = white_limit(base.train, base.start.correlation) * base.start.floor * base.train.samples
+    limit = base.start.most_noise(base.train) * base.train.samples
     if found.final.chi2 <= limit or not request.limit.allows("small effects that any unit has"):
         return explanation
     usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)

@@ -23,7 +23,7 @@ from deepkoco.diagnose.explanation import Explanation, of_mean
 from deepkoco.diagnose.little_of_all import beside
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import dispersion, white_limit
+from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.weighed import detection_of
 from deepkoco.diagnose.window_choice import FOLLOWS, left_out
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -110,7 +110,7 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     if final.diverged:
         return None
     everything = request.causes
-    limit = white_limit(data.train, start.correlation) * start.floor * data.train.samples
+    limit = start.most_noise(data.train) * data.train.samples
     if explanation.weighed and final.chi2 > limit and request.limit.allows("small effects that any unit has"):
         grown, fit = beside(problem, start, final, found.accepted, everything)
         fallen = (final.cost - fit.cost) / dispersion(final, data.train).deflation

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
+from deepkoco.diagnose.residuals.residuals import mean_square_variance
 from deepkoco.diagnose.run_to_run import RunToRun, log_information, sampling_variance, variances_between
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
@@ -69,7 +70,29 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     between = np.diag(variances_between(those, centred, alike))
     found = RunToRun(told, between, degrees, declared, alone.floor, alone.correlation, alone.lag_one)
     again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
-    return replace(found, floor=again.floor, correlation=again.correlation, lag_one=again.lag_one)
+    return replace(
+        found,
+        floor=again.floor,
+        correlation=again.correlation,
+        lag_one=again.lag_one,
+        floor_variance=floor_variance(again.spreads, [own.samples for own in logs.values()]),
+    )
+
+
+def floor_variance(spreads: Sequence[Dispersion], samples: Sequence[int]) -> float:
+    """Return by how much the floor of a further log differs from the mean of these, beside chance.
+
+    Args:
+        spreads: Dispersion of each log.
+        samples: Number of its samples.
+
+    Returns:
+        A variance, as a share of the squared mean; the uncertainty of the mean is part of it.
+    """
+    floors = np.array([s.chi2_per_sample for s in spreads])
+    chance = np.mean([mean_square_variance(n, s.correlation) for s, n in zip(spreads, samples, strict=True)])
+    between = np.var(floors, ddof=1) / np.mean(floors) ** 2 - chance
+    return float(max(between, 0.0) * (1.0 + 1.0 / len(floors)))
 
 
 class _Refits(NamedTuple):

@@ -53,6 +53,8 @@ class RunToRun:
         floor: chi2 per sample that remains in the logs.
         correlation: Samples per independent sample of the residuals.
         lag_one: Correlation of neighbouring residuals.
+        floor_variance: Variance of the floor of one further log as a share of the squared floor, from how far the
+            floors of these logs differ beyond chance; it contains that of their mean.
     """
 
     log_information: dict[int, LogInformation]
@@ -62,6 +64,7 @@ class RunToRun:
     floor: float
     correlation: float
     lag_one: float
+    floor_variance: float = 0.0
 
     def of_another(self, prior: Prior, without: int | None = None) -> Prior:
         """Return the prior that these logs give for the parameters of another log.

@@ -4,6 +4,7 @@ import io
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -11,7 +12,7 @@ from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue, changed_parameter
 from deepkoco.diagnose.diagnosis import Estimate
-from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.screening import screen
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.report.text import headline, moved_value, new_value, spoken, terminal_table
@@ -20,7 +21,8 @@ from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.systems import Parameter, make_system
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems import Channel, Parameter, System, make_system
 from deepkoco.unit import make_unit
 from tests.oracle.levitated_ball import Maglev, levitated_ball
 from tests.systems.cart_pole import POLE_MASS, CartPole, cart_pole_log
@@ -149,6 +151,7 @@ def test_new_value_says_factor_and_interval():
     text = new_value("servo_gain", 100.0, Estimate(200.0, 197.0, 203.0, "1"))
     assert text == "servo gain is 200, not 100 (x 2.00 [1.97, 2.03])"
     assert new_value("spring", 0.0, Estimate(0.5, 0.4, 0.6, "N m")) == "spring is 0.5 N m, not 0 N m"
+    assert "(x" not in new_value("excess", 2.7e-37, Estimate(0.26, 0.2, 0.3, "1"))
     assert new_value("mass", 1.0, Estimate(2.0, 1.5, math.inf, "kg")).endswith("(x 2.00 [1.50, inf])")
     assert "x 1.0035 [1.0034, 1.0036]" in new_value("mass", 1.0, Estimate(1.0035, 1.0034, 1.0036, "kg"))
 
@@ -205,3 +208,59 @@ def test_a_window_of_a_few_samples_is_diagnosed():
     result = diagnose([levitated_ball(0.075)], Maglev(), only=["gain_drift"])
     assert result.verdict == "nothing"
     assert headline(result).startswith("magnet is")
+
+
+class Motor(System):
+    """A DC motor: its log shows K / (R J) and (K^2 / R + b) / J, two ratios of five parameters."""
+
+    joint_units = "rad"
+    parameters = (
+        Parameter("constant", 0.05, "N m/A", 0.005, 0.5, 5e-4, "K"),
+        Parameter("resistance", 2.0, "1", 0.2, 20.0, 0.04, "R"),
+        Parameter("inertia", 2e-4, "kg m2", 1e-5, 2e-3, 3e-5, "J"),
+        Parameter("viscous", 1e-4, "N m s/rad", 0.0, 1e-2, 1e-4, "b"),
+    )
+    commands = (Channel("voltage", "V", "command", -12.0, 12.0),)
+    measurements = (Channel("angle", "rad", "measurement", noise_sd=1e-3),)
+
+    def accelerations(self, p):
+        def law(motion):
+            per_volt = p["constant"] / p["resistance"]
+            torque = per_volt * (motion.efforts[0] - p["constant"] * motion.speeds[0])
+            return ((torque - p["viscous"] * motion.speeds[0] + motion.load(0)) / p["inertia"],)
+
+        return law
+
+
+def motor_log(constant: float, resistance: float, inertia: float, viscous: float) -> Recording:
+    """Angle of a motor under random voltages, by the exact solution of its linear equation."""
+    rng = np.random.default_rng(43200)
+    voltage = np.repeat(rng.uniform(-6.0, 6.0, 100), 20)  # held for 0.2 s at 100 Hz
+    gain = constant / (resistance * inertia)
+    rate = (constant**2 / resistance + viscous) / inertia
+    angle, speed, angles, fall = 0.0, 0.0, [], math.exp(-0.01 * rate)
+    for u in voltage:
+        angles.append(angle + 1e-3 * rng.standard_normal())
+        end = gain * u / rate
+        angle += 0.01 * end + (speed - end) * (1.0 - fall) / rate
+        speed = end + (speed - end) * fall
+    t = 0.01 * np.arange(len(voltage))
+    measured = Series(t, np.array(angles), "rad", "measurement")
+    return Recording({"voltage": Series(t, voltage, "V", "command"), "angle": measured})
+
+
+@pytest.mark.parametrize("with_push", [False, True])
+def test_of_pairs_that_explain_a_log_alike_the_likely_one_is_named(with_push):
+    # The inertia is 2.3 deviations off and the others within one; the resistance would have to be 12 off. A push that
+    # any unit may have can be part of the refit, and is no parameter of the system.
+    windows = cut_windows([motor_log(0.0499, 2.015, 2.7e-4, 1.25e-4)], Motor(), 1.5)
+    start = baseline_from(Motor(), windows)
+    windows, found = refit_sharply(start, windows.take(moving(windows)))
+    problem = FitProblem(start.system, windows)
+    if with_push:
+        prior = start.prior.widened(declared(problem, ["event.torque"]), start.values)
+        trial = Trial("refit", prior.names, prior, found.values, found.state, found.nuisance)
+        found = problem.fit_one(trial)
+    names = [moved.name for moved in moved_parameters(problem, start, found)]
+    assert "inertia" in names
+    assert "resistance" not in names

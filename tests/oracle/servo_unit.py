@@ -71,7 +71,7 @@ def log_of(unit: ServoUnit, motion: str, seed: int, seconds: float = 6.0, reach:
         reach: Largest goal [rad].
     """
     rng = np.random.default_rng(seed)
-    goal_at, off = _goals(motion, rng, seconds, reach)
+    goal_at, off = goals_of(motion, rng, seconds, reach)
     inertia, dt = unit.mass * unit.length**2 + unit.armature, 1.0 / (RATE * FINE)
     q = v = 0.0
     t, angles, goals, enabled = [], [], [], []
@@ -107,7 +107,7 @@ def _step(
     return q + dt * v, v
 
 
-def _goals(
+def goals_of(
     motion: str, rng: np.random.Generator, seconds: float, reach: float
 ) -> tuple[Callable[[float], float], tuple[float, float]]:
     """Goal over time, and when the drive is off."""

@@ -37,6 +37,19 @@ def test_gear_friction_has_no_direction_and_is_never_below_the_dry_one(motor, ou
     assert float(level) >= 0.01
 
 
+@given(motor=st.floats(0.0, 20.0), share=st.floats(0.0, 0.9), growth=st.floats(0.0, 5.0))
+def test_gear_that_moves_takes_up_less_than_it_transmits(motor, share, growth):
+    gear = GearFriction(0.0, share, growth, at_load=0.0)
+    assert float(gear.level(_number(motor), _number(0.0), _number(1.0))) <= motor * (1.0 + 1e-12)
+
+
+def test_share_begins_with_its_growth():
+    # 1e-3 N m in the gear: a share of 0.2 + 0.5 * 1e-3, less 1e-3 of 0.5e-3 / 0.8 of what grows.
+    gear = GearFriction(0.0, 0.2, 0.5, at_load=0.0)
+    expected = 1e-3 * (0.2 + 0.5e-3 / (1.0 + 0.5e-3 / 0.8))
+    assert float(gear.level(_number(1e-3), _number(0.0), _number(1.0))) == pytest.approx(expected, rel=1e-9)
+
+
 def test_excess_at_standstill_falls_to_its_37_percent_at_the_declared_speed():
     gear = GearFriction(0.1, excess=0.5, speed=0.2)
     zero = _number(0.0)

@@ -8,7 +8,7 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
-from deepkoco.diagnose.residuals.residuals import SLOTS, white_limit
+from deepkoco.diagnose.residuals.residuals import SLOTS
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 APART = 6.0  # BIC difference from which two causes are distinguished ("strong evidence")
@@ -63,7 +63,7 @@ def width(problem: FitProblem, start: Baseline, ranking: Ranking) -> float:
     of its values, only as many are independent as the slots of one window. With a mean square m of it (in noise
     variances) and n independent samples, a difference of BIC varies (1 + m n / slots) / (1 + m) times as much.
     """
-    left = ranking.dispersion.chi2_per_sample - white_limit(problem.windows, start.correlation) * start.floor
+    left = ranking.dispersion.chi2_per_sample - start.most_noise(problem.windows)
     if left <= 0.0:
         return APART
     repeats = max(ranking.samples / (SLOTS * start.system.joints), 1.0)

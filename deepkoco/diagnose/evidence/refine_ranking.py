@@ -19,7 +19,7 @@ from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
-from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, white_limit
+from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
@@ -135,10 +135,7 @@ def classed(
     Among parameters, the one leads whose change its declared uncertainty makes most likely.
     """
     simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
-    left = (
-        ranking.best.fit.chi2 / problem.windows.samples
-        > white_limit(problem.windows, start.correlation) * start.floor
-    )
+    left = ranking.best.fit.chi2 / problem.windows.samples > start.most_noise(problem.windows)
     if simple and left:
         first = min(simple, key=lambda c: (c.cause.size, -c.delta_bic))
         ranking = replace(ranking, candidates=(first, *(c for c in ranking.candidates if c is not first)))

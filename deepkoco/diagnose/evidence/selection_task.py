@@ -14,7 +14,7 @@ from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import Progress, silent
-from deepkoco.diagnose.residuals.residuals import MissingTorque, dispersion, white_limit
+from deepkoco.diagnose.residuals.residuals import MissingTorque, dispersion
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
@@ -55,9 +55,7 @@ class SelectionTask:
 
     def left(self, fit: Fit) -> bool:
         """Return whether a fit leaves more than noise."""
-        return (
-            fit.chi2 / self.train.samples > white_limit(self.train, self.start.correlation) * self.start.floor
-        )
+        return fit.chi2 / self.train.samples > self.start.most_noise(self.train)
 
     def tolerated(self, found: Selected) -> list[Cause]:
         """Return the selected causes of which there is no more than any healthy machine has."""

@@ -18,7 +18,6 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.promising import WORTH
 from deepkoco.diagnose.evidence.screening import screen
-from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
@@ -90,7 +89,7 @@ def choose_terms(
         chains.append(_Chain((first,), fit, (before,)))
         for _ in range(LOOK):
             chains[-1] = _grown(task, chains[-1])
-        if chains[-1].error <= start.floor * white_limit(others, start.correlation):
+        if chains[-1].error <= start.most_noise(others):
             break  # only noise is left
     if not chains:
         return (), (before,)

@@ -16,6 +16,7 @@ from deepkoco.pages.units import in_one_unit, telling_digits
 from deepkoco.systems.named_joints import COMMON
 
 NOTABLE = 2.0  # standard deviations of the prior from which a changed parameter is pointed out
+LARGEST_FACTOR = 1000.0  # between two values of a parameter, for which the factor still says something
 
 
 def spoken(name: str) -> str:
@@ -89,8 +90,8 @@ def new_value(name: str, given: float, estimate: Estimate) -> str:
     """Return a changed parameter as a clause: "servo gain is 200, not 100 (x 2.00 [1.97, 2.03])"."""
     (now, before), unit = in_one_unit([estimate.value, given], estimate.unit)
     text = f"{spoken(name)} is {now} {unit}".rstrip() + f", not {before} {unit}".rstrip()
-    if given == 0.0:
-        return text
+    if abs(given) * LARGEST_FACTOR <= abs(estimate.value):
+        return text  # a fit that ends at 0 ends near it, so there is no factor
     factor, *ends = (v / given for v in (estimate.value, estimate.low, estimate.high))
     low, high = sorted(ends)
     # As many digits as the interval needs.

@@ -43,7 +43,13 @@ def coloured_from(windows: Windows, deviations: float = MAX_CORRELATION_SD) -> f
     return deviations / math.sqrt(windows.samples)
 
 
-def white_limit(windows: Windows, correlation: float = 1.0, deviations: float = MAX_CHI2_SD) -> float:
+def white_limit(
+    windows: Windows,
+    correlation: float = 1.0,
+    deviations: float = MAX_CHI2_SD,
+    known: float = math.inf,
+    apart: float = 0.0,
+) -> float:
     """Return the chi2 per sample above which residuals contain more than noise.
 
     Args:
@@ -52,14 +58,22 @@ def white_limit(windows: Windows, correlation: float = 1.0, deviations: float = 
             The mean square of correlated residuals varies more: by sum(rho_k^2) as a variance (Bartlett), which is
             (c^2 + 1) / (2 c) where the autocorrelation rho_k falls by a constant share.
         deviations: The limit in standard deviations of chi2 per sample, including the uncertainty of the noise itself.
+        known: Samples of healthy logs from which the noise was estimated, correlated alike; infinite where it is known.
+        apart: Variance beside chance with which a further log differs from that estimate, as a share of its square. A
+            model error depends on the motion, so one log leaves more of it than another.
     """
     samples = windows.samples
     per_channel = [int(windows.valid[:, c].sum()) for c in range(windows.valid.shape[1])]
     noise = sum(
         (2.0 * n / samples * s.relative_sd) ** 2 for n, s in zip(per_channel, windows.noise, strict=True)
     )
-    repeats = (correlation**2 + 1.0) / (2.0 * correlation)
-    return 1.0 + deviations * math.sqrt(2.0 * repeats / samples + noise)
+    chance = mean_square_variance(samples, correlation) + mean_square_variance(known, correlation)
+    return 1.0 + deviations * math.sqrt(chance + apart + noise)
+
+
+def mean_square_variance(samples: float, correlation: float) -> float:
+    """Variance of the mean square of so many residuals, as a share of its square (Bartlett); see `white_limit`."""
+    return (correlation**2 + 1.0) / correlation / samples
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.residuals.residuals import coloured_from, white_limit
+from deepkoco.diagnose.residuals.residuals import coloured_from
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.dispersion import dispersion
@@ -19,7 +19,7 @@ def more_than_noise(fit: Fit, windows: Windows, start: Baseline) -> str | None:
         windows: Its windows.
         start: The baseline, whose healthy logs give floor and correlation of the unit when nothing is wrong.
     """
-    chi2, most = fit.chi2 / windows.samples, white_limit(windows, start.correlation, MAX_SD) * start.floor
+    chi2, most = fit.chi2 / windows.samples, start.most_noise(windows, MAX_SD)
     if chi2 > most:
         return f"chi2 per sample is {chi2:.3g} (noise: up to {most:.3g})"
     lag_one, alike = (

@@ -12,7 +12,7 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, refit
 from deepkoco.diagnose.diagnosis import Evidence
-from deepkoco.diagnose.residuals.residuals import dispersion, white_limit
+from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -63,8 +63,7 @@ def changed_midway(start: Baseline, windows: Windows) -> Evidence | None:
     before, after = order[split - 1], order[split]
     first, last = float(windows.t0[before]), float(windows.t0[after]) + windows.length
     white = all(
-        side.chi2 / part.samples <= white_limit(part, start.correlation) * start.floor
-        for side, part in zip(sides, parts, strict=True)
+        side.chi2 / part.samples <= start.most_noise(part) for side, part in zip(sides, parts, strict=True)
     )
     changed, reach = ("changed", "") if white else ("may have changed", ", though not down to the noise")
     text = (

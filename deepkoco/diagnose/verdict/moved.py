@@ -11,6 +11,7 @@ import numpy as np
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes.parameter import widened
 from deepkoco.diagnose.diagnosis import Estimate, Moved
+from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.evidence.screening import SAME
 from deepkoco.diagnose.evidence.selection import CLOSE, DETECTION, ITERATIONS
 from deepkoco.diagnose.residuals.residuals import dispersion
@@ -52,26 +53,13 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     names = [n for n in refit.free if "." not in n]
     if not names:
         return ()
-    least = _rises(start, refit, list(itertools.combinations(names, min(MOST, len(names))))).min()
+    least = _rises(problem, start, refit, list(itertools.combinations(names, min(MOST, len(names))))).min()
     if least > CLEARLY * (enough - refit.chi2):
         return ()
-    chosen: list[str] = []
-    try:
-        best = problem.evaluate(start.values, "as given", refit.state)
-    except DivergedError:
-        best = None
-    while best is None or best.chi2 > enough:
-        if len(chosen) == MOST:
-            return ()
-        sets = [(*chosen, n) for n in names if n not in chosen]
-        sets = [sets[k] for k in np.argsort(_rises(start, refit, sets))[:FITTED]]
-        fits = _fits(problem, start, best, refit, sets)
-        if not fits:
-            return ()
-        best = min(fits, key=lambda fit: fit.chi2)
-        chosen = list(best.free)
-    if best is None or not chosen:
+    best = _fewest(problem, start, refit, names, enough, sd, deflation)
+    if best is None:
         return ()
+    chosen = list(best.free)
     found = estimates(problem, best, chosen, deflation)
     change = {n: best.values[n] - start.values[n] for n in chosen}
     if max(abs(change[n]) / sd[n] for n in chosen) < FAR:
@@ -80,23 +68,67 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen if abs(change[n]) >= sd[n])
 
 
-def _rises(start: Baseline, refit: Fit, sets: Sequence[tuple[str, ...]]) -> np.ndarray:
+def _fewest(
+    problem: FitProblem,
+    start: Baseline,
+    refit: Fit,
+    names: Sequence[str],
+    enough: float,
+    sd: Mapping[str, float],
+    deflation: float,
+) -> Fit | None:
+    """Return the fit of the fewest parameters that explain the windows; of as few, of those that are known least.
+
+    Where a log shows two ratios of five parameters, most pairs of them explain it alike, and chance alone says which
+    pair leaves the lowest chi2. What was declared of them says which is likely.
+
+    Returns:
+        The fit; None if the values given explain the windows too, or if more than ``MOST`` parameters are needed.
+    """
+    try:
+        if problem.evaluate(start.values, "as given", refit.state).chi2 <= enough:
+            return None
+    except DivergedError:
+        pass
+    for size in range(1, min(MOST, len(names)) + 1):
+        sets = list(itertools.combinations(names, size))
+        likely = np.argsort(_rises(problem, start, refit, sets, deflation))[:FITTED]
+        fits = _fits(problem, start, refit, [sets[k] for k in likely])
+        away = {
+            id(fit): sum(((fit.values[n] - start.values[n]) / sd[n]) ** 2 for n in fit.free) for fit in fits
+        }
+        explain = [fit for fit in fits if fit.chi2 <= enough]
+        if explain:
+            return min(explain, key=lambda fit: away[id(fit)])
+    return None
+
+
+def _rises(
+    problem: FitProblem,
+    start: Baseline,
+    refit: Fit,
+    sets: Sequence[tuple[str, ...]],
+    deflation: float = 0.0,
+) -> np.ndarray:
     """Return the rise of chi2 (K,) from the refit, by its slopes, if only the parameters of each set may move.
 
     A file that states nothing about its drives has many parameters that must move, and then no few explain the log.
 
     Args:
+        problem: Training windows.
         start: The baseline, with the values given.
-        refit: Refit of all parameters.
+        refit: Refit of all parameters; small causes that any unit has, such as a push, may be part of it.
         sets: K sets of equally many of its parameters.
+        deflation: Noise variances for which a parameter moves by a declared standard deviation from its value given;
+            what all of them cost then adds to the rise.
     """
     # The declared spread only keeps combinations that the log does not tell from being undefined.
-    spread = np.array([start.system.parameter(n).prior_sd for n in refit.free])
+    spread = np.array([p.prior_sd for p in declared(problem, refit.free)])
     known = refit.information * np.outer(spread, spread) + LOOSE * np.eye(len(spread))
     change = np.array([start.values[n] - refit.values[n] for n in refit.free]) / spread
     slope = known @ change
     own = np.array([[refit.free.index(n) for n in names] for names in sets])
-    inside = known[own[:, :, None], own[:, None, :]]
+    inside = known[own[:, :, None], own[:, None, :]] + deflation * np.eye(own.shape[1])
     regained = np.einsum("ki,ki->k", slope[own], np.linalg.solve(inside, slope[own][..., None])[..., 0])
     return change @ slope - regained
 
@@ -189,17 +221,13 @@ def _same_measurements(
     )
 
 
-def _fits(
-    problem: FitProblem, start: Baseline, best: Fit | None, refit: Fit, sets: list[tuple[str, ...]]
-) -> list[Fit]:
+def _fits(problem: FitProblem, start: Baseline, refit: Fit, sets: list[tuple[str, ...]]) -> list[Fit]:
     """Fit each set of parameters alone, under wide priors; the others keep the values given."""
     trials = []
     for names in sets:
-        declared = [widened(problem.system.parameter(n)) for n in names]
-        base = start.values if best is None else best.values
-        # From the value of the refit, whose initial states are at hand; a large step from the value given may diverge.
-        values = {**base, names[-1]: refit.values[names[-1]]}
-        trials.append(
-            Trial(",".join(names), names, Prior.of(declared), values, refit.state, refit.nuisance, names)
-        )
+        declared_wide = [widened(problem.system.parameter(n)) for n in names]
+        # From the values of the refit, whose initial states are at hand; a large step from those given may diverge.
+        values = {**start.values, **{n: refit.values[n] for n in names}}
+        prior = Prior.of(declared_wide)
+        trials.append(Trial(",".join(names), names, prior, values, refit.state, refit.nuisance, names))
     return [fit for fit in problem.fit(trials, ITERATIONS, CLOSE) if not fit.diverged]

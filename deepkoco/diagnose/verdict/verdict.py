@@ -16,7 +16,7 @@ from deepkoco.diagnose.evidence.sanity_checks import doubts_of_commands
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.gain import Gain
-from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, white_limit
+from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion
 from deepkoco.diagnose.verdict.unknown import carries_over, explained_share
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
@@ -67,7 +67,7 @@ def verdict_of(
         doubts: Reasons for naming no cause, one sentence each.
     """
     after, causes = found.final, found.accepted
-    left = after.chi2 / train.samples > white_limit(train, start.correlation) * start.floor
+    left = after.chi2 / train.samples > start.most_noise(train)
     if not causes and found.lost is None:
         return Ruling("unknown" if left and not found.usual else "nothing")
     # Without held-out windows, the fit must explain nearly all of the excess chi2.
@@ -161,7 +161,7 @@ def without_explanation(
         start: The baseline.
         system: The system as given.
     """
-    left = reference.chi2 / train.samples > white_limit(train, start.correlation) * start.floor
+    left = reference.chi2 / train.samples > start.most_noise(train)
     coloured = dispersion(reference, train).lag_one > coloured_from(train) + start.healthy_lag_one
     return "unknown" if left or coloured or doubts_of_commands(train, system) else "nothing"
 
@@ -190,7 +190,7 @@ def rivalled(found: Selected, start: Baseline, train: Windows, white: bool, weig
     more = chi2 - start.floor * train.samples > FURTHER
     if only_flexible(found) or (more and not white and _bends(found)):
         return True
-    limit = white_limit(train, start.correlation) * start.floor * train.samples
+    limit = start.most_noise(train) * train.samples
     return more and not weighed and chi2 <= limit
 
 
