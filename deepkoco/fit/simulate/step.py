@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import ExtendedSystem, System
-from deepkoco.systems.dry_friction import DryFriction, Levels, as_shares, rubbed, sliding_loads
+from deepkoco.systems.dry_friction import DryFriction, Levels, Rubbed, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, InverseInertia, Motion
 
@@ -179,6 +179,22 @@ def turning(before: Values, after: Values, friction: DryFriction) -> Tensor:
     return torch.zeros(0, dtype=torch.long) if found is None else found.nonzero()[:, 0]
 
 
+class Contact(NamedTuple):
+    """What binds joints with dry friction over a step.
+
+    Attributes:
+        inverse: J rows of the inverse inertia.
+        slide: J mean levels of dry friction of joints that move [N m or N]; None for a joint without any.
+        stick: J mean levels of joints at rest.
+        applied: J constant friction loads of the free step.
+    """
+
+    inverse: tuple[Values, ...]
+    slide: Levels
+    stick: Levels
+    applied: Levels
+
+
 def corrected(
     equations: Equations, step: Step, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
 ) -> Step:
@@ -191,6 +207,17 @@ def corrected(
         equations, angle, speed, drive, direction, h: As for :func:`step_of`.
         step: Its result.
     """
+    at = contact_of(equations, angle, speed, drive, direction)
+    found = rubbed(speed, step.speed, at.applied, at.slide, at.stick, at.inverse, h)
+    again, direction, applied = step_again(equations, angle, speed, drive, direction, at, found.load, h)
+    found = rubbed(speed, again.speed, applied, at.slide, at.stick, at.inverse, h)
+    return bound_of(angle, speed, again, direction, at.stick, found, h)
+
+
+def contact_of(
+    equations: Equations, angle: Values, speed: Values, drive: Drive, direction: Levels
+) -> Contact:
+    """Return what binds joints over a step; arguments as for :func:`step_of`."""
     friction = equations.friction
     halfway = Motion(angle, speed, drive.efforts[1], None, drive.times[1], equations.smoothing)
     inverse = equations.inverse(halfway)
@@ -198,10 +225,45 @@ def corrected(
     if friction.varying:
         slide = _mean_levels(friction, halfway, drive, tuple(0.5 * v for v in speed))
         stick = _mean_levels(friction, halfway, drive, tuple(torch.zeros_like(v) for v in speed))
-    found = rubbed(speed, step.speed, sliding_loads(slide, direction), slide, stick, inverse, h)
-    direction, left_over, applied = as_shares(found.load, slide, direction)
-    again = step_of(equations, angle, speed, drive.with_load(left_over), direction, h)
-    found = rubbed(speed, again.speed, applied, slide, stick, inverse, h)
+    return Contact(inverse, slide, stick, sliding_loads(slide, direction))
+
+
+def step_again(
+    equations: Equations,
+    angle: Values,
+    speed: Values,
+    drive: Drive,
+    direction: Levels,
+    at: Contact,
+    load: Levels,
+    h: float,
+) -> tuple[Step, Levels, Levels]:
+    """Return the step with the mean friction loads, its shares of the levels, and its constant friction loads.
+
+    Args:
+        equations, angle, speed, drive, direction, h: As for :func:`step_of`.
+        at: What binds the joints.
+        load: J mean friction loads [N m or N].
+    """
+    direction, left_over, applied = as_shares(load, at.slide, direction)
+    return (
+        step_of(equations, angle, speed, drive.with_load(left_over), direction, h),
+        direction,
+        applied,
+    )
+
+
+def bound_of(
+    angle: Values, speed: Values, again: Step, direction: Levels, stick: Levels, found: Rubbed, h: float
+) -> Step:
+    """Return the step after which joints rest, stick or have turned.
+
+    Args:
+        angle, speed, h: As for :func:`step_of`.
+        again, direction: Step with the mean friction loads, and its shares of the levels.
+        stick: J mean levels of joints at rest.
+        found: Motion after that step with dry friction.
+    """
     hold, _, _ = as_shares(found.hold, stick, direction)
     angles, firsts, lasts, rest = list(again.angle), list(again.first), list(again.last), list(again.rest)
     for j, own in enumerate(found.speed):

@@ -12,6 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
+from deepkoco.systems.dry_friction import CLOSE, SWEEPS
+from deepkoco.systems.dry_friction_loop import rub
+
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
     "cosh", "tanh", "exp", "expm1", "log", "log1p", "pow", "sign", "floor", "ceil", "erf", "max", "min", "lt", "le",
@@ -156,17 +159,72 @@ def execute(code: np.ndarray, table: np.ndarray, n: int) -> None:
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
+def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h):
+    """Find the friction loads of the simulations in which a joint turns, rests or leaves; as :func:`rubbed`.
+
+    Args:
+        table, n, state_rows, rubbing, level_rows, inverse_rows, h: As for :func:`roll`.
+        near: (n,) whether friction loads are found.
+        rows: As ``first_rub`` there.
+    """
+    r = rubbing.shape[0]
+    joints = (rows.shape[0] - 3 * r) // 3
+    picked = np.nonzero(near[:n] != 0.0)[0]
+    count = picked.shape[0]
+    before, after = np.empty((joints, count)), np.empty((joints, count))
+    load, slide, stick = np.empty((r, count)), np.empty((r, count)), np.empty((r, count))
+    inverse = np.empty((joints, joints, count))
+    for i in range(count):
+        at = picked[i]
+        for j in range(joints):
+            before[j, i] = table[state_rows[joints + j], at]
+            after[j, i] = table[rows[j], at]
+            for k in range(joints):
+                inverse[j, k, i] = table[inverse_rows[j * joints + k], at]
+        for k in range(r):
+            load[k, i] = table[rows[joints + k], at]
+            slide[k, i] = np.maximum(table[level_rows[k], at], 0.0)
+            stick[k, i] = np.maximum(table[level_rows[r + k], at], 0.0)
+    speed, moved, hold = np.empty((joints, count)), np.empty((joints, count)), np.empty((r, count))
+    rub(
+        before,
+        after,
+        load,
+        slide,
+        stick,
+        inverse,
+        rubbing,
+        h,
+        1 if r == 1 else SWEEPS,
+        CLOSE,
+        speed,
+        moved,
+        hold,
+    )
+    given = joints + r
+    for i in range(count):
+        at = picked[i]
+        for j in range(joints):
+            table[rows[given + j], at] = speed[j, i]
+            table[rows[given + joints + j], at] = moved[j, i]
+        for k in range(r):
+            table[rows[given + 2 * joints + k], at] = load[k, i]
+            table[rows[given + 2 * joints + r + k], at] = hold[k, i]
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
 def roll(
-    prologue, step, mend, remember, table, constants, fixed, parameters, known, state, state_rows, begin, slope,
-    effort_rows, clock, time_rows, loads, load_rows, h, after_rows, near_row, mended_rows, memory_rows, value, first,
-    last,
+    prologue, step, contact, again, mend, remember, table, constants, fixed, parameters, known, state, state_rows,
+    begin, slope, effort_rows, clock, time_rows, loads, load_rows, h, after_rows, near_row, rubbing, level_rows,
+    inverse_rows, first_rub, second_rub, mended_rows, memory_rows, value, first, last,
 ):  # fmt: skip
     """Simulate C windows over n steps, block by block.
 
     Args:
         prologue: Instructions that read parameters alone.
         step: Those of a step.
-        mend: Those of a step in which a joint with dry friction turns, rests or leaves.
+        contact, again, mend: Those of a step in which a joint with dry friction turns, rests or leaves: before its
+            friction loads are found, between the two times that they are, and after.
         remember: Those for what effects remember.
         table: (R, N) rows; their content does not matter.
         constants: (c,) numbers, for the rows ``fixed``.
@@ -181,6 +239,11 @@ def roll(
         h: Step [s].
         after_rows: (4 J,) rows of angles, speeds and accelerations at both ends after ``step``.
         near_row: Row that tells where ``mend`` counts; -1 for none.
+        rubbing: (r,) joints with dry friction.
+        level_rows: (2 r,) rows of their levels: moving, and at rest.
+        inverse_rows: (J J,) rows of the inverse inertia.
+        first_rub, second_rub: Rows of what friction loads are found from, and into which they go: J speeds and r loads;
+            J speeds, J ways, r loads and r holding loads.
         mended_rows: (4 J + r,) as ``after_rows`` after ``mend``, with the shares at rest.
         memory_rows: Rows of the memories after ``remember``.
         value: (2 J, n + 1, C) angles and speeds, filled.
@@ -221,6 +284,10 @@ def roll(
                 for i in range(n):
                     some = some or near[i] != 0.0
                 if some:
+                    execute(contact, table, n)
+                    bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, first_rub, h)
+                    execute(again, table, n)
+                    bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, second_rub, h)
                     execute(mend, table, n)
                     for r in range(4 * joints):
                         own, other = table[after_rows[r]], table[mended_rows[r]]

@@ -10,8 +10,20 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.simulate.bytecode.translate import Nodes, Rows, instructions, needed_for, translated
-from deepkoco.fit.simulate.step import Drive, Equations, Step, corrected, directions, equations_of, step_of
+from deepkoco.fit.simulate.step import (
+    Contact,
+    Drive,
+    Equations,
+    Step,
+    bound_of,
+    contact_of,
+    directions,
+    equations_of,
+    step_again,
+    step_of,
+)
 from deepkoco.graph.execution.fused.trace import TraceError, trace
+from deepkoco.systems.dry_friction import Levels, Rubbed
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.system import System
 
@@ -23,7 +35,7 @@ class Program:
     """Instructions of a step, and the rows in which its values lie; see :func:`machine.roll`.
 
     Attributes:
-        prologue, step, mend, remember: (K, 5) instructions.
+        prologue, step, contact, again, mend, remember: (K, 5) instructions.
         count: Rows of the table.
         constants: (c,) numbers.
         fixed: (c,) their rows.
@@ -34,12 +46,15 @@ class Program:
         time_rows: (3,)
         load_rows: (J,) or none.
         after_rows, near_row, mended_rows, memory_rows: Rows of results.
+        level_rows, inverse_rows, first_rub, second_rub: Rows from which friction loads are found, and theirs.
         rubbing: Joints with dry friction.
         memories: Number of values that effects remember.
     """
 
     prologue: np.ndarray
     step: np.ndarray
+    contact: np.ndarray
+    again: np.ndarray
     mend: np.ndarray
     remember: np.ndarray
     count: int
@@ -53,6 +68,10 @@ class Program:
     load_rows: np.ndarray
     after_rows: np.ndarray
     near_row: int
+    level_rows: np.ndarray
+    inverse_rows: np.ndarray
+    first_rub: np.ndarray
+    second_rub: np.ndarray
     mended_rows: np.ndarray
     memory_rows: np.ndarray
     rubbing: tuple[int, ...]
@@ -90,7 +109,20 @@ class _Builder:
         self.efforts = [[f"e{s}.{k}" for k in range(count)] for s in range(3)]
         self.times = ["t0", "t1", "t2"]
         self.loads = [f"f.{j}" for j in joints] if loaded else []
-        self.after = [f"after.{x}.{j}" for x in ("q", "v", "first", "last") for j in joints]
+        ends, rubbing = ("q", "v", "first", "last"), self.rubbing
+        self.after = [f"after.{x}.{j}" for x in ends for j in joints]
+        self.levels = [f"{x}.{j}" for x in ("slide", "stick") for j in rubbing]
+        self.inverse = [f"inverse.{j}.{k}" for j in joints for k in joints] if rubbing else []
+        self.applied = [f"applied.{j}" for j in rubbing]
+        self.again = [f"again.{x}.{j}" for x in ends for j in joints] if rubbing else []
+        self.shares = [f"share.{j}" for j in rubbing]
+        self.loaded = [f"loaded.{j}" for j in rubbing]  # constant friction loads of the second step
+        # What a friction loop writes: speeds, ways, friction loads and holding loads.
+        self.found = [
+            [f"{x}{n}.{j}" for x in ("speed", "moved") for j in joints]
+            + [f"{x}{n}.{j}" for x in ("load", "hold") for j in rubbing]
+            for n in (1, 2)
+        ]
         moving = [*self.state, *(n for e in self.efforts for n in e), *self.times, *self.loads]
         self.moving = {name: zero.clone() for name in moving}
 
@@ -98,41 +130,57 @@ class _Builder:
         nodes, pool = Nodes(), Rows()
         rows: dict[int, int] = {}
         inputs = {n: nodes.add(("input", n), steady=True) for n in self.parameters}
-        inputs |= {n: nodes.add(("input", n)) for n in (*self.moving, *self.after)}
-        step = self._outputs(nodes, self._step, self.moving, inputs)
-        stepped = self.moving | {n: torch.zeros(ONE, dtype=torch.float64) for n in self.after}
-        mend = self._outputs(nodes, self._mended, stepped, inputs) if self.rubbing else {}
-        remember = self._outputs(nodes, self._remembered, stepped, inputs) if self.memories else {}
-
-        near = step.pop("near", None)
+        between = [
+            *self.after,
+            *self.levels,
+            *self.inverse,
+            *self.applied,
+            *self.again,
+            *self.shares,
+            *self.loaded,
+        ]
+        found = [*self.found[0], *self.found[1]] if self.rubbing else []
+        inputs |= {n: nodes.add(("input", n)) for n in (*self.moving, *between, *found)}
+        known = {n: torch.zeros(ONE, dtype=torch.float64) for n in inputs if n not in self.parameters}
+        rubs = bool(self.rubbing)
+        stages = {
+            "step": self._outputs(nodes, self._step, known, inputs),
+            "contact": self._outputs(nodes, self._contact, known, inputs) if rubs else {},
+            "again": self._outputs(nodes, self._again, known, inputs) if rubs else {},
+            "mend": self._outputs(nodes, self._mended, known, inputs) if rubs else {},
+            "remember": self._outputs(nodes, self._remembered, known, inputs) if self.memories else {},
+        }
         done = {k for k, node in enumerate(nodes.listed) if node[0] in ("input", "constant")}
-        for node in sorted(done):
-            # What a step leaves lies in the rows of its results.
-            if nodes.listed[node][0] == "constant" or not nodes.listed[node][1].startswith("after."):
-                rows[node] = pool.take()
-        wanted = [*step.values(), *([] if near is None else [near]), *mend.values(), *remember.values()]
+        later = {inputs[n] for n in between}  # what a stage leaves lies in the rows of its results
+        rows |= {node: pool.take() for node in sorted(done - later)}
+        wanted = [node for stage in stages.values() for node in stage.values()]
         moving = [n for n in needed_for(nodes, wanted, done) if not nodes.steady[n]]
         steady = {s for n in moving for s in nodes.listed[n][1:] if nodes.steady[s] and s not in done}
         prologue = instructions(nodes, sorted(steady), rows, done, pool)
         done |= steady
-        # The rows of the results are taken first, so that the results of a step are sources of what follows.
-        code = instructions(nodes, [*step.values(), *([] if near is None else [near])], rows, done, pool)
-        after = [rows[step[n]] for n in self.after]
-        rows |= {inputs[n]: row for n, row in zip(self.after, after, strict=True)}
-        mending = instructions(nodes, list(mend.values()), rows, done, pool)
-        remembering = instructions(nodes, list(remember.values()), rows, done, pool)
+        code = {}
+        for name, stage in stages.items():
+            code[name] = instructions(nodes, list(stage.values()), rows, done, pool)
+            rows |= {inputs[n]: rows[node] for n, node in stage.items() if n in between}
 
         constants = [k for k in sorted(done) if nodes.listed[k][0] == "constant"]
         used = [n for n in self.parameters if inputs[n] in rows]
+        joints = range(self.joints)
 
-        def places(names: list[str]) -> np.ndarray:
+        def places(names: Sequence[str]) -> np.ndarray:
             return np.array([rows[inputs[n]] for n in names], dtype=np.int64)
 
+        def results(stage: str, names: Sequence[str]) -> np.ndarray:
+            return np.array([rows[stages[stage][n]] for n in names], dtype=np.int64)
+
+        ends = [n.replace("after.", "end.") for n in self.after]
         return Program(
             prologue,
-            code,
-            mending,
-            remembering,
+            code["step"],
+            code["contact"],
+            code["again"],
+            code["mend"],
+            code["remember"],
             pool.count,
             np.array([nodes.listed[k][2] for k in constants], dtype=np.float64),
             np.array([rows[k] for k in constants], dtype=np.int64),
@@ -142,10 +190,14 @@ class _Builder:
             np.array([places(e) for e in self.efforts], dtype=np.int64).reshape(3, -1),
             places(self.times),
             places(self.loads),
-            np.array(after, dtype=np.int64),
-            -1 if near is None else rows[near],
-            np.array([rows[k] for k in mend.values()], dtype=np.int64),
-            np.array([rows[k] for k in remember.values()], dtype=np.int64),
+            places(self.after),
+            rows[stages["step"]["near"]] if rubs else -1,
+            places(self.levels),
+            places(self.inverse),
+            places([*(f"after.v.{j}" for j in joints), *self.applied, *self.found[0]] if rubs else []),
+            places([*(f"again.v.{j}" for j in joints), *self.loaded, *self.found[1]] if rubs else []),
+            results("mend", [*ends, *(f"rest.{j}" for j in self.rubbing)]) if rubs else places([]),
+            results("remember", [f"m.{k}" for k in range(self.memories)]),
             self.rubbing,
             self.memories,
         )
@@ -179,7 +231,7 @@ class _Builder:
     def _step(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
         equations, angle, speed, drive, direction = self._given(x)
         step = step_of(equations, angle, speed, drive, direction, self.h)
-        found = self._named(step)
+        found = self._named(step, self.after)
         if self.rubbing:
             turns = [speed[j] * step.speed[j] <= 0.0 for j in self.rubbing]
             near = turns[0]
@@ -188,13 +240,39 @@ class _Builder:
             found["near"] = near
         return found
 
-    def _mended(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _contact(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
+        at = contact_of(*self._given(x))
+        found = {f"slide.{j}": at.slide[j] for j in self.rubbing} | {
+            f"stick.{j}": at.stick[j] for j in self.rubbing
+        }
+        found |= {f"applied.{j}": at.applied[j] for j in self.rubbing}
+        found |= {f"inverse.{j}.{k}": w for j, row in enumerate(at.inverse) for k, w in enumerate(row)}
+        return {n: v for n, v in found.items() if v is not None}
+
+    def _again(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
         equations, angle, speed, drive, direction = self._given(x)
-        parts = [tuple(x[f"after.{s}.{j}"] for j in range(self.joints)) for s in ("q", "v", "first", "last")]
-        step = Step(parts[0], parts[1], parts[2], parts[3], (None,) * self.joints)
-        step = corrected(equations, step, angle, speed, drive, direction, self.h)
+        at = Contact((), self._of_rubbing(x, "slide"), self._of_rubbing(x, "stick"), ())
+        load = self._of_rubbing(x, "load1")
+        again, shares, applied = step_again(equations, angle, speed, drive, direction, at, load, self.h)
+        found = self._named(again, self.again)
+        found |= {f"share.{j}": v for j, v in enumerate(shares) if v is not None}
+        return found | {f"loaded.{j}": v for j, v in enumerate(applied) if v is not None}
+
+    def _mended(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
+        joints = range(self.joints)
+        _, angle, speed, _, _ = self._given(x)
+        parts = [tuple(x[f"again.{s}.{j}"] for j in joints) for s in ("q", "v", "first", "last")]
+        again = Step(parts[0], parts[1], parts[2], parts[3], (None,) * self.joints)
+        speeds, ways = (tuple(x[f"{s}2.{j}"] for j in joints) for s in ("speed", "moved"))
+        found = Rubbed(speeds, ways, self._of_rubbing(x, "load2"), self._of_rubbing(x, "hold2"))
+        shares, stick = self._of_rubbing(x, "share"), self._of_rubbing(x, "stick")
+        step = bound_of(angle, speed, again, shares, stick, found, self.h)
         held = {f"rest.{j}": step.rest[j] for j in self.rubbing}
-        return {**self._named(step), **{n: v for n, v in held.items() if v is not None}}
+        ends = [n.replace("after.", "end.") for n in self.after]
+        return {**self._named(step, ends), **{n: v for n, v in held.items() if v is not None}}
+
+    def _of_rubbing(self, x: Mapping[str, Tensor], name: str) -> Levels:
+        return tuple(x[f"{name}.{j}"] if j in self.rubbing else None for j in range(self.joints))
 
     def _remembered(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
         equations, angle, _, drive, _ = self._given(x)
@@ -202,9 +280,9 @@ class _Builder:
         now = Motion(after[0], after[1], drive.efforts[2], None, drive.times[2], equations.smoothing)
         return {f"m.{k}": v for k, v in enumerate(equations.memory.advanced(drive.memory, angle, now))}
 
-    def _named(self, step: Step) -> dict[str, Tensor]:
+    def _named(self, step: Step, names: Sequence[str]) -> dict[str, Tensor]:
         parts = (step.angle, step.speed, step.first, step.last)
-        return dict(zip(self.after, (v for part in parts for v in part), strict=True))
+        return dict(zip(names, (v for part in parts for v in part), strict=True))
 
 
 __all__ = ["Program", "TraceError", "program_of"]
