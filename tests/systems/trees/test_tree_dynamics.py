@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from deepkoco.systems.motion import Motion
@@ -67,6 +67,7 @@ def loose(system: TreeSystem) -> TreeSystem:
 
 
 @settings(max_examples=25, deadline=None)
+@example(seed=21780, lanes=(), shape=(5,))  # a mass matrix of condition 1.5e5
 @given(
     seed=st.integers(0, 2**31),
     lanes=st.sampled_from([(), (1,), (5,), (3, 1), (3, 5)]),
@@ -83,11 +84,19 @@ def test_compiled_loop_equals_the_torch_path(seed, lanes, shape):
     }
     motion = motion_of(seed, shape, system)
     fast = torch.stack(system.accelerations(drawn)(motion))
-    with_gradients = {name: value.clone().requires_grad_() for name, value in drawn.items()}
-    slow = torch.stack(system.accelerations(with_gradients)(motion)).detach()
+
+    def in_torch(off: float) -> torch.Tensor:
+        """Accelerations where every parameter is off by a random share of its value."""
+        moved = {n: v * (1.0 + off * float(rng.uniform(-1.0, 1.0))) for n, v in drawn.items()}
+        with_gradients = {n: v.clone().requires_grad_() for n, v in moved.items()}
+        return torch.stack(system.accelerations(with_gradients)(motion)).detach()
+
+    slow = in_torch(0.0)
     assert slow.shape == fast.shape
     largest = slow.abs().amax(0)
-    assert float(((fast - slow).abs().amax(0) / largest).max()) < 1e-12
+    # Some trees are ill-conditioned: two ways to compute may differ by what a rounding of the parameters changes.
+    rounded = torch.stack([(in_torch(1e-15) - slow).abs().amax(0) / largest for _ in range(4)]).amax(0)
+    assert bool(((fast - slow).abs().amax(0) / largest < 1e-12 + 4.0 * rounded).all())
 
 
 def test_compiled_loop_is_right_at_angles_of_any_size():
