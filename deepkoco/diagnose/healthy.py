@@ -82,7 +82,13 @@ def learn_baseline(
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
-    causes = [c for c in causes if c.effect != "event" and c.free]
+    # What fixes a scale is a convention. Freed, it lets all parameters of that scale run away together.
+    kept = {g.fixed for g in start.gauges}
+    causes = [
+        c
+        for c in causes
+        if c.effect != "event" and c.free and not (is_changed(c) and kept.intersection(c.free))
+    ]
     for _ in range(extension):
         if not limit.allows("small effects that the healthy logs show"):
             break

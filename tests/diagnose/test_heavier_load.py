@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.fit import window_length
 from deepkoco.systems import make_system
-from experiments.studies.diagnosis.heavier_load import GAIN, LIGHT, LightBench
+from experiments.studies.diagnosis.heavier_load import GAIN, LIGHT, VARIES, LightBench, bench_of
 from experiments.studies.diagnosis.servo_bench import SHARE_PER_GAIN, VOLTS
 from tests.oracle.servo_unit import MOTIONS, ServoUnit, go1_like, log_of
 
@@ -50,3 +52,16 @@ def test_a_healthy_log_far_from_a_heavy_load_does_not_excuse_it():
     found = diagnose([log], LightBench(), healthy=healthy, only=["payload", "viscous"])
     assert found.names == ("payload",)
     assert found.unexplained["allowed_by_healthy_logs"] == []
+
+
+@pytest.mark.study
+def test_what_fixes_a_scale_is_no_small_effect_of_a_healthy_unit():
+    # The log gives ratios of five parameters. Stiffness keeps its value; freed, it ended at a hundredth, with all others.
+    rng = np.random.default_rng(42002)
+    system, unit = bench_of("go1", rng)
+    shown = [m for m in MOTIONS if m != "up_and_down"]
+    healthy = [log_of(unit.today(rng, VARIES), m, 4200200 + i) for i, m in enumerate(shown)]
+    learned = learn_baseline(healthy, system, window_length(system))
+    assert {g.fixed for g in learned.gauges} >= {"stiffness"}
+    assert learned.values["stiffness"] == pytest.approx(10.0, rel=0.1)
+    assert not any("stiffness" in cause.free for cause in learned.healthy.causes)

@@ -15,6 +15,9 @@ from numba import njit
 from deepkoco.systems.dry_friction import CLOSE, SWEEPS
 from deepkoco.systems.dry_friction_loop import rub
 
+# numba looks at the source of this file alone: this line changes with those that compiled functions call.
+COMPILED_WITH = "1f76fc8a7800ddb7"
+
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
     "cosh", "tanh", "exp", "expm1", "log", "log1p", "pow", "sign", "floor", "ceil", "erf", "max", "min", "lt", "le",
