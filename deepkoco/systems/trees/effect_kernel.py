@@ -10,7 +10,7 @@ from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.learned_kernel import add_term
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "c37a1636faf6996c"
+COMPILED_WITH = "b558a93d061d66bf"
 
 # Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
 # on, each is a term of a learned load.

@@ -10,7 +10,7 @@ from deepkoco.systems.effects.learned import PLACES, REACH, SHARP, TERMS
 from deepkoco.systems.trees.block_sizes import LANES
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "c2045defdb9f7b1d"
+COMPILED_WITH = "17e781271967e03a"
 
 # Positions of the terms in `TERMS`.
 (

@@ -25,7 +25,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "2ceb3c05e90aa185"
+COMPILED_WITH = "040e54be03ec0f40"
 
 
 @njit(error_model="numpy", nogil=True)
