@@ -56,7 +56,7 @@ def test_a_healthy_log_far_from_a_heavy_load_does_not_excuse_it():
 
 @pytest.mark.study
 def test_what_fixes_a_scale_is_no_small_effect_of_a_healthy_unit():
-    # The logs give ratios of five parameters. Stiffness keeps its value; freed, it ended at a hundredth, with the others.
+    # The logs give ratios of five parameters. Stiffness keeps its value; freed, it ended at a hundredth.
     rng = np.random.default_rng(42002)
     system, unit = bench_of("go1", rng)
     shown = [(k, m) for k, m in enumerate(MOTIONS) if m != "up_and_down"]
