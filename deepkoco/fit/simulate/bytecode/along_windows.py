@@ -41,9 +41,14 @@ def along_windows(
 
     Args:
         system: Dynamics.
-        values: Named values, each scalar, (L,), (W, 1) or (W, L).
+        values: Named values in the units of the system, each scalar, (L,), (W, 1) or (W, L).
         lanes: Effect -> lanes in which it acts; None for all.
         given: Start and drive.
+
+    Returns:
+        States (n + 1, W, L) and their derivatives (n, W, L) at both ends of each step.
+
+    Source: as for :func:`deepkoco.fit.simulate.step.step_of`.
     """
     tensors = [torch.as_tensor(v) for v in values.values()]
     loads = [] if given.loads is None else [given.loads]

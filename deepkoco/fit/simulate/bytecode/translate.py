@@ -184,7 +184,7 @@ def _elementwise(nodes: Nodes, name: str, call: Call, read: Any, each: Any) -> n
         if value != 1:
             part = each(lambda b: of("mul", constant(value), b), part)
         return each(lambda a, b: of("add", a, b), read(0), part)
-    if name in ("zeros_like", "ones_like", "full_like", "new_zeros", "new_ones", "new_full", "scalar_tensor"):
+    if name in ("zeros_like", "ones_like", "full_like", "new_zeros", "new_ones", "new_full"):
         number = (
             arguments[1] if name == "full_like" else arguments[2] if name == "new_full" else "ones" in name
         )
