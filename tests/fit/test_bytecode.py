@@ -1,6 +1,8 @@
 """Simulations by bytecode, against the same equations in torch: built-in systems, effects, classes of users."""
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -283,3 +285,16 @@ def test_not_a_number_is_kept_by_bounds_and_signs():
     )
     assert math.isnan(found[0])
     assert found[1] == 2.0
+
+
+def test_programs_do_not_keep_a_system_alive():
+    rng = np.random.default_rng(8)
+    base = make_system("rod_pendulum")
+    system = ExtendedSystem(base, ("coulomb", "spring"))
+    integrate(
+        system, windows_of(base, rng), drawn(system, rng), started(system, rng), None, {"spring": slice(1, 3)}
+    )
+    kept = weakref.ref(base)
+    del base, system
+    gc.collect()
+    assert kept() is None

@@ -106,7 +106,7 @@ def _with_effects(system: System, names: Sequence[str]) -> System:
     """The system with some of its effects alone."""
     if not isinstance(system, ExtendedSystem):
         return system
-    known = _parts.setdefault(system.base, {})
+    known = _parts.setdefault(system, {})  # not by the base, to which the parts refer
     key = tuple(names)
     if key not in known:
         known[key] = ExtendedSystem(system.base, key)
