@@ -26,7 +26,7 @@ from deepkoco.diagnose.evidence.refine_ranking import front_settled
 from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, rank
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.lost_commands.report import best_losses
-from deepkoco.diagnose.per_log_refits import run_to_run
+from deepkoco.diagnose.per_log_refits import run_to_run, with_floor
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, within_bounds
@@ -189,14 +189,15 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
         n: math.sqrt(v) for n, v in variance.items() if n in may and n in before.prior.names and v > 0.0
     }
     if varies == healthy.windows.varies:
-        return healthy, runs
+        return healthy, with_floor(runs, healthy, prior)
     windows = replace(healthy.windows, varies=varies)
     # The fit starts from the mean of these logs, because a new variance may move this mean.
     trial = freed(problem, before, healthy.causes, fit, problem.values_in(fit))
     again = FitProblem(before.system, windows)
     nuisance = again.nuisances.none()
     nuisance[: again.zeros.count] = fit.nuisance[: again.zeros.count]
-    return replace(healthy, windows=windows, fit=again.fit_one(replace(trial, nuisance=nuisance))), runs
+    healthy = replace(healthy, windows=windows, fit=again.fit_one(replace(trial, nuisance=nuisance)))
+    return healthy, with_floor(runs, healthy, prior)
 
 
 def describe_healthy(start: Baseline) -> dict[str, Any] | None:

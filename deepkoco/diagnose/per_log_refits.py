@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,12 +12,14 @@ from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
 from deepkoco.diagnose.residuals.residuals import mean_square_variance
 from deepkoco.diagnose.run_to_run import RunToRun, log_information, sampling_variance, variances_between
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
 from deepkoco.fit.solve.prior import Prior
 
 MIN_WINDOWS_PER_LOG = 3  # windows from which a log has its own parameters
 ROUNDS = 10  # largest number of rounds of refits and new floors
+# Times the declared standard deviation up to which a parameter may vary. Nothing stops one that hardly shows.
+MOST = 30.0
 SETTLED = 0.9  # ratio of two successive floors from which the rounds end
 
 
@@ -26,8 +28,7 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
 
     Each refit frees the parameters of the pooled fit, and the floor counts as noise. The run-to-run variance starts
     from the variance of the estimates between logs, minus their sampling variance. It ends where the estimates of all
-    logs together are most likely, because errors of one log are correlated between its parameters. The floor is chi2
-    per sample of each log under the prior that the other logs and this variance give, as in a diagnosis.
+    logs together are most likely, because errors of one log are correlated between its parameters.
 
     Source: random effects, started by the method of moments (DerSimonian and Laird 1986).
 
@@ -36,47 +37,73 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
         prior: Prior of the pooled fit.
 
     Returns:
-        The estimate; None for fewer than two logs that are long enough.
+        The estimate, with the floor that the separate refits leave; None for fewer than two logs that are long enough.
     """
-    # A separate refit has no run-to-run variance of its own.
-    windows, fit = replace(healthy.windows, varies={}), healthy.fit
-    fit = replace(fit, values=FitProblem(healthy.before.system, healthy.windows).values_in(fit))
-    healthy = replace(healthy, fit=fit)
-    logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
+    healthy, logs = _one_by_one(healthy)
     long = np.array([len(own) >= MIN_WINDOWS_PER_LOG for own in logs.values()])
     if long.sum() < 2:
         return None
     # Parameters about which a log says nothing stay at the values of the pooled fit.
+    fit = healthy.fit
     centred = Prior(prior.names, np.array([fit.values[n] for n in prior.names]), prior.covariance)
-    pooled = dispersion(fit, windows)
-    alone = _refits(
-        healthy, list(logs.values()), centred, max(1.0, pooled.chi2_per_sample), pooled.correlation
-    )
+    pooled = dispersion(fit, healthy.windows)
+    alone = _refits(healthy, logs, centred, max(1.0, pooled.chi2_per_sample), pooled.correlation)
     for _ in range(ROUNDS):
         before = alone.floor * alone.correlation
-        alone = _refits(healthy, list(logs.values()), centred, alone.floor, alone.correlation)
+        alone = _refits(healthy, logs, centred, alone.floor, alone.correlation)
         if alone.floor * alone.correlation > SETTLED * before:
             break
     values = np.array([[fit.values[n] for n in prior.names] for fit in alone.fits])
     pairs = list(zip(alone.fits, alone.spreads, strict=True))
     by_noise = np.array([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs])
     alike = np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0)
-    told = {
-        k: log_information(fit, alone.prior, s.deflation) for k, (fit, s) in zip(logs, pairs, strict=True)
-    }
-    degrees = int(long.sum()) - 1
-    declared = np.diag(prior.covariance)
+    told = {}
+    for (k, own), (alone_fit, s) in zip(logs.items(), pairs, strict=True):
+        shared = _at_pooled(healthy, noisier(own, alone.noise), alone_fit, alone.prior)
+        told[k] = log_information(alone_fit, alone.prior, s.deflation, shared)
     those = [told[k] for k, enough in zip(logs, long, strict=True) if enough]
-    between = np.diag(variances_between(those, centred, alike))
-    found = RunToRun(told, between, degrees, declared, alone.floor, alone.correlation, alone.lag_one)
-    again = _refits(healthy, list(logs.values()), found.of_another(prior), found.floor, found.correlation)
+    most = np.array([(MOST * healthy.before.system.parameter(n).prior_sd) ** 2 for n in prior.names])
+    between = np.diag(variances_between(those, centred, alike, most))
+    return RunToRun(
+        told,
+        between,
+        int(long.sum()) - 1,
+        np.diag(prior.covariance),
+        alone.floor,
+        alone.correlation,
+        alone.lag_one,
+    )
+
+
+def with_floor(runs: RunToRun, healthy: Healthy, prior: Prior) -> RunToRun:
+    """Return the run-to-run variance with the mean of a fit to all logs, and with the floor that this mean leaves.
+
+    The floor is chi2 per sample of each log under the prior that the logs and their variance give, as in a diagnosis.
+
+    Args:
+        runs: The variance.
+        healthy: The logs and their fit under this variance.
+        prior: Prior of a log's parameters, before any log.
+    """
+    fit = healthy.fit
+    runs = replace(runs, mean=np.array([fit.values[n] for n in prior.names]))
+    healthy, logs = _one_by_one(healthy)
+    again = _refits(healthy, logs, runs.of_another(prior), runs.floor, runs.correlation)
     return replace(
-        found,
+        runs,
         floor=again.floor,
         correlation=again.correlation,
         lag_one=again.lag_one,
         floor_variance=floor_variance(again.spreads, [own.samples for own in logs.values()]),
     )
+
+
+def _one_by_one(healthy: Healthy) -> tuple[Healthy, dict[int, Windows]]:
+    """Return healthy logs without run-to-run variance of their own, and the windows of each."""
+    windows, fit = replace(healthy.windows, varies={}), healthy.fit
+    fit = replace(fit, values=FitProblem(healthy.before.system, healthy.windows).values_in(fit))
+    logs = {int(k): windows.take(windows.log == k) for k in np.unique(windows.log)}
+    return replace(healthy, windows=windows, fit=fit), logs
 
 
 def floor_variance(spreads: Sequence[Dispersion], samples: Sequence[int]) -> float:
@@ -96,12 +123,13 @@ def floor_variance(spreads: Sequence[Dispersion], samples: Sequence[int]) -> flo
 
 
 class _Refits(NamedTuple):
-    """Separate refits of all logs, and the dispersion of their residuals."""
+    """Separate refits of all logs, and the dispersion of their residuals; ``noise`` is the floor that they counted."""
 
     prior: Prior
     fits: list[Fit]
     spreads: list[Dispersion]
     floor: float
+    noise: float
 
     @property
     def correlation(self) -> float:
@@ -113,12 +141,27 @@ class _Refits(NamedTuple):
 
 
 def _refits(
-    healthy: Healthy, logs: Sequence[Windows], prior: Prior, floor: float, correlation: float
+    healthy: Healthy, logs: Mapping[int, Windows], prior: Prior, floor: float, correlation: float
 ) -> _Refits:
     prior = tempered(prior, correlation)
     start = replace(healthy.before, values=dict(healthy.fit.values), prior=prior)
-    noisy = [noisier(own, floor) for own in logs]
+    noisy = [noisier(own, floor) for own in logs.values()]
     fits = [refit(start, own) for own in noisy]
     chi2, samples = sum(fit.chi2 for fit in fits), sum(own.samples for own in noisy)
     spreads = [dispersion(fit, own) for fit, own in zip(fits, noisy, strict=True)]
-    return _Refits(prior, fits, spreads, max(1.0, floor * chi2 / samples))
+    return _Refits(prior, fits, spreads, max(1.0, floor * chi2 / samples), floor)
+
+
+def _at_pooled(healthy: Healthy, windows: Windows, own: Fit, prior: Prior) -> Fit | None:
+    """Return a log at the values of the pooled fit; None if its simulation diverges there.
+
+    Args:
+        healthy: The logs and their pooled fit.
+        windows: The windows of one log.
+        own: Their separate refit, whose initial states are near.
+        prior: Its prior.
+    """
+    problem, values = FitProblem(healthy.before.system, windows), healthy.fit.values
+    state, _ = problem.fit_states(values, own.state)
+    fit = problem.fit([Trial(own.name, own.free, prior, values, state, own.nuisance)], 1)[0]
+    return None if fit.diverged else fit

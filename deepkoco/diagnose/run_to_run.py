@@ -25,6 +25,8 @@ VAGUE = 0.01
 # Run-to-run standard deviation that few logs may leave open, over the declared one: a few per cent of a gain. Each
 # parameter is doubted by itself, so its products with others, which the logs know better, become uncertain as well.
 USUAL = 0.1
+NOTHING = 1e-9  # of a variance that logs tell nothing about: its information times the variance itself
+LEAST = 1e-4  # variance over the declared one from which its search starts
 NONE = 1e-6  # variance over the declared one, below which there is none
 
 
@@ -55,6 +57,9 @@ class RunToRun:
         lag_one: Correlation of neighbouring residuals.
         floor_variance: Variance of the floor of one further log as a share of the squared floor, from how far the
             floors of these logs differ beyond chance; it contains that of their mean.
+        mean: (K,) mean that the fit of all logs together found, each with parameters of its own; None for the mean of
+            their likelihoods. A fit follows the curved valley of a product that all logs tell; a sum of normal
+            distributions leaves it along a tangent.
     """
 
     log_information: dict[int, LogInformation]
@@ -65,6 +70,7 @@ class RunToRun:
     correlation: float
     lag_one: float
     floor_variance: float = 0.0
+    mean: np.ndarray | None = None
 
     def of_another(self, prior: Prior, without: int | None = None) -> Prior:
         """Return the prior that these logs give for the parameters of another log.
@@ -79,6 +85,14 @@ class RunToRun:
             prior: Prior of a log's parameters, before any log.
             without: Number of a log that is left out.
         """
+        centre, covariance = self._of_mean(prior, without)
+        if self.mean is not None:
+            # What leaving out a log changes is small enough for tangents.
+            centre = self.mean if without is None else self.mean + centre - self._of_mean(prior, None)[0]
+        return Prior(prior.names, centre, covariance + self.doubted)
+
+    def _of_mean(self, prior: Prior, without: int | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean (K,) and covariance (K, K) of the mean, from the likelihoods of all logs but one."""
         one, differ = np.eye(len(prior.names)), self.doubted
         before = Prior(prior.names, prior.centre, prior.covariance + differ)
         precision = before.precision(prior.names)
@@ -89,7 +103,7 @@ class RunToRun:
                 precision = precision + through @ own.information
                 times_mean = times_mean + through @ own.times_mean
         covariance = _inverse(precision)
-        return Prior(prior.names, covariance @ times_mean, covariance + differ)
+        return covariance @ times_mean, covariance
 
     @property
     def doubted(self) -> np.ndarray:
@@ -104,7 +118,9 @@ class RunToRun:
         return np.diag(np.minimum(sure**2 * shown, np.maximum(shown, USUAL**2 * self.declared)))
 
 
-def variances_between(told: Sequence[LogInformation], prior: Prior, start: np.ndarray) -> np.ndarray:
+def variances_between(
+    told: Sequence[LogInformation], prior: Prior, start: np.ndarray, most: np.ndarray | None = None
+) -> np.ndarray:
     """Return the run-to-run variances (K,) under which the estimates of all logs together are most likely.
 
     Parameters that one log only knows in combination (a torque constant and a resistance of which the ratio shows)
@@ -120,14 +136,18 @@ def variances_between(told: Sequence[LogInformation], prior: Prior, start: np.nd
     Args:
         told: Likelihoods of the logs.
         prior: Prior of the mean of K parameters, before any log.
-        start: (K,) variances to start from, in the squared units of the parameters; one of 0 stays 0.
+        start: (K,) variances to start from, in the squared units of the parameters. They are raised to ``LEAST`` of
+            the declared ones, because a variance of 0 stays 0: parameters of which the logs tell a sum alone seem not
+            to differ one by one, although their sum does.
+        most: (K,) largest variances; None for no limit.
     """
     scale = np.sqrt(np.diag(prior.covariance))
     one = np.eye(len(scale))
-    data = [o.information * np.outer(scale, scale) for o in told]
+    data = [_positive(o.information * np.outer(scale, scale)) for o in told]
     pulls = [scale * (o.times_mean - o.information @ prior.centre) for o in told]
     before = VAGUE * prior.precision(prior.names) * np.outer(scale, scale)
-    variance = start / scale**2
+    limit = np.full(len(scale), np.inf) if most is None else most / scale**2
+    variance = np.minimum(np.maximum(start / scale**2, LEAST), limit)
     for _ in range(STEPS):
         through = [np.linalg.inv(one + own * variance) for own in data]
         known = [t @ own for t, own in zip(through, data, strict=True)]
@@ -138,7 +158,9 @@ def variances_between(told: Sequence[LogInformation], prior: Prior, start: np.nd
         for t, own, weight, pull in zip(through, data, known, pulls, strict=True):
             shown += (t @ (pull - own @ mean)) ** 2
             expected += np.diag(weight - weight @ spread @ weight)
-        found = variance * np.sqrt(shown / np.maximum(expected, 1e-300))
+        # About the variance of a parameter that hardly shows, both sums are rounding errors; it stays.
+        less = NOTHING / np.maximum(variance, NONE)
+        found = np.minimum(variance * np.sqrt((shown + less) / (np.maximum(expected, 0.0) + less)), limit)
         settled = np.abs(found - variance) <= SETTLED * np.maximum(found, NONE)
         variance = found
         if settled.all():
@@ -177,9 +199,21 @@ def posterior(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
     return 0.5 * (wider + wider.T)
 
 
-def log_information(fit: Fit, prior: Prior, deflation: float) -> LogInformation:
-    """Return the likelihood of a fit's data in its parameters: the posterior with the prior removed."""
-    precision, both = prior.precision(prior.names), _inverse(_covariance(fit, prior))
+def log_information(fit: Fit, prior: Prior, deflation: float, shared: Fit | None = None) -> LogInformation:
+    """Return the likelihood of a fit's data in its parameters: the posterior with the prior removed.
+
+    Logs that tell only a product of parameters each leave a curved valley. Its tangents at different points cross, as
+    if the logs together told the single parameters. Slopes at one point that all logs share leave the same direction
+    open.
+
+    Args:
+        fit: The fit.
+        prior: Its prior.
+        deflation: Deflation of the residuals: chi2 per sample times samples per independent sample.
+        shared: The same log at the shared point, under the same prior; None for slopes at the fit's own values.
+    """
+    at = fit if shared is None else shared
+    precision, both = prior.precision(prior.names), _inverse(_covariance(at, prior))
     values = np.array([fit.values[n] for n in prior.names])
     return LogInformation(
         (both - precision) / deflation, (both @ values - precision @ prior.centre) / deflation
@@ -212,6 +246,12 @@ def within_bounds(prior: Prior, system: System) -> Prior:
 def _covariance(fit: Fit, prior: Prior) -> np.ndarray:
     order = [fit.free.index(n) for n in prior.names]
     return fit.covariance[np.ix_(order, order)]
+
+
+def _positive(matrix: np.ndarray) -> np.ndarray:
+    """Return a symmetric matrix without the negative eigenvalues that rounding errors leave."""
+    weight, ways = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return (ways * np.maximum(weight, 0.0)) @ ways.T
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

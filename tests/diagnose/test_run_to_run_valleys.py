@@ -1,0 +1,95 @@
+"""Run-to-run variance where the logs tell sums and products of parameters, but not the parameters themselves."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.seen_when_healthy import consistent_with_healthy
+from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.little_of_all import with_little
+from deepkoco.diagnose.run_to_run import LogInformation, RunToRun, log_information, variances_between
+from deepkoco.fit.solve.prior import Prior
+from tests.diagnose.test_run_to_run import LENGTH, SECONDS, SEED, SYSTEM, claimed
+from tests.oracle.unit import hidden_log
+
+NAMES = ("a", "b")
+KNOWN = 1e-4  # standard deviation to which a log tells the logarithm of a product
+
+
+def told_of_product(at: tuple[float, float], prior: Prior) -> SimpleNamespace:
+    """Fit of a log that tells a * b alone, with slopes at some values."""
+    slope = np.array([1.0 / at[0], 1.0 / at[1]]) / KNOWN
+    covariance = np.linalg.inv(np.outer(slope, slope) + prior.precision(NAMES))
+    return SimpleNamespace(free=NAMES, values=dict(zip(NAMES, at, strict=True)), covariance=covariance)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_logs_at_different_places_of_a_curved_valley_leave_it_open(seed):
+    rng = np.random.default_rng(seed)
+    prior = Prior(NAMES, np.ones(2), 0.09 * np.eye(2))
+    shared = told_of_product((1.0, 1.0), prior)
+    told = {}
+    for log in range(3):
+        a = 1.0 + 0.02 * rng.normal()  # each refit stops somewhere along the valley
+        told[log] = log_information(told_of_product((a, 1.0 / a), prior), prior, 1.0, shared)
+    runs = RunToRun(told, 1e-8 * np.eye(2), 2, 0.09 * np.ones(2), 1.0, 1.0, 0.0)
+    found = runs.of_another(prior)
+    assert found.centre.sum() == pytest.approx(2.0, abs=0.005)  # the tangent at (1, 1)
+    along = np.array([1.0, -1.0]) / np.sqrt(2.0)
+    assert along @ found.covariance @ along == pytest.approx(0.09, rel=0.05)
+
+
+def test_of_another_is_centred_on_the_mean_that_a_fit_of_all_logs_found():
+    prior = Prior(NAMES, np.zeros(2), np.eye(2))
+    told = {
+        k: LogInformation(100.0 * np.eye(2), 100.0 * np.array([x, 0.0]))
+        for k, x in enumerate((1.0, 2.0, 3.0))
+    }
+    plain = RunToRun(told, 1e-6 * np.eye(2), 2, np.ones(2), 1.0, 1.0, 0.0)
+    fitted = RunToRun(told, 1e-6 * np.eye(2), 2, np.ones(2), 1.0, 1.0, 0.0, mean=np.array([5.0, 7.0]))
+    np.testing.assert_allclose(fitted.of_another(prior).centre, [5.0, 7.0])
+    np.testing.assert_allclose(fitted.of_another(prior).covariance, plain.of_another(prior).covariance)
+    # Without a log, the mean moves by as much as without a fit.
+    moved = plain.of_another(prior, 0).centre - plain.of_another(prior).centre
+    np.testing.assert_allclose(fitted.of_another(prior, 0).centre, [5.0 + moved[0], 7.0 + moved[1]])
+    assert moved[0] > 0.4
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_variances_between_finds_what_a_sum_alone_shows(seed):
+    rng = np.random.default_rng(seed)
+    prior = Prior(NAMES, np.zeros(2), np.eye(2))
+    # A log shows the sum to 0.001, and the difference to 0.5 only.
+    ways = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
+    precision = ways.T @ np.diag([1e6, 4.0]) @ ways
+    sums = 0.3 * rng.normal(size=5)
+    logs = [LogInformation(precision, precision @ (s * ways[0] + 0.5 * rng.normal() * ways[1])) for s in sums]
+    # The single estimates differ by no more than their errors, so that the search starts without variance.
+    found = variances_between(logs, prior, np.zeros(2))
+    assert found.mean() == pytest.approx(np.var(sums, ddof=1), rel=0.5)
+
+
+def test_variances_between_are_finite_where_rounding_makes_an_information_negative():
+    prior = Prior(NAMES, np.zeros(2), np.eye(2))
+    logs = [LogInformation(np.diag([1e7, -1e-8]), np.array([1e7 * x, 1e-8 * x])) for x in (0.01, -0.02, 0.03)]
+    found = variances_between(logs, prior, np.array([1e-4, 1e-3]), np.array([1.0, 1.0]))
+    assert np.isfinite(found).all()
+    assert found[0] == pytest.approx(np.var([0.01, -0.02, 0.03], ddof=1), rel=0.05)
+    assert found[1] <= 1.0
+
+
+@pytest.mark.study
+def test_consistent_with_healthy_takes_a_baseline_with_a_little_of_further_effects():
+    logs = [hidden_log("rod_pendulum", {}, drive, SEED, SECONDS) for drive in ("chirp", "steps")]
+    start = learn_baseline(logs, SYSTEM, LENGTH)
+    sizes = [start.system.parameter("quadratic.drag")]
+    start = with_little(start, {catalogue(SYSTEM)["quadratic"]: sizes}, 1.0)
+    assert len(start.prior.names) > len(start.runs.doubted)
+    problem, bias = claimed(start, 0.05)
+    assert consistent_with_healthy(start, problem, [bias]) == [False]
