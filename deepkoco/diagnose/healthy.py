@@ -29,7 +29,7 @@ from deepkoco.diagnose.lost_commands.report import best_losses
 from deepkoco.diagnose.per_log_refits import run_to_run, with_floor
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals.residuals import missing_torque
-from deepkoco.diagnose.run_to_run import RunToRun, posterior, within_bounds
+from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, within_bounds
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.per_log_differences import may_differ
 from deepkoco.fit.data.windows import cut_windows, moving
@@ -151,7 +151,9 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
     if runs is None:
         pooled = dispersion(fit, healthy.windows)
         centre = np.array([fit.values[n] for n in prior.names])
-        learned = Prior(prior.names, centre, posterior(fit, prior, pooled.deflation))
+        learned = Prior(
+            prior.names, centre, posterior(fit, prior, pooled.deflation) + unshown(start.system, prior.names)
+        )
         floor, correlation = pooled.chi2_per_sample, 1.0
     else:
         learned = within_bounds(runs.of_another(prior), start.system)

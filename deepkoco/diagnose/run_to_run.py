@@ -13,6 +13,8 @@ import numpy as np
 import scipy.optimize
 import scipy.stats
 
+from deepkoco.diagnose.causes.tolerance import usual_sd
+from deepkoco.fit.data.per_log_differences import may_differ
 from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import scaled_inverse
@@ -166,6 +168,20 @@ def variances_between(
         if settled.all():
             break
     return np.where(variance > NONE, variance, 0.0) * scale**2
+
+
+def unshown(system: System, names: Sequence[str]) -> np.ndarray:
+    """Return the run-to-run covariance (K, K) that a single healthy log leaves open.
+
+    It is what few logs leave open at most, and no more than units of one make differ by.
+
+    Args:
+        system: Declares the parameters.
+        names: K parameters; what cannot vary, such as a delay, has 0.
+    """
+    may = may_differ(system)
+    own = [system.parameter(n) for n in names]
+    return np.diag([min(USUAL * p.prior_sd, usual_sd(p)) ** 2 if p.name in may else 0.0 for p in own])
 
 
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:

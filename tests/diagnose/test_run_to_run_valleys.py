@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepkoco.diagnose.baseline import catalogue_system
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.seen_when_healthy import consistent_with_healthy
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.little_of_all import with_little
-from deepkoco.diagnose.run_to_run import LogInformation, RunToRun, log_information, variances_between
+from deepkoco.diagnose.run_to_run import LogInformation, RunToRun, log_information, unshown, variances_between
 from deepkoco.fit.solve.prior import Prior
+from experiments.studies.diagnosis.heavier_load import LightBench
 from tests.diagnose.test_run_to_run import LENGTH, SECONDS, SEED, SYSTEM, claimed
 from tests.oracle.unit import hidden_log
 
@@ -93,3 +95,12 @@ def test_consistent_with_healthy_takes_a_baseline_with_a_little_of_further_effec
     assert len(start.prior.names) > len(start.runs.doubted)
     problem, bias = claimed(start, 0.05)
     assert consistent_with_healthy(start, problem, [bias]) == [False]
+
+
+def test_a_single_healthy_log_leaves_open_what_few_logs_cannot_show():
+    system = LightBench()
+    names = ("servo_gain", "torque_constant", "actuation_delay.delay")
+    extended = catalogue_system(system)
+    found = np.sqrt(np.diag(unshown(extended, names)))
+    # The gain is declared to 0.1, the torque constant to 0.1 N m/A, units of one make differ by 2 % of 0.35 N m/A.
+    np.testing.assert_allclose(found, [0.01, 0.007, 0.0], atol=1e-12)
