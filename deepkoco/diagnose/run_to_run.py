@@ -28,7 +28,8 @@ VAGUE = 0.01
 # parameter is doubted by itself, so its products with others, which the logs know better, become uncertain as well.
 USUAL = 0.1
 NOTHING = 1e-9  # of a variance that logs tell nothing about: its information times the variance itself
-LEAST = 1e-4  # variance over the declared one from which its search starts
+LEAST = 1e-4  # variance over the declared one from which a search starts that no variance of 0 stops
+CLEARLY = 3.0  # by which the logarithm of the likelihood must be larger, so that what it ends at counts
 NONE = 1e-6  # variance over the declared one, below which there is none
 
 
@@ -135,39 +136,83 @@ def variances_between(
 
     Source: Zhou et al., MM algorithms for variance components models (2019), restricted likelihood.
 
+    A variance of 0 stays 0. Parameters of which the logs tell a sum alone seem not to differ one by one, although their
+    sum does. A second search therefore starts with all variances above 0, and counts where the logs are more likely
+    with it (``CLEARLY``).
+
     Args:
         told: Likelihoods of the logs.
         prior: Prior of the mean of K parameters, before any log.
-        start: (K,) variances to start from, in the squared units of the parameters. They are raised to ``LEAST`` of
-            the declared ones, because a variance of 0 stays 0: parameters of which the logs tell a sum alone seem not
-            to differ one by one, although their sum does.
+        start: (K,) variances to start from, in the squared units of the parameters.
         most: (K,) largest variances; None for no limit.
     """
     scale = np.sqrt(np.diag(prior.covariance))
-    one = np.eye(len(scale))
-    data = [_positive(o.information * np.outer(scale, scale)) for o in told]
-    pulls = [scale * (o.times_mean - o.information @ prior.centre) for o in told]
-    before = VAGUE * prior.precision(prior.names) * np.outer(scale, scale)
-    limit = np.full(len(scale), np.inf) if most is None else most / scale**2
-    variance = np.minimum(np.maximum(start / scale**2, LEAST), limit)
-    for _ in range(STEPS):
-        through = [np.linalg.inv(one + own * variance) for own in data]
-        known = [t @ own for t, own in zip(through, data, strict=True)]
-        spread = _inverse(before + np.sum(known, axis=0))
-        mean = spread @ np.sum([t @ pull for t, pull in zip(through, pulls, strict=True)], axis=0)
-        shown = np.zeros_like(variance)
-        expected = np.zeros_like(variance)
-        for t, own, weight, pull in zip(through, data, known, pulls, strict=True):
-            shown += (t @ (pull - own @ mean)) ** 2
-            expected += np.diag(weight - weight @ spread @ weight)
-        # About the variance of a parameter that hardly shows, both sums are rounding errors; it stays.
-        less = NOTHING / np.maximum(variance, NONE)
-        found = np.minimum(variance * np.sqrt((shown + less) / (np.maximum(expected, 0.0) + less)), limit)
-        settled = np.abs(found - variance) <= SETTLED * np.maximum(found, NONE)
-        variance = found
-        if settled.all():
-            break
-    return np.where(variance > NONE, variance, 0.0) * scale**2
+    differences = _Differences(
+        [_positive(o.information * np.outer(scale, scale)) for o in told],
+        [scale * (o.times_mean - o.information @ prior.centre) for o in told],
+        VAGUE * prior.precision(prior.names) * np.outer(scale, scale),
+        np.full(len(scale), np.inf) if most is None else most / scale**2,
+    )
+    found = differences.search(start / scale**2)
+    if (found == 0.0).any():
+        wider = differences.search(np.maximum(start / scale**2, LEAST))
+        if differences.log_likelihood(wider) > differences.log_likelihood(found) + CLEARLY:
+            found = wider
+    return found * scale**2
+
+
+class _Differences(NamedTuple):
+    """Likelihoods of logs in parameters that are counted in declared standard deviations from their prior mean.
+
+    Attributes:
+        data: (K, K) information of each log.
+        pulls: (K,) its product with the estimate.
+        before: (K, K) information of the prior that counts.
+        limit: (K,) largest variances.
+    """
+
+    data: list[np.ndarray]
+    pulls: list[np.ndarray]
+    before: np.ndarray
+    limit: np.ndarray
+
+    def search(self, variance: np.ndarray) -> np.ndarray:
+        """Return the most likely variances (K,) from a start; those below ``NONE`` are 0."""
+        variance = np.minimum(variance, self.limit)
+        for _ in range(STEPS):
+            through, known, spread, mean = self._mean(variance)
+            shown = np.zeros_like(variance)
+            expected = np.zeros_like(variance)
+            for t, own, weight, pull in zip(through, self.data, known, self.pulls, strict=True):
+                shown += (t @ (pull - own @ mean)) ** 2
+                expected += np.diag(weight - weight @ spread @ weight)
+            # About the variance of a parameter that hardly shows, both sums are rounding errors; it stays.
+            less = NOTHING / np.maximum(variance, NONE)
+            ratio = (shown + less) / (np.maximum(expected, 0.0) + less)
+            found = np.minimum(variance * np.sqrt(ratio), self.limit)
+            settled = np.abs(found - variance) <= SETTLED * np.maximum(found, NONE)
+            variance = found
+            if settled.all():
+                break
+        return np.where(variance > NONE, variance, 0.0)
+
+    def log_likelihood(self, variance: np.ndarray) -> float:
+        """Return the restricted log likelihood of variances (K,), up to a constant."""
+        through, _, spread, mean = self._mean(variance)
+        within = sum(p @ (variance[:, None] * t) @ p for t, p in zip(through, self.pulls, strict=True))
+        pull = np.sum([t @ p for t, p in zip(through, self.pulls, strict=True)], axis=0)
+        volume = sum(np.linalg.slogdet(t)[1] for t in through) + np.linalg.slogdet(spread)[1]
+        return 0.5 * float(within + pull @ mean + volume)
+
+    def _mean(
+        self, variance: np.ndarray
+    ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
+        """Return (1 + H_k S)^-1 and its product with H_k for each log, and the covariance and value of the mean."""
+        through = [np.linalg.inv(np.eye(len(variance)) + own * variance) for own in self.data]
+        known = [t @ own for t, own in zip(through, self.data, strict=True)]
+        spread = _inverse(self.before + np.sum(known, axis=0))
+        pull = np.sum([t @ p for t, p in zip(through, self.pulls, strict=True)], axis=0)
+        return through, known, spread, spread @ pull
 
 
 def unshown(system: System, names: Sequence[str]) -> np.ndarray:

@@ -12,7 +12,15 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.seen_when_healthy import consistent_with_healthy
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.little_of_all import with_little
-from deepkoco.diagnose.run_to_run import LogInformation, RunToRun, log_information, unshown, variances_between
+from deepkoco.diagnose.run_to_run import (
+    VAGUE,
+    LogInformation,
+    RunToRun,
+    _Differences,
+    log_information,
+    unshown,
+    variances_between,
+)
 from deepkoco.fit.solve.prior import Prior
 from experiments.studies.diagnosis.heavier_load import LightBench
 from tests.diagnose.test_run_to_run import LENGTH, SECONDS, SEED, SYSTEM, claimed
@@ -104,3 +112,41 @@ def test_a_single_healthy_log_leaves_open_what_few_logs_cannot_show():
     found = np.sqrt(np.diag(unshown(extended, names)))
     # The gain is declared to 0.1, the torque constant to 0.1 N m/A, units of one make differ by 2 % of 0.35 N m/A.
     np.testing.assert_allclose(found, [0.01, 0.007, 0.0], atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_restricted_likelihood_is_that_of_the_dense_normal_distribution(seed):
+    rng = np.random.default_rng(seed)
+    scale, logs = rng.uniform(0.5, 2.0, 2), 3
+    prior = Prior(NAMES, rng.normal(size=2), np.diag(scale**2))
+    slopes = [rng.normal(size=(3, 2)) for _ in range(logs)]
+    seen = [a @ rng.normal(size=2) + rng.normal(size=3) for a in slopes]
+    data = [(a * scale).T @ (a * scale) for a in slopes]
+    pulls = [scale * (a.T @ (y - a @ prior.centre)) for a, y in zip(slopes, seen, strict=True)]
+    found = _Differences(data, pulls, VAGUE * np.eye(2), np.full(2, np.inf))
+    rows, rest = (
+        np.vstack(slopes),
+        np.concatenate([y - a @ prior.centre for a, y in zip(slopes, seen, strict=True)]),
+    )
+
+    def dense(variance):
+        own = np.zeros((3 * logs, 3 * logs))
+        for k, a in enumerate(slopes):
+            own[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = a @ np.diag(variance * scale**2) @ a.T
+        covariance = own + np.eye(3 * logs) + rows @ np.diag(scale**2 / VAGUE) @ rows.T
+        return -0.5 * (rest @ np.linalg.solve(covariance, rest) + np.linalg.slogdet(covariance)[1])
+
+    one, other = rng.uniform(0.01, 2.0, (2, 2))
+    wanted = dense(one) - dense(other)
+    assert found.log_likelihood(one) - found.log_likelihood(other) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_variances_that_the_logs_do_not_show_stay_zero():
+    # One log tells a parameter well, two others hardly: they differ from it by no more than their errors.
+    prior = Prior(("a",), np.zeros(1), np.eye(1))
+    logs = [
+        LogInformation(np.array([[1.0 / sd**2]]), np.array([x / sd**2]))
+        for x, sd in ((0.0, 1e-3), (0.1, 0.1), (0.05, 0.06))
+    ]
+    assert variances_between(logs, prior, np.zeros(1))[0] == 0.0
