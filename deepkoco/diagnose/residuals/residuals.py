@@ -195,6 +195,20 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     return tuple(result)
 
 
+def modelled_path(problem: FitProblem, fit: Fit) -> np.ndarray:
+    """Return the simulated states (n + 1, W, S) of all windows; pushes are left out.
+
+    Args:
+        problem: W windows of n steps.
+        fit: The model.
+    """
+    problem, fit = problem.as_fitted(fit)
+    named = {
+        n: torch.tensor(fit.values[n], dtype=torch.float64) for n in problem.names if n not in Push.NAMES
+    }
+    return _path(problem, acting_system(problem, fit), named, fit.state)
+
+
 def acting_system(problem: FitProblem, fit: Fit) -> ExtendedSystem:
     """Return the base system with those effects whose fitted parameters differ from null."""
     full = ExtendedSystem(problem.system.base, tuple(e.name for e in problem.system.effects))

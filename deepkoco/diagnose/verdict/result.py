@@ -29,6 +29,7 @@ from deepkoco.diagnose.verdict.advice import (
     possible_advice,
 )
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
+from deepkoco.diagnose.verdict.healthy_range import range_advice
 from deepkoco.diagnose.verdict.judgement import Judgement
 from deepkoco.diagnose.verdict.midway import changed_midway
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
@@ -226,6 +227,11 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
         *not_fitted(judgement.unfitted),
         *text_of_gauges(base.start.gauges),
         *always_there(explanation.joined),
+        *(
+            range_advice(base.learned, base.problem, judgement.final)
+            if judgement.verdict != "nothing"
+            else ()
+        ),
         *possible,
         *classes,
         *level_advice(base.train, request.system),
