@@ -64,6 +64,11 @@ def test_doubts_of_estimates_are_raised_at_a_bound_but_not_at_null(windows):
     assert len(text) == 1
     assert "gain" in text[0]
     assert "-3" in text[0]
+    # A parameter of the system has no effect in its name.
+    mass = known["changed(mass)"]
+    high = float(problem.high[problem.names.index("mass")])
+    assert at_bound(problem, mass, moved(mass=high)) == ("mass",)
+    assert "its mass stops at the bound" in doubts_of_estimates(problem, [mass], moved(mass=high))[0]
 
 
 def residuals_like(windows, fit, chi2, colour=0.0):

@@ -56,7 +56,7 @@ def doubts_of_estimates(problem: FitProblem, causes: Sequence[Cause], fit: Fit) 
     for cause in causes:
         for name in at_bound(problem, cause, fit):
             result.append(
-                f"{cause.name} fits best, but its {name.rsplit('.', 1)[1]} stops at the bound "
+                f"{cause.name} fits best, but its {name.rpartition('.')[2]} stops at the bound "
                 f"{fit.values[name]:.4g}. Another cause acts, or a unit of the log is wrong."
             )
     return tuple(result)
