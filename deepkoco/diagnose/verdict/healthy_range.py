@@ -92,10 +92,11 @@ def _beyond(name: str, unit: str, now: np.ndarray, usual: np.ndarray) -> Beyond:
     if not usual.size or not now.size:
         return Beyond(name, unit, 0.0, 0.0, 0.0, 0.0, 0.0)
     # A few samples at the starts of windows, where initial states are fitted, are no range.
-    low, high = (float(q) for q in np.quantile(usual, (RARE, 1.0 - RARE)))
+    low, high = np.quantile(usual, RARE), np.quantile(usual, 1.0 - RARE)
     margin = MARGIN * (high - low)
-    outside = float(((now < low - margin) | (now > high + margin)).mean())
-    return Beyond(name, unit, *(float(q) for q in np.quantile(now, (RARE, 1.0 - RARE))), low, high, outside)
+    outside = ((now < low - margin) | (now > high + margin)).mean()
+    least, most = np.quantile(now, RARE), np.quantile(now, 1.0 - RARE)
+    return Beyond(name, unit, float(least), float(most), float(low), float(high), float(outside))
 
 
 def _sent(windows: Windows, command: int) -> np.ndarray:
