@@ -147,7 +147,7 @@ def variances_between(
         most: (K,) largest variances; None for no limit.
     """
     scale = np.sqrt(np.diag(prior.covariance))
-    differences = _Differences(
+    differences = Differences(
         [_positive(o.information * np.outer(scale, scale)) for o in told],
         [scale * (o.times_mean - o.information @ prior.centre) for o in told],
         VAGUE * prior.precision(prior.names) * np.outer(scale, scale),
@@ -161,8 +161,10 @@ def variances_between(
     return found * scale**2
 
 
-class _Differences(NamedTuple):
+class Differences(NamedTuple):
     """Likelihoods of logs in parameters that are counted in declared standard deviations from their prior mean.
+
+    Source: as for :func:`variances_between`.
 
     Attributes:
         data: (K, K) information of each log.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Healthy, baseline_from
+from deepkoco.diagnose.baseline import Baseline, Healthy, baseline_from
 from deepkoco.diagnose.verdict.healthy_range import beyond_healthy, range_advice
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit import FitProblem
@@ -33,7 +33,7 @@ def problem_of(recording: Recording):
 
 def learned(recording: Recording):
     start, problem, fit = problem_of(recording)
-    return start.__class__(
+    return Baseline(
         start.system,
         start.values,
         start.prior,

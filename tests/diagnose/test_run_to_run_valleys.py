@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,9 +15,9 @@ from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.little_of_all import with_little
 from deepkoco.diagnose.run_to_run import (
     VAGUE,
+    Differences,
     LogInformation,
     RunToRun,
-    _Differences,
     log_information,
     unshown,
     variances_between,
@@ -78,11 +79,20 @@ def test_variances_between_finds_what_a_sum_alone_shows(seed):
     # A log shows the sum to 0.001, and the difference to 0.5 only.
     ways = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
     precision = ways.T @ np.diag([1e6, 4.0]) @ ways
-    sums = 0.3 * rng.normal(size=5)
-    logs = [LogInformation(precision, precision @ (s * ways[0] + 0.5 * rng.normal() * ways[1])) for s in sums]
-    # The single estimates differ by no more than their errors, so that the search starts without variance.
+    sums = rng.normal(size=5)
+    sums *= 0.3 / np.std(sums)
+    apart = 0.5 * rng.normal(size=5)
+    pulls = [precision @ (s * ways[0] + d * ways[1]) for s, d in zip(sums, apart, strict=True)]
+    logs = [LogInformation(precision, pull) for pull in pulls]
+    # The single estimates may differ by no more than their errors; then the search starts without variance.
     found = variances_between(logs, prior, np.zeros(2))
-    assert found.mean() == pytest.approx(np.var(sums, ddof=1), rel=0.5)
+    likelihood = Differences([precision] * 5, pulls, VAGUE * np.eye(2), np.full(2, np.inf)).log_likelihood
+    best = max(
+        -scipy.optimize.minimize(lambda x: -likelihood(np.exp(x)), np.log(at), method="Nelder-Mead").fun
+        for at in ((0.1, 0.1), (0.2, 0.01), (0.01, 0.2))
+    )
+    assert likelihood(found) > best - 0.1
+    assert likelihood(found) > likelihood(np.zeros(2)) + 100.0
 
 
 def test_variances_between_are_finite_where_rounding_makes_an_information_negative():
@@ -124,7 +134,7 @@ def test_the_restricted_likelihood_is_that_of_the_dense_normal_distribution(seed
     seen = [a @ rng.normal(size=2) + rng.normal(size=3) for a in slopes]
     data = [(a * scale).T @ (a * scale) for a in slopes]
     pulls = [scale * (a.T @ (y - a @ prior.centre)) for a, y in zip(slopes, seen, strict=True)]
-    found = _Differences(data, pulls, VAGUE * np.eye(2), np.full(2, np.inf))
+    found = Differences(data, pulls, VAGUE * np.eye(2), np.full(2, np.inf))
     rows, rest = (
         np.vstack(slopes),
         np.concatenate([y - a @ prior.centre for a, y in zip(slopes, seen, strict=True)]),

@@ -69,6 +69,7 @@ def test_verdict_names_causes_that_leave_noise_unless_there_are_doubts(stage):
         (["coulomb"], 3.0, False, "cause"),  # 78 % of the excess: real logs keep some model error
         (["coulomb"], 5.5, False, "unknown"),  # half of it
         (["coulomb"], 3.0, True, "unknown"),  # how much model error there is, healthy logs tell
+        (["coulomb"], 1.5, True, "cause"),  # 94 %: units vary from log to log
         (["coulomb"], 1.05, True, "cause"),
         (["event"], 3.0, False, "unknown"),  # a push leaves other windows as they are
         (["event"], 1.5, False, "cause"),

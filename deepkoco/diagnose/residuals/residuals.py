@@ -196,7 +196,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
 
 
 def modelled_path(problem: FitProblem, fit: Fit) -> np.ndarray:
-    """Return the simulated states (n + 1, W, S) of all windows; pushes are left out.
+    """Return the simulated states (n + 1, W, S) of all windows, in the system's units; pushes are left out.
 
     Args:
         problem: W windows of n steps.

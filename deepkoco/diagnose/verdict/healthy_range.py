@@ -24,8 +24,8 @@ class Beyond(NamedTuple):
     Attributes:
         name: State or command.
         unit: Its unit.
-        low, high: Range in this log.
-        healthy_low, healthy_high: Range in the healthy logs.
+        low, high: Range in this log, in that unit.
+        healthy_low, healthy_high: Range in the healthy logs, in that unit.
         share: Share of the samples outside of the latter.
     """
 
