@@ -47,6 +47,7 @@ class Healthy:
         before: The baseline before it was learned from them.
         causes: Small effects, as causes of the catalogue, that were added for them.
         fit: Fit with these effects.
+        tempering: Factor by which the prior of this fit is narrower, as a variance; see :meth:`counted`.
     """
 
     recordings: tuple[Recording, ...]
@@ -54,6 +55,18 @@ class Healthy:
     before: Baseline
     causes: tuple[Cause, ...]
     fit: Fit
+    tempering: float = 1.0
+
+    def counted(self) -> tuple[Baseline, FitProblem]:
+        """Return the baseline and the problem of the joint fit, with priors that count as much as the residuals do.
+
+        The likelihood takes residuals as independent noise. A model error of a hundred noise variances that lasts for
+        fifty samples makes five thousand logs of one: the prior would then count for nothing, and stick and slip leave
+        many minima that only a prior tells apart.
+        """
+        prior = tempered(self.before.prior, self.tempering)
+        start = replace(self.before, prior=prior, narrowing=self.tempering)
+        return start, FitProblem(start.system, noisier(self.windows, 1.0, self.tempering))
 
 
 @dataclass(frozen=True)

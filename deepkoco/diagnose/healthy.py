@@ -14,6 +14,7 @@ from deepkoco.diagnose.baseline import (
     BaselineError,
     Healthy,
     baseline_from,
+    refit,
     refit_sharply,
     with_gauges_fixed,
 )
@@ -26,9 +27,9 @@ from deepkoco.diagnose.evidence.refine_ranking import front_settled
 from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, rank
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.lost_commands.report import best_losses
-from deepkoco.diagnose.per_log_refits import run_to_run, with_floor
+from deepkoco.diagnose.per_log_refits import ROUNDS, SETTLED, run_to_run, with_floor
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
-from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.diagnose.residuals.residuals import missing_torque, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, within_bounds
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.per_log_differences import may_differ
@@ -36,6 +37,7 @@ from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
@@ -77,8 +79,7 @@ def learn_baseline(
     start = with_gauges_fixed(baseline_from(system, windows), windows)
     windows, fit = refit_sharply(start, windows)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
-    told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))
-    windows, fit, problem = told.windows, told.fit, FitProblem(start.system, told.windows)
+    told, runs = with_spread(jointly_fitted(Healthy(tuple(recordings), windows, start, (), fit)))
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
@@ -90,36 +91,40 @@ def learn_baseline(
         if c.effect != "event" and c.free and not (is_changed(c) and kept.intersection(c.free))
     ]
     for _ in range(extension):
+        fit, (counted, problem) = told.fit, told.counted()
         if not limit.allows("small effects that the healthy logs show"):
             break
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
-        ranking = rank(problem, start, fit, accepted, hints, causes)
+        ranking = rank(problem, counted, fit, accepted, hints, causes)
         if ranking.best.delta_bic < DETECTION:
             break
-        ranking = front_settled(problem, start, accepted, ranking)
+        ranking = front_settled(problem, counted, accepted, ranking)
         best = ranking.best
-        alike[best.cause.name] = equivalent(problem, start, ranking, tuple(accepted))
+        alike[best.cause.name] = equivalent(problem, counted, ranking, tuple(accepted))
         # A cause that imitated a mixture of others becomes superfluous once these are added. It is not tried again.
         causes = [c for c in causes if c.name != best.cause.name]
-        accepted, fit = eliminated(problem, start, [*accepted, best.cause], best.fit, DETECTION)
+        accepted, fit = eliminated(problem, counted, [*accepted, best.cause], best.fit, DETECTION)
         # A missing effect increases the apparent run-to-run variance, so the variance is estimated again.
-        told, runs = with_spread(Healthy(tuple(recordings), windows, start, tuple(accepted), fit))
-        windows, fit, problem = told.windows, told.fit, FitProblem(start.system, told.windows)
+        try:
+            told, runs = with_spread(replace(told, causes=tuple(accepted), fit=fit))
+        except DivergedError:
+            # All logs together bear this effect, one of them alone does not: it is none that the unit has.
+            accepted = list(told.causes)
     progress(f"healthy logs: lost commands{in_company_of(c.name for c in accepted)}")
-    prior = prior_with(problem, start, accepted, fit.values)
+    fit, (counted, problem) = told.fit, told.counted()
+    prior = prior_with(problem, counted, accepted, fit.values)
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
     lost = lost if limit.allows("lost commands in the healthy logs") else []
     losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
-    healthy = Healthy(tuple(recordings), windows, start, tuple(accepted), fit)
     # If the healthy logs cannot decide between several causes, a later log may. So all of them are added, with the
     # uncertainty that the healthy logs leave.
     catalogued = catalogue(start.system.base)
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
     others = [catalogued[n] for n in members if kind_of(n) not in ("event", *BENDING)]
     if any(c not in accepted for c in others):
-        return extended(replace(start, healthy=healthy, losing=losing), others)
-    return replace(_learned(healthy, runs), losing=losing)
+        return extended(replace(start, healthy=told, losing=losing), others)
+    return replace(_learned(told, runs), losing=losing)
 
 
 def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
@@ -137,10 +142,10 @@ def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
         raise BaselineError(
             "the baseline was not learned from healthy logs, so it cannot be extended; learn it with learn_baseline"
         )
-    problem = FitProblem(start.system, healthy.windows)
+    before, problem = healthy.counted()
     known = {c.name for c in healthy.causes}
     together = (*healthy.causes, *(c for c in causes if c.name not in known))
-    fit = problem.fit_one(freed(problem, healthy.before, together, healthy.fit, healthy.fit.values), PATIENCE)
+    fit = problem.fit_one(freed(problem, before, together, healthy.fit, healthy.fit.values), PATIENCE)
     return replace(_learned(*with_spread(replace(healthy, causes=together, fit=fit))), losing=start.losing)
 
 
@@ -151,9 +156,11 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
     if runs is None:
         pooled = dispersion(fit, healthy.windows)
         centre = np.array([fit.values[n] for n in prior.names])
-        learned = Prior(
-            prior.names, centre, posterior(fit, prior, pooled.deflation) + unshown(start.system, prior.names)
+        counted, problem = healthy.counted()
+        told = posterior(
+            fit, prior, pooled.deflation, prior_with(problem, counted, healthy.causes, fit.values)
         )
+        learned = Prior(prior.names, centre, told + unshown(start.system, prior.names))
         floor, correlation = pooled.chi2_per_sample, 1.0
     else:
         learned = within_bounds(runs.of_another(prior), start.system)
@@ -168,6 +175,25 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
         healthy=healthy,
         runs=runs,
     )
+
+
+def jointly_fitted(healthy: Healthy) -> Healthy:
+    """Return healthy logs with a fit whose prior counts as much as the residuals that it leaves let the logs count.
+
+    Args:
+        healthy: The logs, and a fit of them under the declared prior.
+    """
+    for _ in range(ROUNDS):
+        left = dispersion(healthy.fit, healthy.windows)
+        if left.chi2_per_sample <= white_limit(healthy.windows):
+            break
+        before = healthy.tempering
+        healthy = replace(healthy, tempering=left.deflation)
+        counted, problem = healthy.counted()
+        healthy = replace(healthy, fit=refit(counted, problem.windows))
+        if SETTLED * before < healthy.tempering < before / SETTLED:
+            break
+    return healthy
 
 
 def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
@@ -192,13 +218,16 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
     }
     if varies == healthy.windows.varies:
         return healthy, with_floor(runs, healthy, prior)
-    windows = replace(healthy.windows, varies=varies)
     # The fit starts from the mean of these logs, because a new variance may move this mean.
-    trial = freed(problem, before, healthy.causes, fit, problem.values_in(fit))
-    again = FitProblem(before.system, windows)
+    values = problem.values_in(fit)
+    healthy = replace(healthy, windows=replace(healthy.windows, varies=varies))
+    if healthy.tempering > 1.0:
+        healthy = replace(healthy, tempering=max(1.0, runs.floor * runs.correlation))
+    counted, again = healthy.counted()
+    trial = freed(problem, counted, healthy.causes, fit, values)
     nuisance = again.nuisances.none()
     nuisance[: again.zeros.count] = fit.nuisance[: again.zeros.count]
-    healthy = replace(healthy, windows=windows, fit=again.fit_one(replace(trial, nuisance=nuisance)))
+    healthy = replace(healthy, fit=again.fit_one(replace(trial, nuisance=nuisance)))
     return healthy, with_floor(runs, healthy, prior)
 
 

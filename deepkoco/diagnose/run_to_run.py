@@ -246,18 +246,20 @@ def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
     return deflation * np.maximum(np.diag(c - c @ prior.precision(prior.names) @ c), 0.0)
 
 
-def posterior(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:
+def posterior(fit: Fit, prior: Prior, deflation: float, of_fit: Prior | None = None) -> np.ndarray:
     """Return the covariance (K, K) of a fit with the information of its data deflated; never wider than the prior.
 
-    With C, P and H as in :func:`sampling_variance`, it is (H / deflation + P^-1)^-1.
+    With the covariance C of the fit, its prior P and H = C^-1 - P^-1, it is (H / deflation + prior^-1)^-1.
 
     Args:
         fit: The fit.
-        prior: Its prior.
+        prior: The prior that counts.
         deflation: Deflation of the residuals: chi2 per sample times samples per independent sample.
+        of_fit: P, with the same parameters; None for the prior that counts.
     """
-    c = _covariance(fit, prior)
-    less = np.eye(len(c)) + (deflation - 1.0) * prior.precision(prior.names) @ c
+    c, counts = _covariance(fit, prior), prior.precision(prior.names)
+    before = counts if of_fit is None else of_fit.precision(prior.names)
+    less = np.eye(len(c)) + (deflation * counts - before) @ c
     wider = deflation * np.linalg.solve(less.T, c)
     return 0.5 * (wider + wider.T)
 

@@ -176,9 +176,9 @@ def summary(result: Diagnosis) -> dict:
             for c in result.causes
         ],
         "chi2": [result.chi2_before, result.chi2_after],
-        "doubts": result.unexplained["doubts"],
+        "doubts": result.unexplained.get("doubts", []),
         "best": [[c.name, round(c.delta_bic, 1)] for c in result.candidates[:5]],
-        "healthy_effects": (result.data["healthy"] or {}).get("effects"),
+        "healthy_effects": (result.data.get("healthy") or {}).get("effects"),
         "refit": {n: e.value for n, e in result.refit.items()},
     }
 
