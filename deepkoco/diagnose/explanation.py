@@ -61,6 +61,7 @@ def explain(
         progress("refit of the simulation as given")
         base = refit_to_logs(learned, request.data)
         selection, first, found = _selected(request, base)
+        base = replace(base, reference=first.reference)
         doubt = steps_of_rivals(base, found)
         if doubt.parts > 1 and request.limit.allows("the causes on finer steps"):
             progress(f"steps in {doubt.parts} parts, because rivals differ by less than their errors")
@@ -68,6 +69,7 @@ def explain(
             if finer is not base and overtaken(finer, found, doubt):
                 base = finer
                 selection, first, found = _selected(request, base)
+                base = replace(base, reference=first.reference)
         causes = seen_before(request, selection, found) if more else []
         if not causes:
             settled = base.start.tempering > 1.0 or not found.accepted

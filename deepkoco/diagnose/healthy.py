@@ -160,7 +160,11 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
         told = posterior(
             fit, prior, pooled.deflation, prior_with(problem, counted, healthy.causes, fit.values)
         )
-        learned = Prior(prior.names, centre, told + unshown(start.system, prior.names))
+        learned = Prior(
+            prior.names,
+            centre,
+            told + unshown(start.system, prior.names, fit.values, [g.fixed for g in start.gauges]),
+        )
         floor, correlation = pooled.chi2_per_sample, 1.0
     else:
         learned = within_bounds(runs.of_another(prior), start.system)

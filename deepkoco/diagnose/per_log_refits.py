@@ -10,7 +10,13 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
 from deepkoco.diagnose.residuals.residuals import mean_square_variance
-from deepkoco.diagnose.run_to_run import RunToRun, log_information, sampling_variance, variances_between
+from deepkoco.diagnose.run_to_run import (
+    RunToRun,
+    least_variance,
+    log_information,
+    sampling_variance,
+    variances_between,
+)
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
@@ -61,6 +67,7 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     for (k, own), (alone_fit, s) in zip(logs.items(), pairs, strict=True):
         shared = _at_pooled(healthy, noisier(own, alone.noise), alone_fit, alone.prior)
         told[k] = log_information(alone_fit, alone.prior, s.deflation, shared)
+    kept = [g.fixed for g in healthy.before.gauges]
     those = [told[k] for k, enough in zip(logs, long, strict=True) if enough]
     most = np.array([(MOST * healthy.before.system.parameter(n).prior_sd) ** 2 for n in prior.names])
     between = np.diag(variances_between(those, centred, alike, most))
@@ -72,6 +79,7 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
         alone.floor,
         alone.correlation,
         alone.lag_one,
+        least=least_variance(healthy.before.system, prior.names, fit.values, kept),
     )
 
 

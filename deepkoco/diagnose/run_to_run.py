@@ -5,8 +5,8 @@ Source: random effects (DerSimonian and Laird 1986), in the information form of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,9 @@ VAGUE = 0.01
 # Run-to-run standard deviation that few logs may leave open, over the declared one: a few per cent of a gain. Each
 # parameter is doubted by itself, so its products with others, which the logs know better, become uncertain as well.
 USUAL = 0.1
+LEFT_OPEN = (
+    0.5  # of the standard deviation that a single log leaves open, which several logs that agree leave
+)
 NOTHING = 1e-9  # of a variance that logs tell nothing about: its information times the variance itself
 LEAST = 1e-4  # variance over the declared one from which a search starts that no variance of 0 stops
 CLEARLY = 3.0  # by which the logarithm of the likelihood must be larger, so that what it ends at counts
@@ -63,6 +66,7 @@ class RunToRun:
         mean: (K,) mean that the fit of all logs together found, each with parameters of its own; None for the mean of
             their likelihoods. A fit follows the curved valley of a product that all logs tell; a sum of normal
             distributions leaves it along a tangent.
+        least: (K,) run-to-run variance that no few logs exclude (:func:`least_variance`); None for none.
     """
 
     log_information: dict[int, LogInformation]
@@ -74,6 +78,7 @@ class RunToRun:
     lag_one: float
     floor_variance: float = 0.0
     mean: np.ndarray | None = None
+    least: np.ndarray | None = None
 
     def of_another(self, prior: Prior, without: int | None = None) -> Prior:
         """Return the prior that these logs give for the parameters of another log.
@@ -92,7 +97,12 @@ class RunToRun:
         if self.mean is not None:
             # What leaving out a log changes is small enough for tangents.
             centre = self.mean if without is None else self.mean + centre - self._of_mean(prior, None)[0]
-        return Prior(prior.names, centre, covariance + self.doubted)
+        return Prior(prior.names, centre, covariance + self.differ)
+
+    @property
+    def differ(self) -> np.ndarray:
+        """(K, K) diagonal covariance by which a further log differs from the mean: inflated, and at least the usual."""
+        return self.doubted if self.least is None else np.maximum(self.doubted, np.diag(self.least))
 
     def _of_mean(self, prior: Prior, without: int | None) -> tuple[np.ndarray, np.ndarray]:
         """Return mean (K,) and covariance (K, K) of the mean, from the likelihoods of all logs but one."""
@@ -217,18 +227,44 @@ class Differences(NamedTuple):
         return through, known, spread, spread @ pull
 
 
-def unshown(system: System, names: Sequence[str]) -> np.ndarray:
+def unshown(
+    system: System, names: Sequence[str], values: Mapping[str, float], kept: Collection[str] = ()
+) -> np.ndarray:
     """Return the run-to-run covariance (K, K) that a single healthy log leaves open.
 
-    It is what few logs leave open at most, and no more than units of one make differ by.
+    It is what few logs leave open at most, and no more than units of one make differ by. Of an effect that the unit
+    has, that is a share of what it has.
 
     Args:
         system: Declares the parameters.
         names: K parameters; what cannot vary, such as a delay, has 0.
+        values: Their values in the healthy logs.
+        kept: Those that fix a scale: all others are counted by them, so they do not vary.
     """
-    may = may_differ(system)
+    may = may_differ(system).difference(kept)
     own = [system.parameter(n) for n in names]
-    return np.diag([min(USUAL * p.prior_sd, usual_sd(p)) ** 2 if p.name in may else 0.0 for p in own])
+    usual = [usual_sd(replace(p, value=values[p.name])) for p in own]
+    return np.diag(
+        [min(USUAL * p.prior_sd, sd) ** 2 if p.name in may else 0.0 for p, sd in zip(own, usual, strict=True)]
+    )
+
+
+def least_variance(
+    system: System, names: Sequence[str], values: Mapping[str, float], kept: Collection[str] = ()
+) -> np.ndarray:
+    """Return the run-to-run variance (K,) of a unit that few logs do not exclude, although they agree.
+
+    Copper and magnets change by some tenths of a per cent with each kelvin, and friction by more. Three short logs of
+    one hour agree to a few per mille, and a log of the next day does not. It is that of a single log
+    (:func:`unshown`) with half of its standard deviation.
+
+    Args:
+        system: Declares the parameters.
+        names: K parameters.
+        values: Their values in the healthy logs.
+        kept: Those that fix a scale.
+    """
+    return LEFT_OPEN**2 * np.diag(unshown(system, names, values, kept))
 
 
 def sampling_variance(fit: Fit, prior: Prior, deflation: float) -> np.ndarray:

@@ -18,6 +18,7 @@ from deepkoco.diagnose.run_to_run import (
     Differences,
     LogInformation,
     RunToRun,
+    least_variance,
     log_information,
     unshown,
     variances_between,
@@ -117,11 +118,29 @@ def test_consistent_with_healthy_takes_a_baseline_with_a_little_of_further_effec
 
 def test_a_single_healthy_log_leaves_open_what_few_logs_cannot_show():
     system = LightBench()
-    names = ("servo_gain", "torque_constant", "actuation_delay.delay")
     extended = catalogue_system(system)
-    found = np.sqrt(np.diag(unshown(extended, names)))
-    # The gain is declared to 0.1, the torque constant to 0.1 N m/A, units of one make differ by 2 % of 0.35 N m/A.
-    np.testing.assert_allclose(found, [0.01, 0.007, 0.0], atol=1e-12)
+    sizes = {
+        "servo_gain": 410.0,
+        "torque_constant": 0.37,
+        "actuation_delay.delay": 0.01,
+        "coulomb.torque": 0.02,
+        "viscous": 0.0,
+    }
+    found = np.sqrt(np.diag(unshown(extended, tuple(sizes), sizes, ["torque_constant"])))
+    # The gain is declared to 0.1, the constant fixes a scale, a delay is none of the unit's own. Units of one
+    # make differ by 10 % of a friction of 0.02 N m, and by a tenth of what is declared of one that shows none.
+    np.testing.assert_allclose(found, [0.01, 0.0, 0.0, 0.002, 0.001], atol=1e-12)
+    several = np.sqrt(least_variance(extended, tuple(sizes), sizes, ["torque_constant"]))
+    np.testing.assert_allclose(several, 0.5 * found, atol=1e-12)
+
+
+def test_logs_that_agree_leave_the_usual_variation_open():
+    prior = Prior(NAMES, np.zeros(2), np.eye(2))
+    told = {k: LogInformation(1e6 * np.eye(2), np.zeros(2)) for k in range(3)}
+    runs = RunToRun(told, np.diag([0.0, 0.04]), 2, np.ones(2), 1.0, 1.0, 0.0, least=np.array([1e-4, 1e-4]))
+    found = np.sqrt(np.diag(runs.of_another(prior).covariance))
+    assert found[0] == pytest.approx(0.01, rel=0.01)
+    assert found[1] >= 0.2  # what the logs show is more
 
 
 @settings(max_examples=30, deadline=None)

@@ -107,7 +107,8 @@ def test_text_of_several_gauges_asks_for_a_measurement_of_each():
     (text,) = text_of_gauges([first, second])
     assert text == (
         "The data give only ratios of mass(a), gain and mass(b). 2 measurements settle them: mass(a) and mass(b) "
-        "(weigh each). Until then, mass(a) and mass(b) keep their values as given."
+        "(weigh each). Until then, mass(a) and mass(b) keep their values as given; the intervals count how "
+        "well these are known."
     )
     assert text_of_gauges([]) == ()
 

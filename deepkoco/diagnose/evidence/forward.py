@@ -60,6 +60,8 @@ class Selection(SelectionTask):
         first = rank(
             self.problem, self.start, reference, (), hints, self.causes, self.limit, wanted=self.detection
         )
+        reference = first.reference
+        self.before, self.cost = reference.chi2, reference.cost
         nothing = Selected(reference, (), (), self.problem)
         forward = self._forward(nothing, first, hints)
         first = forward.steps[0][0] if forward.steps else first

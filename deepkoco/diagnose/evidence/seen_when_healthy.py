@@ -189,7 +189,7 @@ def _chi2_together(
     own = (
         {}
         if problem.nuisances.varies
-        else dict(zip(before.prior.names, np.diag(start.runs.doubted), strict=True))
+        else dict(zip(before.prior.names, np.diag(start.runs.differ), strict=True))
     )
     again: list[Trial] = []
     for (_, beside, fit), *both in zip(hypotheses, fits[::2], fits[1::2], strict=True):

@@ -11,6 +11,7 @@ import torch
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.evidence.candidate_fits import fit_best
+from deepkoco.diagnose.evidence.crossed import at_another_place, better_reference, crossed, leaves_more
 from deepkoco.diagnose.evidence.curved_valley import cheapest_in_valley
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
@@ -53,8 +54,11 @@ def rank(
     limit: TimeLimit | None = None,
     worth: float = 0.0,
     wanted: float = 0.0,
+    settled: bool = False,
 ) -> Ranking:
     """Fit each promising cause on top of a reference and rank them by the BIC.
+
+    The reference of the result is another one where fits of causes have led to a better one.
 
     Args:
         problem: Training windows.
@@ -67,6 +71,7 @@ def rank(
         worth: Fall of the cost that a cause needs; those that will fall short of it are not fitted to the end.
         wanted: Fall of the BIC from which a cause is named; there is no second round of fits where slopes tell that
             none can be.
+        settled: Whether the reference is known to be at no other place than the causes.
     """
     everything = [*catalogue(problem.system.base).values()] if causes is None else causes
     names = [c.name for c in accepted]
@@ -190,6 +195,13 @@ def rank(
         longer = [first[n].from_fit(fits[n]) for n in unsettled]
         near = CLOSE * ranking.dispersion.correlation
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, near), strict=True))
+        ranking = _ranked(problem, start, reference, tried, fits, promised)
+    if not many and start.tempering == 1.0 and leaves_more(problem, start, ranking):
+        better = better_reference(problem, start, accepted, ranking)
+        if better is not None and not settled and at_another_place(ranking, better):
+            return rank(problem, start, better, accepted, hints, causes, limit, worth, wanted, settled=True)
+        reference = reference if better is None else better
+        fits |= crossed(problem, start, accepted, ranking)
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
 

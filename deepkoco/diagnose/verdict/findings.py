@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, Motion, is_changed
 from deepkoco.diagnose.causes.driving import driving_command
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding, Localisation
@@ -15,6 +16,7 @@ from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.residuals.residuals import MissingTorque
+from deepkoco.diagnose.verdict.open_scales import scale_variance
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.systems import System
@@ -22,14 +24,29 @@ from deepkoco.systems import System
 CLEAR_TORQUE = 5.0  # standard deviations from which a missing torque is reported
 
 
-def estimates(problem: FitProblem, fit: Fit, names: Sequence[str], deflation: float) -> dict[str, Estimate]:
-    """Return values with 95 % intervals; the covariance of the fit is multiplied by the deflation."""
-    result = {}
+def estimates(
+    problem: FitProblem,
+    fit: Fit,
+    names: Sequence[str],
+    deflation: float,
+    scales: Mapping[str, float] | None = None,
+) -> dict[str, Estimate]:
+    """Return values with 95 % intervals; the covariance of the fit is multiplied by the deflation.
+
+    Args:
+        problem: The windows.
+        fit: The fit.
+        names: Parameters to return.
+        deflation: Deflation of the residuals.
+        scales: Parameter -> variance that scales add which the data leave open; None for none.
+    """
+    result, scales = {}, scales or {}
     for parameter in declared(problem, names):
         value = fit.values[parameter.name]
         if parameter.name in fit.free:
             i = fit.free.index(parameter.name)
-            reach = 1.96 * float(np.sqrt(max(fit.covariance[i, i], 0.0) * deflation))
+            variance = max(fit.covariance[i, i], 0.0) * deflation + scales.get(parameter.name, 0.0)
+            reach = 1.96 * float(np.sqrt(variance))
         else:
             reach = 0.0
         low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)
@@ -45,6 +62,7 @@ def finding(
     evidence: tuple[Evidence, ...] = (),
     before: Mapping[str, float] | None = None,
     chances: Mapping[str, float] | None = None,
+    start: Baseline | None = None,
 ) -> Finding:
     """Return a candidate in the form in which the report shows it.
 
@@ -56,15 +74,19 @@ def finding(
         evidence: What speaks for it.
         before: Values of the baseline.
         chances: Probabilities of all that may stand in its place.
+        start: The baseline; the scales that its gauges leave open count in the intervals. None counts none.
     """
-    cause, chances = candidate.cause, chances or {}
+    cause, chances, fit = candidate.cause, chances or {}, candidate.fit
+    # A parameter that changed since the healthy logs is compared with their value, which has the same scale.
+    relative = start is not None and is_changed(cause) and start.healthy is not None
+    scales = {} if start is None or relative else scale_variance(start, fit)
     return Finding(
         cause.name,
         cause.family,
         members or (cause.name,),
         candidate.delta_bic,
         chances.get(cause.name, 0.0),
-        estimates(problem, candidate.fit, _shown(problem, cause), ranking.deflation),
+        estimates(problem, fit, _shown(problem, cause), ranking.deflation, scales),
         evidence,
         {n: before[n] for n in cause.free} if before is not None and is_changed(cause) else {},
         probabilities=listed(chances) if members else {},

@@ -193,7 +193,7 @@ def _named(
         apart = width(found.acting, base.start, ranking)
         chances = how_probable(ranking.candidates, wanted, apart, members)
         ranking = replace(ranking, deflation=deflation)
-        named = finding(base.problem, best, ranking, members, evidence, given, chances)
+        named = finding(base.problem, best, ranking, members, evidence, given, chances, base.start)
         same = same_parameter(found.acting, best.cause, found.final, given, deflation)
         wide = over_classes(named.parameters, found.acting, found.accepted, found.steps, k)
         result.append(replace(named, same_as=same, parameters=wide))

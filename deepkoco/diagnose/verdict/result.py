@@ -34,6 +34,7 @@ from deepkoco.diagnose.verdict.judgement import Judgement
 from deepkoco.diagnose.verdict.midway import changed_midway
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
+from deepkoco.diagnose.verdict.open_scales import scale_variance
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.diagnose.weighed import detection_of
@@ -74,7 +75,13 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
             **describe_data(request.recordings, base.data, request.system),
             "healthy": describe_healthy(base.learned),
         },
-        refit=estimates(base.problem, base.reference, base.reference.free, deflation),
+        refit=estimates(
+            base.problem,
+            base.reference,
+            base.reference.free,
+            deflation,
+            scale_variance(base.start, base.reference),
+        ),
         model=_model(request, explanation, judgement),
         seed=request.seed,
         versions=versions(),
@@ -129,10 +136,13 @@ def _candidates(
 ) -> tuple[Finding, ...]:
     """Return everything that was tried, the largest fall of the BIC first."""
     problem, lost = explanation.base.problem, explanation.found.lost
-    given = explanation.base.start.values
+    start = explanation.base.start
     first, wanted = explanation.first, detection_of(request, explanation)
     chances = how_probable(first.candidates, wanted, width(problem, explanation.base.start, first))
-    ranked = [finding(problem, c, first, before=given, chances=chances) for c in first.candidates]
+    ranked = [
+        finding(problem, c, first, before=start.values, chances=chances, start=start)
+        for c in first.candidates
+    ]
     traced = (*judgement.scattered, *([lost] if lost else []))
     return tuple(sorted((*ranked, *traced), key=lambda c: -c.delta_bic))
 
@@ -292,7 +302,9 @@ def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estima
     """Return the system's own parameters as `_model` writes them; parameters kept as given have no interval."""
     base, found, load = explanation.base, explanation.found, judgement.load
     fit = judgement.final if load is None else base.problem.recentred(load.fit)
-    own = estimates(base.problem, fit, base.reference.free, judgement.left.deflation)
+    own = estimates(
+        base.problem, fit, base.reference.free, judgement.left.deflation, scale_variance(base.start, fit)
+    )
     if judgement.final is found.final:
         own = over_classes(own, found.acting, found.accepted, found.steps)
     if not _kept_as_given(judgement):

@@ -75,7 +75,10 @@ def text_of_gauges(gauges: Sequence[Gauge]) -> tuple[str, ...]:
     if not gauges:
         return ()
     if len(gauges) == 1:
-        return (f"{gauges[0].text} Until then, {gauges[0].fixed} keeps its value as given.",)
+        return (
+            f"{gauges[0].text} Until then, {gauges[0].fixed} keeps its value as given; the intervals count how well "
+            "that is known.",
+        )
     members = list(dict.fromkeys(n for g in gauges for n in g.exponents))
     ways: dict[str, list[str]] = {}
     for gauge in gauges:
@@ -85,7 +88,7 @@ def text_of_gauges(gauges: Sequence[Gauge]) -> tuple[str, ...]:
     fixed = _listed([g.fixed for g in gauges])
     return (
         f"The data give only ratios of {_listed(members)}. {len(gauges)} measurements settle them: {how}. "
-        f"Until then, {fixed} keep their values as given.",
+        f"Until then, {fixed} keep their values as given; the intervals count how well these are known.",
     )
 
 

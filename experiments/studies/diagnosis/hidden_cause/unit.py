@@ -72,9 +72,14 @@ class Unit:
         self.names = joint_names(compiled(robot))
         rng = np.random.default_rng([seed, 41])
         self.lag = float(rng.uniform(5e-4, 1.5e-3))
-        self.loads = [place_of(robot, n, 1.0).load for n in self.names]
+        places = [place_of(robot, n, 1.0) for n in self.names]
+        self.loads = [p.load for p in places]
         self.bias = [0.003 * load * float(rng.uniform(-1, 1)) for load in self.loads]
-        self.drag = [0.002 * load * float(rng.uniform(0, 1)) for load in self.loads]
+        # At the speed of a fall a pole spins with 15 rad/s: the share holds there, not at 1 rad/s.
+        fast = [1.0 if p.slides else max(1.0, 2.0 * p.load / p.inertia) for p in places]
+        self.drag = [
+            0.002 * load * float(rng.uniform(0, 1)) / v2 for load, v2 in zip(self.loads, fast, strict=True)
+        ]
         sensors = draw_sensors(np.random.default_rng([seed, 12]), compiled(robot))
         if self.differentiated:
             sensors = replace(sensors, speed_sd=dict.fromkeys(self.names, 0.0))

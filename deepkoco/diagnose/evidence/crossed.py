@@ -1,0 +1,101 @@
+"""Fits of candidates and of the refit from each other's optimum, where the best of them leaves more than noise.
+
+Stick and slip, or a controller with limits, leave a fit many minima. What a candidate gains then says in which of them
+it ended, and not what its cause explains: a gain of 0.99 was ahead of the load that was there. All fits share the
+parameters of the simulation, so the place that one of them has found is a start for the others. The refit is one of
+them: what a candidate with hardly any effect gains is a better refit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.candidate_fits import fit_best
+from deepkoco.diagnose.evidence.footholds import trial_of
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
+
+LEADERS = 3  # candidates whose optimum is a start
+FRONT = 6  # candidates that start there
+CLOSE_BEHIND = 0.5  # share of the best score that they need
+ELSEWHERE = 0.3  # share of what the best explains; a refit that gains it was at another place
+ITERATIONS = 20
+
+
+def leaves_more(problem: FitProblem, start: Baseline, ranking: Ranking) -> bool:
+    """Return whether even the best candidate of a ranking leaves more than this unit does when nothing is wrong."""
+    if not ranking.candidates:
+        return False
+    windows = problem.windows
+    return ranking.best.fit.chi2 > start.most_noise(windows) * windows.samples
+
+
+def crossed(
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking
+) -> dict[str, Fit]:
+    """Return better fits of the candidates in front, by name.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        accepted: Causes that are part of every fit.
+        ranking: The ranking.
+    """
+    leaders, front = _in_front(ranking)
+    trials = [
+        trial_of(problem, start, accepted, other.cause, values, leader.fit.state, ranking.reference)
+        for other in front
+        for leader in leaders
+        if leader is not other
+        for values in [
+            {
+                **leader.fit.values,
+                **{n: start.values[n] for n in leader.cause.free},
+                **{n: other.fit.values[n] for n in other.cause.free},
+            }
+        ]
+    ]
+    found = fit_best(problem, trials, ranking.reference)
+    had = {c.cause.name: c.fit.cost for c in front}
+    return {name: fit for name, fit in found.items() if not fit.diverged and fit.cost < had[name]}
+
+
+def better_reference(
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking
+) -> Fit | None:
+    """Return a refit that starts where the leading candidates ended, without their causes; None if it is no better.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        accepted: Causes that are part of every fit.
+        ranking: The ranking.
+    """
+    leaders, _ = _in_front(ranking)
+    reference, trials = ranking.reference, []
+    for leader in leaders:
+        values = {**leader.fit.values, **{n: start.values[n] for n in leader.cause.free}}
+        prior = prior_with(problem, start, accepted, values)
+        if {*reference.free} <= {*prior.names}:
+            trials.append(
+                Trial(reference.name, reference.free, prior, values, leader.fit.state, reference.nuisance)
+            )
+    close = TOLERANCE * ranking.dispersion.correlation
+    fits = [fit for fit in problem.fit(trials, ITERATIONS, close) if not fit.diverged]
+    best = min(fits, key=lambda fit: fit.cost, default=reference)
+    return best if best.cost < reference.cost else None
+
+
+def at_another_place(ranking: Ranking, reference: Fit) -> bool:
+    """Return whether a better refit explains much of what the best candidate had seemed to explain."""
+    return ranking.reference.cost - reference.cost > ELSEWHERE * ranking.best.likelihood_ratio
+
+
+def _in_front(ranking: Ranking) -> tuple[list[Candidate], list[Candidate]]:
+    fitted = [c for c in ranking.candidates if c.cause.free and c.fit is not ranking.reference]
+    close = [c for c in fitted if c.delta_bic >= CLOSE_BEHIND * ranking.best.delta_bic]
+    return close[:LEADERS], close[:FRONT]
