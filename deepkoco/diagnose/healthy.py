@@ -79,7 +79,7 @@ def learn_baseline(
     start = with_gauges_fixed(baseline_from(system, windows), windows)
     windows, fit = refit_sharply(start, windows)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
-    told, runs = with_spread(jointly_fitted(Healthy(tuple(recordings), windows, start, (), fit)))
+    told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
@@ -185,18 +185,20 @@ def jointly_fitted(healthy: Healthy) -> Healthy:
     """Return healthy logs with a fit whose prior counts as much as the residuals that it leaves let the logs count.
 
     Args:
-        healthy: The logs, and a fit of them under the declared prior.
+        healthy: The logs, their effects and a fit.
     """
     for _ in range(ROUNDS):
         left = dispersion(healthy.fit, healthy.windows)
-        if left.chi2_per_sample <= white_limit(healthy.windows):
+        wanted = left.deflation if left.chi2_per_sample > white_limit(healthy.windows) else 1.0
+        if SETTLED <= wanted / healthy.tempering <= 1.0 / SETTLED:
             break
-        before = healthy.tempering
-        healthy = replace(healthy, tempering=left.deflation)
+        healthy = replace(healthy, tempering=wanted)
         counted, problem = healthy.counted()
-        healthy = replace(healthy, fit=refit(counted, problem.windows))
-        if SETTLED * before < healthy.tempering < before / SETTLED:
-            break
+        if healthy.causes or healthy.windows.varies:
+            trial = freed(problem, counted, healthy.causes, healthy.fit, healthy.fit.values)
+            healthy = replace(healthy, fit=problem.fit_one(trial, PATIENCE))
+        else:
+            healthy = replace(healthy, fit=refit(counted, problem.windows))
     return healthy
 
 
@@ -209,6 +211,7 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
     Returns:
         The refitted logs, and the run-to-run variance; None instead of it for fewer than two long enough logs.
     """
+    healthy = jointly_fitted(healthy)
     before, fit = healthy.before, healthy.fit
     problem = FitProblem(before.system, healthy.windows)
     prior = prior_with(problem, before, healthy.causes, fit.values)
