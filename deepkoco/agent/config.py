@@ -101,6 +101,9 @@ class TrainingConfig:
     with the lowest mean cost of `evaluation_episodes`, whose start states are not those of the final evaluation."""
     final_evaluation_episodes: int = 200
     """Noise-free episodes at the end of the run."""
+    reference_episodes: int = 50
+    """Start states of the final evaluation from which zero action, random episodes and EDMDc with the same planner are
+    measured too, to say whether the training was worth it; 0 for none."""
     device: str = "cpu"
     """Where the model is fitted, "cpu" or "cuda". Acting and episodes stay on the CPU."""
     checkpoint_updates: int = 1000
@@ -122,7 +125,13 @@ class TrainingConfig:
         for name in positive.split():
             if not getattr(self, name) > 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value above 0")
-        for name in ("evaluation_episodes", "noise_variance", "cost_weight", "weight_penalty"):
+        for name in (
+            "evaluation_episodes",
+            "reference_episodes",
+            "noise_variance",
+            "cost_weight",
+            "weight_penalty",
+        ):
             if not getattr(self, name) >= 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give 0 or more")
         if not 0 < self.final_learning_rate <= 1:

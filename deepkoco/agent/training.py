@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
 
 from deepkoco import __version__
 from deepkoco.agent.agent import VectorAgent
@@ -31,16 +30,19 @@ from deepkoco.agent.collection import (
 )
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
+from deepkoco.agent.environment_pool import EnvironmentPool
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
 from deepkoco.agent.kept_weights import KeptWeights
 from deepkoco.agent.learner import Learner
 from deepkoco.agent.metrics import MetricsLog, Row
 from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.progress import Progress
+from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
+from deepkoco.agent.trained import trained_deepkoco
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.model.model import KoopmanModel
 
@@ -87,8 +89,8 @@ class Trainer:
         self.config, self.seed, self.folder = config, seed, folder
         self._make_envs, self._task = make_envs, dict(task or {})
         self._make_evaluation_envs = make_evaluation_envs or make_envs
-        self._pool: dict[tuple[int, VectorEnvFactory], VectorEnv] = {}
-        observation, self._low, self._high = box_sizes(self._envs(config.first_episodes, make_envs))
+        self._pool = EnvironmentPool(seed)
+        observation, self._low, self._high = box_sizes(self._pool.get(config.first_episodes, make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self._learner = Learner(observation, self._low.size, config)
@@ -125,7 +127,7 @@ class Trainer:
         return self._learner.averaged
 
     def run(self, report: Report | None = None) -> Row:
-        """Train to the end, evaluate and export the model into the folder `model`.
+        """Train to the end, evaluate, compare with references and export the model into the folder `model`.
 
         Args:
             report: Called now and then, for a progress display.
@@ -153,23 +155,15 @@ class Trainer:
             self._save(started)
             if report is not None:
                 report(replace(standing, row=self.metrics.rows[-1]))
-        for envs in self._pool.values():
-            envs.close()
-        self._pool.clear()
-        self.metrics.close()
         if not (self.folder / MODEL_FOLDER).exists():
-            self._export()
+            self._export(self._compare())
+        self._pool.close()
+        self.metrics.close()
         return self.metrics.rows[-1]
 
     def _standing(self, planned: int) -> Standing:
         text = f"iteration {self.progress.iteration + 1}, training cost {self._collected['train/cost']:.0f}"
         return Standing(self.progress.iteration_updates, planned, text)
-
-    def _envs(self, count: int, make: VectorEnvFactory) -> VectorEnv:
-        """Environments of one kind and batch size, made once."""
-        if (count, make) not in self._pool:
-            self._pool[count, make] = make(count, self.seed)
-        return self._pool[count, make]
 
     def _collect(self) -> None:
         config, done = self.config, len(self._buffer)
@@ -181,7 +175,7 @@ class Trainer:
         model = None if first else export_model(self.averaged_model)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
         agent = VectorAgent(model, config.planner, self._low, self._high, count, noise, seed)
-        episodes = collect_episodes(self._envs(count, self._make_envs), agent, seed)
+        episodes = collect_episodes(self._pool.get(count, self._make_envs), agent, seed)
         self._buffer.add(episodes)
         self._buffer.check_windows(config.horizon)
         write_replay(self.folder, self.progress.iteration, episodes)
@@ -278,7 +272,7 @@ class Trainer:
         model = export_model(self.averaged_model)
         config = self.config
         agent = VectorAgent(model, config.planner, self._low, self._high, count, seed=start, diagnostics=True)
-        envs = self._envs(count, self._make_evaluation_envs)
+        envs = self._pool.get(count, self._make_evaluation_envs)
         return agent, collect_episodes(envs, agent, start, record=False)
 
     def _save(self, started: float) -> None:
@@ -314,12 +308,31 @@ class Trainer:
         self._loss_sums = state["loss_sums"].to(self.config.device)
         return state["metrics"], state.get("eigenvalues", [])
 
-    def _export(self) -> None:
+    def _compare(self) -> dict[str, str]:
+        return compare_run(
+            lambda: trained_deepkoco(
+                self.config,
+                export_model(self.averaged_model),
+                read_replay(self.folder, 1),
+                self.metrics.rows,
+                self._low,
+                self._high,
+                self.seed,
+            ),
+            lambda count: self._pool.get(count, self._make_evaluation_envs),
+            self.config.final_evaluation_episodes,
+            self.config.reference_episodes,
+            self.seed,
+            self.folder,
+        )
+
+    def _export(self, comparison: dict[str, str]) -> None:
         training = {
             "seed": self.seed,
             "episodes": len(self._buffer),
             "updates": self.progress.updates,
             **({"kept_episodes": self._kept.episodes} if self._kept.weights else {}),
+            **comparison,
             "package": f"deepkoco {__version__}",
         }
         controller = StoredController(
