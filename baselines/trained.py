@@ -15,6 +15,7 @@ from deepkoco.agent.buffer import Episode
 from deepkoco.agent.metrics import Row
 from deepkoco.agent.references.measure import Trained
 from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.agent.task_scale import TaskScale
 from deepkoco.koopman.model.model import ModelConfig
 from deepkoco.planning.config import PlannerConfig
 
@@ -68,6 +69,7 @@ def trained_baseline(
         Episode(o, torch.from_numpy(scale.to_environment(a.numpy())).float(), -r)
         for o, a, r in replay.episodes(config.random_steps)
     ]
+    units = TaskScale.of(first, low, high)
     own = derive_seed(seed, Purpose.REFERENCES)
     return Trained(
         name=config.name,
@@ -75,8 +77,8 @@ def trained_baseline(
         exploration=lambda count: UniformActions(low, high, count, own),
         first=first,
         rows=rows,
-        planner=PlannerConfig(),
-        action_weight=model.action_weight,
+        planner=units.planner(PlannerConfig()),
+        action_weight=units.weight(model.action_weight),
         time_step=model.time_step,
         low=np.asarray(low, np.float64),
         high=np.asarray(high, np.float64),

@@ -36,7 +36,7 @@ from deepkoco.agent.collection import (
     episode_costs,
 )
 from deepkoco.agent.environment_pool import EnvironmentPool
-from deepkoco.agent.metrics import MetricsLog, Row
+from deepkoco.agent.metrics import MetricsLog, Row, evaluation_metrics
 from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
@@ -219,10 +219,7 @@ class BaselineTrainer:
             "train/cost": float(train.mean()),
             "train/cost_sd": cost_spread(train),
             **{name: self._mean(name) for name in self.learner.logged},
-            "evaluation/cost": float(costs.mean()),
-            "evaluation/cost_sd": cost_spread(costs),
-            "evaluation/cost_median": float(np.median(costs)),
-            "evaluation/episodes": count,
+            **evaluation_metrics(costs, count),
             "seconds": time.perf_counter() - started,
         }
         self.metrics.add(row)

@@ -9,16 +9,18 @@ import torch
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.config import TrainingConfig
-from deepkoco.agent.exploration import OrnsteinUhlenbeck
+from deepkoco.agent.first_episodes import make_noise, random_count
 from deepkoco.agent.metrics import Row
 from deepkoco.agent.references.measure import Trained
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.planning.config import PlannerConfig
 
 
 def trained_deepkoco(
     config: TrainingConfig,
     model: ExportedModel,
+    planner: PlannerConfig,
     first: Sequence[Episode],
     rows: Sequence[Row],
     low: Array,
@@ -30,6 +32,7 @@ def trained_deepkoco(
     Args:
         config: Hyper-parameters.
         model: The trained model.
+        planner: Settings of its planner.
         first: Episodes of the first iteration as they were recorded.
         rows: Metrics.
         low: a_min (M,).
@@ -40,16 +43,16 @@ def trained_deepkoco(
 
     def exploration(count: int) -> VectorAgent:
         generator = torch.Generator().manual_seed(own)
-        noise = OrnsteinUhlenbeck(count, low.size, config.noise_correlation, config.noise_variance, generator)
-        return VectorAgent(None, config.planner, low, high, count, noise)
+        noise = make_noise(config, count, False, config.noise_variance, low, high, generator)
+        return VectorAgent(None, planner, low, high, count, noise)
 
     return Trained(
         name=config.name,
-        controller=lambda count: VectorAgent(model, config.planner, low, high, count, seed=own),
+        controller=lambda count: VectorAgent(model, planner, low, high, count, seed=own),
         exploration=exploration,
-        first=first,
+        first=first[: random_count(config)],
         rows=rows,
-        planner=config.planner,
+        planner=planner,
         action_weight=model.action_weight,
         time_step=model.time_step,
         low=low,

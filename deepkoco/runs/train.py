@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 from yaml import YAMLError
 
+from deepkoco.agent.config import OLDER_SETTINGS
 from deepkoco.agent.references.files import read_comparison
 from deepkoco.agent.standing import Standing
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
@@ -51,7 +52,8 @@ def load_run_config(folder: Path) -> TrainRunConfig:
         # Runs from before there was a choice do not name their agent.
         name = OmegaConf.select(stored, "agent.name", default="deepkoco")
         schema = OmegaConf.structured(TrainRunConfig(agent=settings_class(name)()))
-        config = OmegaConf.to_object(OmegaConf.merge(schema, stored))
+        older = {"agent": OLDER_SETTINGS} if name == "deepkoco" else {}
+        config = OmegaConf.to_object(OmegaConf.merge(schema, older, stored))
     except (OmegaConfBaseException, YAMLError, OSError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split()).removeprefix(f"{path}: ")
         raise ExperimentError(f"{path}: not the settings of a run this release reads: {reason}") from error

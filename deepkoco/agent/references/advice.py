@@ -10,6 +10,7 @@ import numpy as np
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.metrics import Row
 from deepkoco.agent.references.comparison import RANDOM
+from deepkoco.agent.task_scale import lowest_cost
 from deepkoco.koopman.exported import Array
 from deepkoco.pages.units import rounded
 
@@ -64,13 +65,14 @@ def advise(evidence: Evidence, most: int = MOST_PROPOSALS) -> tuple[str, ...]:
     return tuple(found[:most])
 
 
-def _rewards_above_zero(evidence: Evidence) -> str | None:
+def _rare_rewards(evidence: Evidence) -> str | None:
     costs = np.concatenate([episode.costs.numpy() for episode in (*evidence.first, *evidence.own)])
-    if evidence.planned_time is None or not (costs < 0).any():
+    counted = lowest_cost(evidence.first)
+    if evidence.planned_time is None or not (costs < counted - 1e-6 * (1.0 + abs(counted))).any():
         return None
     return (
-        f"rewards are above 0 (up to {rounded(float(-costs.min()))}), which a squared cost cannot represent; "
-        "subtract their largest value from all rewards with a wrapper"
+        f"rare rewards up to {rounded(float(-costs.min()))} count as {rounded(abs(counted))}, for a squared cost"
+        " represents none above what nearly every step pays; a reward that grows on the way to the goal"
     )
 
 
@@ -78,10 +80,10 @@ def _short_episodes(evidence: Evidence) -> str | None:
     lengths = np.array([episode.costs.numel() for episode in evidence.first])
     if evidence.window is None or (share := float((lengths < evidence.window).mean())) < 0.2:
         return None
-    shorter = max(2, int(np.quantile(lengths, 0.2)) - 1)
     return (
-        f"{100 * share:.0f} % of the first episodes end before one training window of {evidence.window} steps; "
-        f"agent.horizon={shorter} agent.planner.horizon={shorter}"
+        f"{100 * share:.0f} % of the first episodes end before one training window of {evidence.window} steps; calmer "
+        "exploration (agent.noise_floor=0.03), or windows and plans as short as they are (agent.horizon, "
+        "agent.planner.horizon)"
     )
 
 
@@ -217,7 +219,7 @@ def _saturated(evidence: Evidence) -> str | None:
 
 
 RULES: tuple[Callable[[Evidence], str | None], ...] = (
-    _rewards_above_zero,
+    _rare_rewards,
     _short_episodes,
     _flat_cost,
     _leaves_the_range,

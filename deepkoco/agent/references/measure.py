@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.collection import episode_costs
+from deepkoco.agent.first_episodes import fit_linear, planner_of_linear
 from deepkoco.agent.metrics import Row
 from deepkoco.agent.references.advice import Evidence, advise
 from deepkoco.agent.references.comparison import EDMDC, RANDOM, ZERO, Comparison
 from deepkoco.agent.references.same_starts import MakeController, SameStarts
 from deepkoco.koopman.exported import Array
-from deepkoco.koopman.lifting.episode_fit import fit_to_episodes
-from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, LiftedModelError
+from deepkoco.koopman.lifting.lifted_linear import LiftedModelError
 from deepkoco.planning.config import PlannerConfig
 
 
@@ -76,12 +74,13 @@ def compare(trained: Trained, starts: SameStarts) -> Comparison:
     left_out = {}
     if states:
         try:
-            linear = _fit(trained)
-        except (LiftedModelError, np.linalg.LinAlgError) as error:
+            linear = fit_linear(
+                trained.first, trained.time_step, trained.action_weight, planner.horizon, trained.seed
+            )
+        except LiftedModelError as error:
             left_out[EDMDC] = f"it cannot be fitted ({error})"
         else:
-            # A linear model has no decoder to plan along a trajectory with, and no need for it.
-            own = replace(planner, method="lmpc", linearisation="frozen")
+            own = planner_of_linear(planner)
             makes[EDMDC] = lambda count: VectorAgent(linear, own, low, high, count)
     else:
         left_out[EDMDC] = "it does not apply to frames"
@@ -107,15 +106,3 @@ def _advice(trained: Trained, comparison: Comparison, episodes: dict[str, list[E
             trained.total_episodes,
         )
     )
-
-
-def _fit(trained: Trained) -> LiftedLinearModel:
-    whole = [e for e in trained.first if e.costs.numel() > 1 and bool(e.observations.isfinite().all())]
-    if not whole:
-        raise LiftedModelError("no first episode has two steps of finite observations")
-    observations, actions, costs = (
-        [getattr(episode, name).double().numpy() for episode in whole]
-        for name in ("observations", "actions", "costs")
-    )
-    generator = np.random.default_rng(trained.seed)
-    return fit_to_episodes(observations, actions, costs, trained.time_step, trained.action_weight, generator)

@@ -15,6 +15,7 @@ COMPONENTS = 24
 MOST_EPISODES = 150
 COST_STEPS = 4000
 RIDGE = 1e-3
+LARGEST_PREDICTION = 1e12  # [cost]; of a model that diverges
 
 
 class ScaledRadialBasis:
@@ -31,7 +32,7 @@ class ScaledRadialBasis:
 
         Args:
             observations: (K, N).
-            centres: How many.
+            centres: How many; 0 for standardised observations alone.
             generator: Of their draw.
         """
         self._mean, spread = observations.mean(0), observations.std(0)
@@ -43,7 +44,7 @@ class ScaledRadialBasis:
         chosen = observations[
             generator.choice(len(observations), min(centres, len(observations)), replace=False)
         ]
-        self._basis = RadialBasis((chosen - self._mean) @ self._directions)
+        self._basis = RadialBasis((chosen - self._mean) @ self._directions) if centres else None
 
     @property
     def observation_size(self) -> int:
@@ -53,11 +54,12 @@ class ScaledRadialBasis:
     @property
     def size(self) -> int:
         """Entries of the lifted observation."""
-        return self._basis.size
+        return self._directions.shape[1] if self._basis is None else self._basis.size
 
     def __call__(self, stacked: Array) -> Array:
         """Lift (..., N)."""
-        return self._basis((stacked - self._mean) @ self._directions)
+        scaled = (stacked - self._mean) @ self._directions
+        return scaled if self._basis is None else self._basis(scaled)
 
 
 def fit_to_episodes(
@@ -67,6 +69,7 @@ def fit_to_episodes(
     time_step: float,
     action_weight: float,
     generator: np.random.Generator,
+    centres: int = CENTRES,
 ) -> LiftedLinearModel:
     """Fit EDMDc and its quadratic cost to recorded episodes.
 
@@ -79,6 +82,7 @@ def fit_to_episodes(
         time_step: Seconds per step.
         action_weight: R.
         generator: Of centres and samples.
+        centres: Thin-plate functions beside the observation itself.
 
     Returns:
         The model, ready for the planner.
@@ -87,10 +91,70 @@ def fit_to_episodes(
         LiftedModelError: There are too few steps, or a number is not finite.
     """
     o, a, c = (np.concatenate(parts).astype(np.float64) for parts in (observations, actions, costs))
-    lifting = ScaledRadialBasis(o, CENTRES, generator)
+    lifting = ScaledRadialBasis(o, centres, generator)
     chosen = np.arange(len(c))
     if chosen.size > COST_STEPS:
         chosen = np.sort(generator.choice(chosen, COST_STEPS, replace=False))
     cost = fit_lifted_cost([o[chosen]], [a[chosen]], [c[chosen]], lifting, action_weight)
     first = slice(MOST_EPISODES)
     return fit_edmdc(observations[first], actions[first], lifting, cost, time_step, RIDGE)
+
+
+def fit_best_to_episodes(
+    observations: Sequence[Array],
+    actions: Sequence[Array],
+    costs: Sequence[Array],
+    time_step: float,
+    action_weight: float,
+    horizon: int,
+    generator: np.random.Generator,
+) -> LiftedLinearModel:
+    """`fit_to_episodes` with or without thin-plate functions, whichever predicts held-out costs better.
+
+    Functions that few centres spread over a wide range are worse than none near the goal of a nearly linear task: on a
+    cart whose random episodes go 15 times as far as the task, the same planner costs 5 without and 16,000 with them.
+
+    Args:
+        observations: As for `fit_to_episodes`; every fourth episode is held out for the choice.
+        actions: See there.
+        costs: See there.
+        time_step: See there.
+        action_weight: See there.
+        horizon: Most steps predicted in the choice.
+        generator: See there.
+
+    Returns:
+        The model, fitted to all episodes.
+
+    Raises:
+        LiftedModelError: See there.
+    """
+    held = [i for i, c in enumerate(costs) if i % 4 == 3 and len(c) > 1]
+    kept = [i for i in range(len(costs)) if i % 4 != 3]
+    chosen = 0
+    if held:
+        errors, choices = [], (0, CENTRES)
+        for centres in choices:
+            o, a, c = ([part[i] for i in kept] for part in (observations, actions, costs))
+            model = fit_to_episodes(o, a, c, time_step, action_weight, generator, centres)
+            errors.append(
+                _root_error(model, [(observations[i], actions[i], costs[i]) for i in held], horizon)
+            )
+        chosen = choices[int(np.nanargmin(errors))]
+    return fit_to_episodes(observations, actions, costs, time_step, action_weight, generator, chosen)
+
+
+def _root_error(
+    model: LiftedLinearModel, episodes: Sequence[tuple[Array, Array, Array]], horizon: int
+) -> float:
+    """Mean squared error of the roots of costs, so that costs far from the goal do not decide alone."""
+    errors = []
+    for o, a, c in episodes:
+        steps = min(horizon, len(c) - 1)
+        count = len(c) - steps
+        z, a = model.lifting(np.asarray(o[:count], np.float64)), np.asarray(a, np.float64)
+        for ahead in range(1, steps + 1):
+            z = z @ model.transition.T + a[ahead - 1 : ahead - 1 + count] @ model.inputs.T
+            predicted = np.minimum(model.cost(z, a[ahead : ahead + count]), LARGEST_PREDICTION)
+            errors.append(np.square(np.sqrt(predicted) - np.sqrt(np.maximum(c[ahead : ahead + count], 0.0))))
+    return float(np.concatenate(errors).mean())

@@ -45,8 +45,8 @@ UNIFORM = np.random.default_rng(1).uniform(-1, 1, (40, 2))
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"first": episodes(costs=np.linspace(-100, 1, 40))}, "rewards are above 0 (up to 100)"),
-        ({"first": episodes(steps=9)}, "agent.horizon=8 agent.planner.horizon=8"),
+        ({"first": episodes(costs=np.append(np.ones(79), -100), steps=80)}, "rare rewards up to 100 count as 0.000"),
+        ({"first": episodes(steps=9)}, "100 % of the first episodes end before one training window of 16 steps"),
         ({"first": episodes(costs=np.full(40, 0.99))}, "hardly varies in the first episodes (0.990"),
         (
             {"first": episodes(np.array([8.0, 8.0]) * UNIFORM), "others": {ZERO: episodes(UNIFORM)}},
@@ -76,7 +76,7 @@ def test_settings_that_an_agent_does_not_have_are_not_proposed():
         "first": episodes(costs=np.linspace(-100, 1, 40), steps=40),
     }
     proposals = advise(dataclasses.replace(HEALTHY, **change, rows=rows([9, 9, 4, 9, 9, 9, 9])), most=20)
-    assert not [text for text in proposals if "planner" in text or "keep" in text or "squared cost" in text]
+    assert not [text for text in proposals if "planner" in text or "keep" in text or "rare rewards" in text]
 
 
 def test_frames_have_no_spread():
