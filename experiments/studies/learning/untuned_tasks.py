@@ -43,7 +43,16 @@ TASKS = {
     "dm_cartpole_swingup": ["task=dm_cartpole_swingup"],
     "dm_reacher_easy": ["task=dm_reacher_easy"],
 }
-VARIANTS = {"as_published": ["+learning=as_published"], "default": []}
+VARIANTS = {
+    "as_published": ["+learning=as_published"],
+    "default": [],
+    "no_warm_start": ["agent.warm_start=0"],
+    "no_scale": ["agent.scale=false"],
+    "equal_errors": ["agent.relative_cost=0"],
+    "last_weights": ["agent.keep=last"],
+}
+"""Settings by name: as published, the defaults, and the defaults with one switch off."""
+COMPARED = ["as_published", "default"]
 
 
 def train(task: str, variant: str, seed: int, folder: Path, settings: Sequence[str]) -> str:
@@ -97,7 +106,7 @@ def row(task: str, variant: str, seed: int, folder: Path) -> dict[str, Any]:
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
-    """Costs by task: both variants with their seeds, and the references.
+    """Costs by task: the variants with their seeds, and the references.
 
     Args:
         table: Rows as given by `row`.
@@ -110,15 +119,17 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         panels = figure.subplots(len(tasks), 1, squeeze=False)[:, 0]
         for axes, task in zip(panels, tasks, strict=True):
             chosen = table[table["task"] == task]
-            names = [*columns, *VARIANTS]
+            names = [*columns, *(name for name in VARIANTS if name in set(table["variant"]))]
             for place, name in enumerate(names):
                 known = name in columns
                 values = chosen[name] if known else chosen.loc[chosen["variant"] == name, "cost"]
                 colour = COLOURS[columns[name]] if known else COLOURS["DeepKoCo"]
                 axes.plot(values, [place] * len(values), "o", color=colour, alpha=0.7)
             axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
-            axes.set(title=task.replace("_", " "), xscale="symlog", ylim=(len(names) - 0.5, -0.5))
-        panels[-1].set_xlabel("cost of an episode (symmetric logarithm); a dot is a run, less is better")
+            positive = bool((chosen[["cost", *columns]].min() > 0.0).all())
+            scale = "log" if positive else "linear"
+            axes.set(title=task.replace("_", " "), xscale=scale, ylim=(len(names) - 0.5, -0.5))
+        panels[-1].set_xlabel("cost of an episode; a dot is a run, less is better")
         with whole_file(path) as partial:
             partial.write_bytes(as_png(figure))
 
