@@ -76,6 +76,9 @@ class BaselineConfig:
     """Noise-free episodes of an evaluation; 0 for none."""
     final_evaluation_episodes: int = 200
     """Noise-free episodes at the end of the run."""
+    reference_episodes: int = 50
+    """Start states of the final evaluation from which zero action, random episodes and EDMDc with DeepKoCo's planner
+    are measured too; 0 for none."""
     checkpoint_episodes: int = 5
     """Episodes between two checkpoints."""
 
@@ -97,8 +100,9 @@ class BaselineConfig:
         for name in ("target_rate", "encoder_target_rate"):
             if not 0 < getattr(self, name) <= 1:
                 raise BaselineConfigError(f"{name} = {getattr(self, name)}; give a value in (0, 1]")
-        if self.evaluation_episodes < 0:
-            raise BaselineConfigError(f"evaluation_episodes = {self.evaluation_episodes}; give 0 or more")
+        for name in ("evaluation_episodes", "reference_episodes"):
+            if getattr(self, name) < 0:
+                raise BaselineConfigError(f"{name} = {getattr(self, name)}; give 0 or more")
         if not self.log_sigma_min < self.log_sigma_max:
             raise BaselineConfigError(
                 f"log_sigma_min = {self.log_sigma_min} is not below log_sigma_max = {self.log_sigma_max}"

@@ -129,6 +129,28 @@ class Replay:
             following,
         )
 
+    def episodes(self, transitions: int) -> list[tuple[Tensor, Tensor, Tensor]]:
+        """The first transitions, put together to the episodes they were collected in.
+
+        Args:
+            transitions: How many.
+
+        Returns:
+            Observations (L, ...), actions (L, M) in [-1, 1] and rewards (L,) of each episode, in the order of its
+            start; the last ones may be cut.
+        """
+        place: dict[int, int] = {}  # from the row that is observed next to the episode
+        episodes: list[list[int]] = []
+        for number in range(min(transitions, self.transitions)):
+            seen, following = self._links[number, -2:].tolist()
+            episode = place.pop(seen, len(episodes))
+            if episode == len(episodes):
+                episodes.append([])
+            episodes[episode].append(number)
+            place[following] = episode
+        chosen = [torch.tensor(numbers) for numbers in episodes]
+        return [(self._rows[self._links[i, -2]], self._actions[i], self._rewards[i]) for i in chosen]
+
     def since(self, rows: int, transitions: int) -> dict[str, Tensor]:
         """What was added behind the first rows and transitions, to write it to a file."""
         new = slice(transitions, self.transitions)

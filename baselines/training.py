@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
 
 from baselines.collection import EpisodeRound
 from baselines.config import BaselineConfig
@@ -20,6 +19,7 @@ from baselines.policy import BaselinePolicy
 from baselines.registry import make_learner
 from baselines.replay import Replay
 from baselines.replay_files import read_replay, write_replay
+from baselines.trained import trained_baseline
 from deepkoco import __version__
 from deepkoco.agent.checkpoint import (
     CheckpointError,
@@ -35,7 +35,9 @@ from deepkoco.agent.collection import (
     cost_spread,
     episode_costs,
 )
-from deepkoco.agent.metrics import MetricsLog, Row
+from deepkoco.agent.environment_pool import EnvironmentPool
+from deepkoco.agent.metrics import MetricsLog, Row, evaluation_metrics
+from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stored_controller import MODEL_FOLDER
@@ -101,9 +103,9 @@ class BaselineTrainer:
         self.config, self.seed, self.folder = config, seed, folder
         self._make_envs, self._task = make_envs, dict(task or {})
         self._make_evaluation_envs = make_evaluation_envs or make_envs
-        self._pool: dict[tuple[int, VectorEnvFactory], VectorEnv] = {}
+        self._pool = EnvironmentPool(seed)
         count = min(config.environments, config.total_episodes)
-        self._shape, self._low, self._high = box_sizes(self._envs(count, make_envs))
+        self._shape, self._low, self._high = box_sizes(self._pool.get(count, make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self.learner = make_learner(self._shape, self._low.size, config)
@@ -137,7 +139,7 @@ class BaselineTrainer:
         return BaselinePolicy(learner.actor, learner.critic, self._shape, self._frames, self._low, self._high)
 
     def run(self, report: Report | None = None) -> Row:
-        """Train to the end, evaluate and export the networks into the folder `model`.
+        """Train to the end, evaluate, compare with references and export the networks into the folder `model`.
 
         Args:
             report: Called now and then, for a progress display.
@@ -156,12 +158,10 @@ class BaselineTrainer:
             if row is not None or self._passed(before, self.config.checkpoint_episodes):
                 self._save(started)
             tell(self._standing(f"training cost {self._last_cost():.0f}", row))
-        for envs in self._pool.values():
-            envs.close()
-        self._pool.clear()
-        self.metrics.close()
         if not (self.folder / MODEL_FOLDER).exists():
-            self._export()
+            self._export(self._compare())
+        self._pool.close()
+        self.metrics.close()
         return self.metrics.rows[-1]
 
     def learn(self, updates: int) -> None:
@@ -183,7 +183,7 @@ class BaselineTrainer:
         config, progress = self.config, self.progress
         count = min(config.environments, config.total_episodes - progress.episodes)
         seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, progress.rounds)
-        envs = self._envs(count, self._make_envs)
+        envs = self._pool.get(count, self._make_envs)
         episodes = EpisodeRound(envs, self._replay, self._shape, self._frames, self._low, self._high)
         episodes.start(seed)
         while episodes.running.any():
@@ -207,7 +207,7 @@ class BaselineTrainer:
         purpose = Purpose.FINAL_EVALUATION if self.finished else Purpose.EVALUATION
         costs = np.full(1, np.nan)
         if count:
-            envs = self._envs(count, self._make_evaluation_envs)
+            envs = self._pool.get(count, self._make_evaluation_envs)
             costs = episode_costs(
                 collect_episodes(envs, self.policy, derive_seed(self.seed, purpose), record=False)
             )
@@ -219,10 +219,7 @@ class BaselineTrainer:
             "train/cost": float(train.mean()),
             "train/cost_sd": cost_spread(train),
             **{name: self._mean(name) for name in self.learner.logged},
-            "evaluation/cost": float(costs.mean()),
-            "evaluation/cost_sd": cost_spread(costs),
-            "evaluation/cost_median": float(np.median(costs)),
-            "evaluation/episodes": count,
+            **evaluation_metrics(costs, count),
             "seconds": time.perf_counter() - started,
         }
         self.metrics.add(row)
@@ -243,12 +240,6 @@ class BaselineTrainer:
 
     def _standing(self, text: str, row: Row | None = None) -> Standing:
         return Standing(self.progress.episodes, self.config.total_episodes, text, row)
-
-    def _envs(self, count: int, make: VectorEnvFactory) -> VectorEnv:
-        """Environments of one kind and batch size, made once."""
-        if (count, make) not in self._pool:
-            self._pool[count, make] = make(count, self.seed)
-        return self._pool[count, make]
 
     def _save(self, started: float) -> None:
         progress = self.progress
@@ -284,11 +275,24 @@ class BaselineTrainer:
         self._costs = state["costs"]
         return state["metrics"]
 
-    def _export(self) -> None:
+    def _compare(self) -> dict[str, str]:
+        return compare_run(
+            lambda: trained_baseline(
+                self.config, self.policy, self._replay, self.metrics.rows, self._low, self._high, self.seed
+            ),
+            lambda count: self._pool.get(count, self._make_evaluation_envs),
+            self.config.final_evaluation_episodes,
+            self.config.reference_episodes,
+            self.seed,
+            self.folder,
+        )
+
+    def _export(self, comparison: dict[str, str]) -> None:
         training = {
             "seed": self.seed,
             "episodes": self.progress.episodes,
             "updates": self.learner.updates,
+            **comparison,
             "package": f"deepkoco {__version__}",
         }
         learner = self.learner

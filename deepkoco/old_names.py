@@ -28,6 +28,7 @@ MOVED = (
         "view wrapped_model",
     ),
     ("deepkoco.analysis", "deepkoco.analysis.page", "analyse film_run plan_film words"),
+    ("deepkoco.analysis", "deepkoco.output", "colours"),
     ("deepkoco.commands", "deepkoco.cli", "export_command>export show_command>show"),
     ("deepkoco.diagnose", "deepkoco.cli", "command>diagnose"),
     ("deepkoco.diagnose", "deepkoco.diagnose", "design>experiment_design refits>per_log_refits"),

@@ -23,11 +23,14 @@ class Episode:
         observations: o_k (L, N), or one uint8 frame per step (L, H, W, 3).
         actions: a_k (L, M), as applied under o_k.
         costs: c_k (L,), of (o_k, a_k).
+        final: What was observed behind the last step (N,) where the task ended the episode; None where its time did,
+            and for frames.
     """
 
     observations: Tensor
     actions: Tensor
     costs: Tensor
+    final: Tensor | None = None
 
 
 class EpisodeBuffer:

@@ -99,7 +99,9 @@ def collect_episodes(
     dtype = envs.single_action_space.dtype
     frames = np.asarray(observation).dtype == np.uint8
     kept = np.uint8 if frames else np.float32
-    restarts = envs.metadata.get("autoreset_mode") != AutoresetMode.DISABLED
+    mode = envs.metadata.get("autoreset_mode")
+    restarts = mode != AutoresetMode.DISABLED
+    finals: dict[int, torch.Tensor] = {}
     observations, actions, costs = [], [], []
     length = np.zeros(envs.num_envs, dtype=np.int64)
     running = np.ones(envs.num_envs, dtype=bool)
@@ -107,10 +109,14 @@ def collect_episodes(
         action = agent.act(observation if frames else np.asarray(observation, dtype=np.float64))
         observations.append(np.array(observation if record else observation[:, :0], dtype=kept))
         actions.append(action.astype(np.float32))
-        observation, reward, terminated, truncated, _ = envs.step(action.astype(dtype))
+        observation, reward, terminated, truncated, info = envs.step(action.astype(dtype))
         costs.append(-np.asarray(reward, dtype=np.float32))
         length += running
         ended = terminated | truncated
+        if record and not frames:
+            shown = info["final_obs"] if mode == AutoresetMode.SAME_STEP and ended.any() else observation
+            for i in np.flatnonzero(running & terminated):
+                finals[int(i)] = torch.from_numpy(np.array(shown[i], dtype=kept))
         running &= ~ended
         if ended.any() and running.any() and not restarts:
             observation, _ = envs.reset(options={"reset_mask": ended})
@@ -118,10 +124,12 @@ def collect_episodes(
     longest = int(length.max())
     episodes = []
     for i, n in enumerate(length.tolist()):
-        episode = Episode(o[i, :n], a[i, :n], c[i, :n])
+        episode = Episode(o[i, :n], a[i, :n], c[i, :n], finals.get(i))
         if n < longest:
             # Memory of its own, or what was recorded after its end would stay in memory too.
-            episode = Episode(*(t.clone() for t in (episode.observations, episode.actions, episode.costs)))
+            parts = (episode.observations, episode.actions, episode.costs)
+            seen, taken, paid = (part.clone() for part in parts)
+            episode = Episode(seen, taken, paid, episode.final)
         episodes.append(episode)
     return episodes
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from deepkoco.agent.exploration import NOISE_UNITS
 from deepkoco.agent.kept_weights import KEPT
 from deepkoco.koopman.model.model import ModelConfig
 from deepkoco.koopman.model.rollout import ROLLOUTS
@@ -15,6 +16,17 @@ from deepkoco.planning.config import PlannerConfig
 from deepkoco.planning.errors import PlannerConfigError
 
 DEVICES = ("cpu", "cuda")
+
+
+OLDER_SETTINGS = {
+    "warm_start": 0.0,
+    "scale": False,
+    "relative_cost": 0.0,
+    "largest_gradient": 0.0,
+    "noise_unit": "action",
+    "noise_floor": 1.0,
+}
+"""How runs of earlier releases learned, whose stored settings do not name these."""
 
 
 class TrainingConfigError(ValueError):
@@ -51,7 +63,15 @@ class TrainingConfig:
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     """Settings of the planner."""
     first_episodes: int = 90
-    """Episodes of the first iteration, moved by noise alone."""
+    """Episodes of the first iteration, moved by noise alone unless `warm_start` says otherwise."""
+    warm_start: float = 0.67
+    """Share of the first episodes that the planner drives on EDMDc, fitted to those before, with exploration noise; 0:
+    noise alone drives all of them, as published."""
+    scale: bool = True
+    """Learn from standardised observations and costs of a fixed mean, as found in the first episodes; off: from those
+    of the environment, as published."""
+    relative_cost: float = 0.05
+    """Share of the mean cost from which on errors of the cost count relative to it; 0: all alike, as published."""
     first_epochs: int = 100
     """Epochs on the first episodes."""
     iteration_episodes: int = 20
@@ -86,21 +106,32 @@ class TrainingConfig:
     beyond the horizon; 0: the cost itself."""
     weight_penalty: float = 1e-14
     """alpha_2, weight of the squared parameters (L2), biases included; the published term excludes biases."""
+    largest_gradient: float = 10.0
+    """Norm that the gradient of an update is cut to; 0 for no limit, as published."""
     averaging: float = 0.998
     """Decay per update of the averaged weights, which act, are evaluated and are exported; 0 for none."""
     noise_correlation: float = 0.85
     """lambda of the Ornstein-Uhlenbeck noise, per step."""
     noise_variance: float = 0.85
-    """Innovation variance of the noise before the first episode [action unit^2]."""
+    """Innovation variance of the noise before the first episode [`noise_unit` squared]."""
+    noise_unit: str = "range"
+    """Unit of the noise: "range": a quarter of the range of each action; "action": that of the action, as published. On
+    the pendulum, whose torque is within -2 and 2, both are the same."""
+    noise_floor: float = 0.1
+    """Where the task itself ended most of the random episodes: noise of the calmest environment of a batch as a share
+    of the boldest's; 1: all alike, as published."""
     noise_last_episode: int = 400
     """Episode at which the variance has fallen linearly to zero."""
-    evaluation_episodes: int = 10
+    evaluation_episodes: int = 20
     """Noise-free episodes after every iteration; 0 for none."""
-    keep: str = "last"
+    keep: str = "best"
     """Weights that are evaluated at the end and exported: "last": those of the end; "best": those of the iteration
     with the lowest mean cost of `evaluation_episodes`, whose start states are not those of the final evaluation."""
     final_evaluation_episodes: int = 200
     """Noise-free episodes at the end of the run."""
+    reference_episodes: int = 50
+    """Start states of the final evaluation from which zero action, random episodes and EDMDc with the same planner are
+    measured too, to say whether the training was worth it; 0 for none."""
     device: str = "cpu"
     """Where the model is fitted, "cpu" or "cuda". Acting and episodes stay on the CPU."""
     checkpoint_updates: int = 1000
@@ -122,16 +153,30 @@ class TrainingConfig:
         for name in positive.split():
             if not getattr(self, name) > 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value above 0")
-        for name in ("evaluation_episodes", "noise_variance", "cost_weight", "weight_penalty"):
+        for name in (
+            "evaluation_episodes",
+            "reference_episodes",
+            "noise_variance",
+            "cost_weight",
+            "weight_penalty",
+        ):
             if not getattr(self, name) >= 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give 0 or more")
         if not 0 < self.final_learning_rate <= 1:
             raise TrainingConfigError(
                 f"final_learning_rate = {self.final_learning_rate}; give a value in (0, 1], 1 for constant steps"
             )
-        for name in ("averaging", "noise_correlation", "cost_discount"):
+        if not 0 < self.noise_floor <= 1:
+            raise TrainingConfigError(
+                f"noise_floor = {self.noise_floor}; give a value in (0, 1], 1 for all alike"
+            )
+        for name in ("averaging", "noise_correlation", "cost_discount", "warm_start"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value in [0, 1)")
+        if self.noise_unit not in NOISE_UNITS:
+            raise TrainingConfigError(
+                f'noise_unit = "{self.noise_unit}"; choose one of {", ".join(NOISE_UNITS)}'
+            )
         if self.keep not in KEPT:
             raise TrainingConfigError(f'keep = "{self.keep}"; choose one of {", ".join(KEPT)}')
         if self.keep == "best" and not self.evaluation_episodes:

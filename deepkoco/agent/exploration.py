@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
+
+NOISE_UNITS = ("range", "action")
 
 
 class OrnsteinUhlenbeck:
@@ -14,7 +18,14 @@ class OrnsteinUhlenbeck:
     """
 
     def __init__(
-        self, count: int, action_size: int, correlation: float, variance: float, generator: torch.Generator
+        self,
+        count: int,
+        action_size: int,
+        correlation: float,
+        variance: float,
+        generator: torch.Generator,
+        unit: Tensor | None = None,
+        floor: float = 1.0,
     ) -> None:
         """Start at zero.
 
@@ -24,9 +35,15 @@ class OrnsteinUhlenbeck:
             correlation: lambda, per step.
             variance: sigma^2 of the innovation.
             generator: Source of every draw.
+            unit: Of each action (M,), of which `variance` is in the square; None takes 1.
+            floor: Noise of the calmest environment as a share of that of the boldest; those between are spread evenly
+                on a logarithmic scale.
         """
         self._noise = torch.zeros(count, action_size, dtype=torch.float64)
-        self._correlation, self._deviation = correlation, variance**0.5
+        self._correlation = correlation
+        one = torch.ones(action_size, dtype=torch.float64)
+        levels = torch.linspace(0.0, math.log(floor), count, dtype=torch.float64).exp()[:, None]
+        self._deviation = variance**0.5 * levels * (one if unit is None else unit)
         self._generator = generator
 
     def reset(self) -> None:
@@ -42,6 +59,20 @@ class OrnsteinUhlenbeck:
         innovation = torch.randn(self._noise.shape, generator=self._generator, dtype=torch.float64)
         self._noise = self._correlation * self._noise + self._deviation * innovation
         return self._noise
+
+
+def action_units(name: str, low: Tensor, high: Tensor) -> Tensor:
+    """The unit of the noise of each action.
+
+    Args:
+        name: "range": a quarter of what it can reach, which is 1 for limits of -2 and 2; "action": 1.
+        low: a_min (M,).
+        high: a_max (M,).
+
+    Returns:
+        Units (M,).
+    """
+    return (high - low) / 4.0 if name == "range" else torch.ones_like(low)
 
 
 def annealed_variance(initial: float, episodes: int, last_episode: int) -> float:

@@ -63,9 +63,18 @@ class Learner:
         """
         config = self._config
         batch = batch.to(config.device)
-        losses = chunk_losses(self.model, batch, config.horizon, config.cost_weight, ROLLOUTS[config.rollout])
+        losses = chunk_losses(
+            self.model,
+            batch,
+            config.horizon,
+            config.cost_weight,
+            ROLLOUTS[config.rollout],
+            config.relative_cost,
+        )
         self._optimiser.zero_grad()
         losses.total.backward()
+        if config.largest_gradient:
+            torch.nn.utils.clip_grad_norm_(self._followed, config.largest_gradient)
         for group, rate in zip(
             self._optimiser.param_groups, (config.learning_rate, config.eigenvalue_learning_rate), strict=True
         ):

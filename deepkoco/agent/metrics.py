@@ -6,8 +6,11 @@ import csv
 import io
 from pathlib import Path
 
+import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
+from deepkoco.agent.collection import cost_spread
+from deepkoco.koopman.exported import Array
 from deepkoco.output.whole_file import write_whole_text, writing
 
 Row = dict[str, float]
@@ -28,6 +31,21 @@ def write_rows(path: Path, rows: list[Row]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     write_whole_text(path, text.getvalue())
+
+
+def evaluation_metrics(costs: Array, episodes: int) -> Row:
+    """What every agent says of an evaluation.
+
+    Args:
+        costs: Of its episodes (n,).
+        episodes: How many there were; 0 for none.
+    """
+    return {
+        "evaluation/cost": float(costs.mean()),
+        "evaluation/cost_sd": cost_spread(costs),
+        "evaluation/cost_median": float(np.median(costs)),
+        "evaluation/episodes": episodes,
+    }
 
 
 class MetricsLog:

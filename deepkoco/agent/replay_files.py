@@ -29,6 +29,7 @@ def write_replay(folder: Path, iteration: int, episodes: list[Episode]) -> None:
             "observations": [episode.observations for episode in episodes],
             "actions": [episode.actions for episode in episodes],
             "costs": [episode.costs for episode in episodes],
+            "finals": [episode.final for episode in episodes],
         },
     )
 
@@ -51,7 +52,8 @@ def read_replay(folder: Path, iterations: int) -> list[Episode]:
         path = _path(folder, iteration)
         state = load_checkpoint(path)
         try:
-            recorded = zip(state["observations"], state["actions"], state["costs"], strict=True)
+            finals = state.get("finals", [None] * len(state["costs"]))  # earlier releases did not store them
+            recorded = zip(state["observations"], state["actions"], state["costs"], finals, strict=True)
             episodes += [Episode(*tensors) for tensors in recorded]
         except (KeyError, TypeError, ValueError) as error:
             raise damaged(path, error) from error

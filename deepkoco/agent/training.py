@@ -5,16 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.vector import VectorEnv
 
 from deepkoco import __version__
 from deepkoco.agent.agent import VectorAgent
-from deepkoco.agent.buffer import Episode, EpisodeBuffer
+from deepkoco.agent.buffer import Episode
 from deepkoco.agent.checkpoint import (
     CheckpointError,
     check_settings,
@@ -29,19 +29,25 @@ from deepkoco.agent.collection import (
     cost_spread,
     episode_costs,
 )
-from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.config import OLDER_SETTINGS, TrainingConfig
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
-from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
+from deepkoco.agent.environment_pool import EnvironmentPool
+from deepkoco.agent.experience import Experience
+from deepkoco.agent.exploration import annealed_variance
+from deepkoco.agent.first_episodes import collect_first, make_noise, random_count
 from deepkoco.agent.kept_weights import KeptWeights
 from deepkoco.agent.learner import Learner
-from deepkoco.agent.metrics import MetricsLog, Row
+from deepkoco.agent.metrics import MetricsLog, Row, evaluation_metrics
 from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.progress import Progress
-from deepkoco.agent.replay_files import read_replay, write_replay
+from deepkoco.agent.references.run_comparison import compare_run
+from deepkoco.agent.schedule import planned_updates, step_size
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
+from deepkoco.agent.trained import trained_deepkoco
 from deepkoco.koopman.export import export_model
+from deepkoco.koopman.exported import ExportedModel
 from deepkoco.koopman.model.model import KoopmanModel
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -87,13 +93,14 @@ class Trainer:
         self.config, self.seed, self.folder = config, seed, folder
         self._make_envs, self._task = make_envs, dict(task or {})
         self._make_evaluation_envs = make_evaluation_envs or make_envs
-        self._pool: dict[tuple[int, VectorEnvFactory], VectorEnv] = {}
-        observation, self._low, self._high = box_sizes(self._envs(config.first_episodes, make_envs))
+        self._pool = EnvironmentPool(seed)
+        observation, self._low, self._high = box_sizes(self._pool.get(random_count(config), make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self._learner = Learner(observation, self._low.size, config)
         recordings = 1 if self._learner.model.frame_encoder is None else config.model.frames
-        self._buffer = EpisodeBuffer(recordings, config.cost_discount)
+        self._experience = Experience(folder, config, recordings, self._low, self._high)
+        self._buffer = self._experience.buffer
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
@@ -125,7 +132,7 @@ class Trainer:
         return self._learner.averaged
 
     def run(self, report: Report | None = None) -> Row:
-        """Train to the end, evaluate and export the model into the folder `model`.
+        """Train to the end, evaluate, compare with references and export the model into the folder `model`.
 
         Args:
             report: Called now and then, for a progress display.
@@ -153,73 +160,64 @@ class Trainer:
             self._save(started)
             if report is not None:
                 report(replace(standing, row=self.metrics.rows[-1]))
-        for envs in self._pool.values():
-            envs.close()
-        self._pool.clear()
-        self.metrics.close()
         if not (self.folder / MODEL_FOLDER).exists():
-            self._export()
+            self._export(self._compare())
+        self._pool.close()
+        self.metrics.close()
         return self.metrics.rows[-1]
 
     def _standing(self, planned: int) -> Standing:
         text = f"iteration {self.progress.iteration + 1}, training cost {self._collected['train/cost']:.0f}"
         return Standing(self.progress.iteration_updates, planned, text)
 
-    def _envs(self, count: int, make: VectorEnvFactory) -> VectorEnv:
-        """Environments of one kind and batch size, made once."""
-        if (count, make) not in self._pool:
-            self._pool[count, make] = make(count, self.seed)
-        return self._pool[count, make]
-
     def _collect(self) -> None:
-        config, done = self.config, len(self._buffer)
-        first = self.progress.iteration == 0
-        count = config.first_episodes if first else config.iteration_episodes
-        count = min(count, config.total_episodes - done)
+        config, done, iteration = self.config, len(self._buffer), self.progress.iteration
         variance = annealed_variance(config.noise_variance, done, config.noise_last_episode)
-        noise = OrnsteinUhlenbeck(count, self._low.size, config.noise_correlation, variance, self._noise)
-        model = None if first else export_model(self.averaged_model)
-        seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, self.progress.iteration)
-        agent = VectorAgent(model, config.planner, self._low, self._high, count, noise, seed)
-        episodes = collect_episodes(self._envs(count, self._make_envs), agent, seed)
-        self._buffer.add(episodes)
-        self._buffer.check_windows(config.horizon)
-        write_replay(self.folder, self.progress.iteration, episodes)
+        noise = partial(
+            make_noise, config, variance=variance, low=self._low, high=self._high, generator=self._noise
+        )
+        if iteration == 0:
+            envs = partial(self._pool.get, make=self._make_envs)
+            episodes, failures = collect_first(config, envs, self._low, self._high, noise, self.seed)
+        else:
+            count = min(config.iteration_episodes, config.total_episodes - done)
+            seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, iteration)
+            agent = self._agent(count, seed, noise=noise(count, self._experience.calm))
+            episodes = collect_episodes(self._pool.get(count, self._make_envs), agent, seed)
+            failures = agent.failures
+        self._experience.add(iteration, episodes)
         costs = episode_costs(episodes)
         self._collected = {
             "train/cost": float(costs.mean()),
             "train/cost_sd": cost_spread(costs),
             "train/noise_variance": variance,
-            "train/planner_failures": float(agent.statistics.failures),
+            "train/planner_failures": float(failures),
         }
         self._loss_sums.zero_()
         self.progress.collected, self.progress.iteration_updates = True, 0
+
+    def _acting(self) -> ExportedModel:
+        """The model that acts, in the units of the environment."""
+        return self._experience.exported(export_model(self.averaged_model))
+
+    def _agent(self, count: int, seed: int, **choices: Any) -> VectorAgent:
+        planner = self._experience.planner
+        return VectorAgent(self._acting(), planner, self._low, self._high, count, seed=seed, **choices)
 
     def _note_eigenvalues(self) -> None:
         dynamics = self.averaged_model.dynamics
         self.eigenvalues.add(len(self._buffer), dynamics.mu.detach(), dynamics.omega.detach())
 
     def _planned_updates(self) -> int:
-        config = self.config
-        batch = config.chunks * (config.chunk_length - config.horizon)
-        epoch = max(1, self._buffer.windows(config.horizon, config.window_stride) // batch)
-        if self.progress.iteration == 0:
-            return config.first_epochs * epoch
-        return min(config.iteration_epochs * epoch, config.iteration_updates)
-
-    def _step_size(self) -> float:
-        """Factor on the learning rates: 1 in the first iteration, `final_learning_rate` in the last."""
-        config = self.config
-        later = max(1, config.total_episodes - config.first_episodes)
-        done = max(0, len(self._buffer) - config.first_episodes) / later
-        return 1.0 - done * (1.0 - config.final_learning_rate)
+        windows = self._buffer.windows(self.config.horizon, self.config.window_stride)
+        return planned_updates(self.config, self.progress.iteration, windows)
 
     def _update(self, planned: int) -> None:
         config = self.config
         batch = self._buffer.sample(
             config.chunks, config.chunk_length, config.horizon, self._sampling, config.window_stride
         )
-        losses = self._learner.update(batch, self._step_size())
+        losses = self._learner.update(batch, step_size(config, len(self._buffer)))
         self.progress.iteration_updates += 1
         self.progress.updates += 1
         # The means are over the last updates of the iteration, at most as many as a later iteration makes.
@@ -232,6 +230,7 @@ class Trainer:
         growth = float(self.averaged_model.dynamics.mu.detach().max())
         means = (self._loss_sums / min(planned, config.iteration_updates)).tolist()
         losses = dict(zip((f"loss/{name}" for name in LOSS_NAMES), means, strict=True))
+        losses |= {n: v * self._experience.cost_unit**2 for n, v in losses.items() if "/cost_" in n}
         final = len(self._buffer) >= config.total_episodes
         count = config.final_evaluation_episodes if final else config.evaluation_episodes
         if config.keep == "best" and final:
@@ -255,15 +254,12 @@ class Trainer:
         self.metrics.add(
             {
                 "episodes": len(self._buffer),
-                "steps": self._buffer.steps,
+                "steps": self._experience.steps,
                 "updates": self.progress.updates,
                 **self._collected,
                 **losses,
                 "model/largest_growth_rate": growth,
-                "evaluation/cost": float(costs.mean()),
-                "evaluation/cost_sd": cost_spread(costs),
-                "evaluation/cost_median": float(np.median(costs)),
-                "evaluation/episodes": count,
+                **evaluation_metrics(costs, count),
                 "evaluation/planner_failures": failures,
                 **kept,
                 **planner,
@@ -275,10 +271,8 @@ class Trainer:
     def _evaluate(self, count: int, purpose: Purpose) -> tuple[VectorAgent, list[Episode]]:
         """Noise-free episodes of the averaged model, from start states that are the purpose's own."""
         start = derive_seed(self.seed, purpose)
-        model = export_model(self.averaged_model)
-        config = self.config
-        agent = VectorAgent(model, config.planner, self._low, self._high, count, seed=start, diagnostics=True)
-        envs = self._envs(count, self._make_evaluation_envs)
+        agent = self._agent(count, start, diagnostics=True)
+        envs = self._pool.get(count, self._make_evaluation_envs)
         return agent, collect_episodes(envs, agent, start, record=False)
 
     def _save(self, started: float) -> None:
@@ -297,11 +291,12 @@ class Trainer:
                 "metrics": self.metrics.rows,
                 "eigenvalues": self.eigenvalues.rows,
                 "kept": self._kept.state_dict(),
+                **self._experience.state_dict(),
             },
         )
 
     def _restore(self, state: dict[str, Any]) -> tuple[list[Row], list[Row]]:
-        defaults = asdict(type(self.config)())
+        defaults = asdict(type(self.config)()) | OLDER_SETTINGS
         check_settings(self.folder / CHECKPOINT_FILE, state, asdict(self.config), self.seed, defaults)
         self._learner.load_state_dict(state)
         self._sampling.set_state(state["sampling"])
@@ -309,22 +304,42 @@ class Trainer:
         self._kept = KeptWeights(**state.get("kept", {}))
         self.progress = Progress(**state["progress"])
         collected = self.progress.iteration + self.progress.collected
-        self._buffer.add(read_replay(self.folder, collected))
+        self._experience.restore(state, collected)
         self._collected = state["collected"]
         self._loss_sums = state["loss_sums"].to(self.config.device)
         return state["metrics"], state.get("eigenvalues", [])
 
-    def _export(self) -> None:
+    def _compare(self) -> dict[str, str]:
+        return compare_run(
+            lambda: trained_deepkoco(
+                self.config,
+                self._acting(),
+                self._experience.planner,
+                self._experience.first(),
+                self.metrics.rows,
+                self._low,
+                self._high,
+                self.seed,
+            ),
+            partial(self._pool.get, make=self._make_evaluation_envs),
+            self.config.final_evaluation_episodes,
+            self.config.reference_episodes,
+            self.seed,
+            self.folder,
+        )
+
+    def _export(self, comparison: dict[str, str]) -> None:
         training = {
             "seed": self.seed,
             "episodes": len(self._buffer),
             "updates": self.progress.updates,
             **({"kept_episodes": self._kept.episodes} if self._kept.weights else {}),
+            **comparison,
             "package": f"deepkoco {__version__}",
         }
         controller = StoredController(
-            export_model(self.averaged_model),
-            self.config.planner,
+            self._acting(),
+            self._experience.planner,
             self._low,
             self._high,
             self._task,

@@ -25,6 +25,7 @@ def show_run(args: argparse.Namespace) -> int:
     Raises:
         InputError: The run cannot be used, or the page exists.
     """
+    from deepkoco.agent.checkpoint import CheckpointError
     from deepkoco.agent.collection import SpaceError
     from deepkoco.analysis.measures.collect import ModelMismatchError
     from deepkoco.analysis.measures.comparison import ReferenceCostError, read_reference
@@ -40,7 +41,7 @@ def show_run(args: argparse.Namespace) -> int:
         raise InputError(f"--out {out}: give a name that ends in .html")
     known = (
         RunFolderError, ReferenceCostError, PageExistsError, TaskError, SpaceError, ModelMismatchError,
-        ModesError, FilmError,
+        ModesError, FilmError, CheckpointError,
     )  # fmt: skip
     try:
         check_free(out)

@@ -11,6 +11,10 @@ from deepkoco.koopman.model.cost import quadratic_cost
 from deepkoco.koopman.model.model import KoopmanModel
 from deepkoco.koopman.model.rollout import Rollout, frozen_rollout
 
+MEAN_COST = 6.0
+"""Mean cost of a step in the units of learning. The initial biases and the weights of the losses were chosen on the
+swing-up, whose random episodes cost that."""
+
 
 @dataclass
 class ChunkBatch:
@@ -68,6 +72,7 @@ def chunk_losses(
     horizon: int,
     cost_weight: float,
     rollout: Rollout = frozen_rollout,
+    relative_above: float = 0.0,
 ) -> Losses:
     r"""Losses of all windows of a batch of chunks, each step encoded once.
 
@@ -84,6 +89,8 @@ def chunk_losses(
         horizon: T, predicted steps per window.
         cost_weight: alpha_1.
         rollout: One of `deepkoco.koopman.model.rollout.ROLLOUTS`.
+        relative_above: Share e of `MEAN_COST` from which on errors count relative to the cost: they are weighed by
+            (e + 1) m / (e m + c), which is 1 at the mean cost m. 0: all errors weigh the same, as published.
 
     Returns:
         The losses, averaged over the valid windows, time and components.
@@ -106,11 +113,12 @@ def chunk_losses(
     costs = batch.costs[:, 1:].unfold(1, horizon, 1).flatten(0, 1)  # (W, T)
     weight = model.config.action_weight
     predicted_costs = quadratic_cost(predicted.factors, predicted.latents, actions[:, 1:], weight)
-    prediction = ((costs - predicted_costs).square().mean(1) * weights).sum()
+    prediction, weighed_prediction = _cost_errors(costs, predicted_costs, weights, relative_above)
 
     first = quadratic_cost(factors, start.unsqueeze(1), actions[:, :1], weight)
-    reconstruction = ((batch.costs[:, :windows].flatten() - first.squeeze(1)).square() * weights).sum()
-    total = linear + cost_weight * (reconstruction + prediction)
+    present = batch.costs[:, :windows].reshape(-1, 1)
+    reconstruction, weighed_reconstruction = _cost_errors(present, first, weights, relative_above)
+    total = linear + cost_weight * (weighed_reconstruction + weighed_prediction)
     inverse = torch.zeros_like(linear)
     if predicted.inverse is not None:
         inverse = (predicted.inverse * weights).sum()
@@ -123,3 +131,16 @@ def chunk_losses(
         latent_scale=latents.detach().square().mean().sqrt(),
         inverse=inverse.detach(),
     )
+
+
+def _cost_errors(
+    costs: Tensor, predicted: Tensor, weights: Tensor, relative_above: float
+) -> tuple[Tensor, Tensor]:
+    """Mean squared error of costs (W, T) over time and windows: plain, and as it is minimised."""
+    squares = (costs - predicted).square()
+    plain = (squares.mean(1) * weights).sum()
+    if not relative_above:
+        return plain, plain
+    least = relative_above * MEAN_COST
+    weighed = squares * ((least + MEAN_COST) / (least + costs.clamp(min=0.0)))
+    return plain, (weighed.mean(1) * weights).sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import files
@@ -9,6 +10,7 @@ from typing import NamedTuple
 
 import matplotlib
 import pandas as pd
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 
@@ -35,3 +37,12 @@ def house_style() -> Iterator[None]:
     """The project's style for all figures made inside."""
     with matplotlib.rc_context(fname=str(files("deepkoco.output").joinpath("figures.mplstyle"))):
         yield
+
+
+def as_png(figure: Figure) -> bytes:
+    """A figure as PNG; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    with house_style():  # constrained layout is worked out when drawn
+        figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    return buffer.getvalue()

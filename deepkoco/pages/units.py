@@ -51,6 +51,14 @@ def telling_digits(low: float, high: float, least: int = 4, most: int = 9) -> in
     return min(max(least, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width))), most)
 
 
+def rounded(value: float) -> str:
+    """A number with three digits or all before the point, and never a power of ten between 0.001 and a million."""
+    if value != 0.0 and not 1e-3 <= abs(value) < 1e6:
+        return f"{value:.2e}"
+    digits = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2 if abs(value) >= 1 else 3
+    return f"{value:.{digits}f}"
+
+
 def _scale(largest: float, unit: str) -> tuple[float, str]:
     if unit == "kg" and 0.0 < largest < 0.1:
         return 1e-3, "g"

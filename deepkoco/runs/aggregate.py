@@ -13,6 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
+from deepkoco.agent.references.files import read_comparison
 from deepkoco.analysis.page.sweep_page import FEW, PAGE, write_sweep_page
 from deepkoco.output.new_folder import new_folder
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
@@ -103,7 +104,8 @@ def read_runs(folder: Path) -> pd.DataFrame:
         folder: Searched at any depth.
 
     Returns:
-        All rows with the added columns `condition` (see `conditions`), `seed` and `run`.
+        All rows with the added columns `condition` (see `conditions`), `seed`, `run` and `not_better_than`: names of
+        the references that the trained controller does not beat, "none", or "" where they were not measured.
 
     Raises:
         ExperimentError: There is no finished run, or two of one group have the same seed.
@@ -111,26 +113,20 @@ def read_runs(folder: Path) -> pd.DataFrame:
     configs = {run: load_run_config(run) for run in finished_runs(folder)}
     labels = conditions(configs)
     frames = [
-        pd.read_csv(run / "metrics.csv").assign(condition=labels[run], seed=config.seed, run=str(run))
+        pd.read_csv(run / "metrics.csv").assign(
+            condition=labels[run], seed=config.seed, run=str(run), not_better_than=_not_better_than(run)
+        )
         for run, config in configs.items()
     ]
     return pd.concat(frames, ignore_index=True)
 
 
-def mean_with_band(values: np.ndarray) -> tuple[float, float, float]:
-    """Mean over seeds and its 95 % interval by Student's t.
-
-    Args:
-        values: One value per seed (n,).
-
-    Returns:
-        Mean, lower and upper limit; the limits are NaN for a single seed.
-    """
-    mean = float(values.mean())
-    if values.size < 2:
-        return mean, float("nan"), float("nan")
-    half = float(stats.t.ppf(0.975, values.size - 1) * values.std(ddof=1) / values.size**0.5)
-    return mean, mean - half, mean + half
+def _not_better_than(run: Path) -> str:
+    comparison = read_comparison(run)
+    if comparison is None:
+        return ""
+    names = [reference.name for reference in comparison.references if reference.verdict != "better"]
+    return ", ".join(names) or "none"
 
 
 def interquartile_mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -201,7 +197,7 @@ def final_table(final: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         Columns condition, n, iqm, low, high, mean, median, best, worst, interval: what low and high are, as
-        `kind_of_interval` says.
+        `kind_of_interval` says; not_better: runs that do not beat each of their references, of those that compared.
     """
     rows = []
     for condition, group in final.groupby("condition", sort=True):
@@ -209,8 +205,22 @@ def final_table(final: pd.DataFrame) -> pd.DataFrame:
         low, high = bootstrap_interval(costs)
         middle = float(interquartile_mean(costs))
         spread = (costs.mean(), np.median(costs), costs.min(), costs.max())
-        rows.append((condition, costs.size, middle, low, high, *spread, kind_of_interval(costs.size)))
-    names = ["condition", "n", "iqm", "low", "high", "mean", "median", "best", "worst", "interval"]
+        compared = group.loc[group["not_better_than"] != "", "not_better_than"]
+        count = f"{(compared != 'none').sum()} of {len(compared)}" if len(compared) else "-"
+        rows.append((condition, costs.size, middle, low, high, *spread, kind_of_interval(costs.size), count))
+    names = [
+        "condition",
+        "n",
+        "iqm",
+        "low",
+        "high",
+        "mean",
+        "median",
+        "best",
+        "worst",
+        "interval",
+        "not_better",
+    ]
     return pd.DataFrame(rows, columns=names)  # pyright: ignore[reportArgumentType]
 
 
@@ -282,7 +292,7 @@ def write_aggregate(runs: Path, out: Path) -> pd.DataFrame:
     kept = ["episodes", "updates", "evaluation/cost", "evaluation/cost_sd", "evaluation/cost_median"]
     out.mkdir(parents=True, exist_ok=True)
     curves.to_csv(out / "curves.csv", index=False, float_format="%.6g")
-    final[["condition", "seed", *kept, "evaluation/episodes", "seconds"]].to_csv(
+    final[["condition", "seed", *kept, "evaluation/episodes", "not_better_than", "seconds"]].to_csv(
         out / "final.csv", index=False, float_format="%.6g"
     )
     final_table(final).to_csv(out / "table.csv", index=False, float_format="%.6g")
@@ -309,6 +319,8 @@ def summarise(runs: Path, out: Path | None) -> str:
         table.to_string(index=False, float_format="%.1f"),
         "Cost of noise-free episodes; iqm is the interquartile mean over seeds.",
     ]
+    if set(table["not_better"]) != {"-"}:
+        lines.append("not_better: runs that do not beat zero action, random episodes and EDMDc + planner.")
     kinds = {kind_of_interval(n) for n in table["n"].tolist()}
     if "95 %" in kinds:
         lines.append("interval 95 %: low and high are the 95 % bootstrap interval of iqm.")

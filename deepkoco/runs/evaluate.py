@@ -13,6 +13,7 @@ import torch
 from gymnasium.vector import VectorEnv
 
 from deepkoco.agent.collection import collect_episodes, cost_spread, episode_costs
+from deepkoco.agent.references.files import read_comparison
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.envs.task_files import find_files
 from deepkoco.envs.tasks.swing_up import SwingUp
@@ -78,9 +79,11 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
 
     Returns:
         Number of episodes, mean, spread and median of their cost, share of those that end upright (None where the
-        task is no swing-up), and how far the mean is from the optimum of the same start states, where that is known.
+        task is no swing-up), how far the mean is from the optimum of the same start states, where that is known, and
+        what the end of the training said of zero action, random episodes and EDMDc (None where it did not compare).
     """
     measured = run_episodes(config)
+    comparison = read_comparison(Path(config.run))
     costs, spread = measured.costs, cost_spread(measured.costs)
     return {
         "run": str(Path(config.run)),
@@ -92,6 +95,7 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
         "upright": float((measured.ends <= config.upright_cost).mean()) if measured.swing_up else None,
         "planner_failures": measured.failures,
         **_against_optimum(config, costs),
+        "after_training": None if comparison is None else comparison.line,
     }
 
 
@@ -172,3 +176,5 @@ def evaluate(config: EvaluateConfig) -> None:
             f"(sd {result['sd']:.1f}, median {result['median']:.1f}{optimum}), "
             f"{_upright(result['upright'])}{config.episodes} noise-free episodes"
         )
+        if result["after_training"] is not None:
+            print(f"{config.run}: at the end of its training, {result['after_training']}")

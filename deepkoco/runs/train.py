@@ -10,9 +10,13 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
 from yaml import YAMLError
 
+from deepkoco.agent.config import OLDER_SETTINGS
+from deepkoco.agent.references.files import read_comparison
 from deepkoco.agent.standing import Standing
 from deepkoco.agent.training import CHECKPOINT_FILE, MODEL_FOLDER
 from deepkoco.envs.task_files import find_files, keep_copies, with_absolute_paths
@@ -48,7 +52,8 @@ def load_run_config(folder: Path) -> TrainRunConfig:
         # Runs from before there was a choice do not name their agent.
         name = OmegaConf.select(stored, "agent.name", default="deepkoco")
         schema = OmegaConf.structured(TrainRunConfig(agent=settings_class(name)()))
-        config = OmegaConf.to_object(OmegaConf.merge(schema, stored))
+        older = {"agent": OLDER_SETTINGS} if name == "deepkoco" else {}
+        config = OmegaConf.to_object(OmegaConf.merge(schema, older, stored))
     except (OmegaConfBaseException, YAMLError, OSError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split()).removeprefix(f"{path}: ")
         raise ExperimentError(f"{path}: not the settings of a run this release reads: {reason}") from error
@@ -209,3 +214,15 @@ def _train(config: TrainRunConfig, folder: Path) -> None:
         f"{last['updates']:.0f} updates, {last['seconds']:.0f} s",
         flush=True,
     )
+    _say_comparison(folder)
+
+
+def _say_comparison(folder: Path) -> None:
+    """The last line of a training: what it was worth, in bold and red on a terminal where it is not better."""
+    comparison = read_comparison(folder)
+    if comparison is None:
+        return
+    style = "bold red" if comparison.needs_advice else "bold green"
+    line = Text(f"{folder}: {comparison.line}", style=style)
+    Console(file=sys.stdout, soft_wrap=True).print(line)
+    sys.stdout.flush()

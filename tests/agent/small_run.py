@@ -31,6 +31,8 @@ def small_config() -> TrainingConfig:
         evaluation_episodes=2,
         final_evaluation_episodes=3,
         checkpoint_updates=50,
+        scale=False,  # what is learned can then be compared with what is exported
+        relative_cost=0.0,
     )
 
 

@@ -40,6 +40,7 @@ def test_each_environment_gives_exactly_its_first_episode(mode):
             assert episode.observations[:, 1].tolist() == list(range(length))
             assert (episode.observations[:, 0] == length).all()
             assert episode.costs.tolist() == list(range(1, length + 1))
+            assert episode.final.tolist() == [length, length]  # shown by the step that ended it
         assert episode_costs(episodes).tolist() == [6.0, 28.0, 15.0, 28.0]
 
 
@@ -51,6 +52,7 @@ def test_recorded_actions_are_those_that_were_applied():
     agent = VectorAgent(None, PlannerConfig(), np.array([-2.0]), np.array([2.0]), 2)
     episodes = collect_episodes(envs, agent, seed=1)
     assert [len(e.costs) for e in episodes] == [200, 200]
+    assert [e.final for e in episodes] == [None, None]  # their time ended, not the task
     np.testing.assert_array_equal(np.stack(recorded)[:, 0], episodes[0].actions)
 
 

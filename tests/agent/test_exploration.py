@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
+from deepkoco.agent.exploration import OrnsteinUhlenbeck, action_units, annealed_variance
 
 
 def test_each_step_keeps_a_share_and_adds_scaled_normal_noise():
@@ -43,3 +43,17 @@ def test_without_variance_nothing_moves():
 @pytest.mark.parametrize(("episodes", "expected"), [(0, 0.85), (200, 0.425), (400, 0.0), (900, 0.0)])
 def test_variance_falls_linearly_to_zero(episodes, expected):
     assert annealed_variance(0.85, episodes, 400) == pytest.approx(expected)
+
+
+def test_noise_is_in_quarters_of_the_range_and_calmer_from_environment_to_environment():
+    low, high = torch.tensor([-10.0, -2.0]).double(), torch.tensor([10.0, 2.0]).double()
+    noises = [
+        OrnsteinUhlenbeck(
+            3, 2, 0.85, 0.81, torch.Generator().manual_seed(5), action_units(name, low, high), floor
+        )
+        for name, floor in (("action", 1.0), ("range", 0.01))
+    ]
+    plain, scaled = (noise.step() for noise in noises)
+    # Quarters of the ranges are 5 and 1; levels 1, 0.1 and 0.01.
+    factors = torch.tensor([[5.0, 1.0], [0.5, 0.1], [0.05, 0.01]]).double()
+    torch.testing.assert_close(scaled, plain * factors)

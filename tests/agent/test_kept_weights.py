@@ -81,7 +81,12 @@ def test_steps_fall_linearly_to_their_final_share(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Learner, "update", noted)
     config = replace(
-        small_config(), first_epochs=1, total_episodes=14, final_learning_rate=0.2, evaluation_episodes=0
+        small_config(),
+        first_epochs=1,
+        total_episodes=14,
+        final_learning_rate=0.2,
+        evaluation_episodes=0,
+        keep="last",
     )
     Trainer(make_envs, config, SEED, tmp_path).run()
     factors = [1.0] * 12 + [0.6] * 20 + [0.2] * 20  # 6, 10 and 14 episodes

@@ -25,6 +25,7 @@ VARIANTS = {
     "separate windows": {"window_stride": 6, "chunk_length": 6, "chunks": 20},
     "discounted costs": {"cost_discount": 0.9},
     "smaller steps, best weights": {"final_learning_rate": 0.1, "keep": "best"},
+    "units of the task, planned first episodes": {"scale": True, "relative_cost": 0.05, "warm_start": 0.7},
 }
 
 

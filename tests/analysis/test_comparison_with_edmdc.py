@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from deepkoco.analysis.measures.comparison import (
-    COMPONENTS,
     ReferenceCostError,
-    ScaledRadialBasis,
     draw_comparison,
     episode_cost,
     fit_comparison,
@@ -22,24 +20,6 @@ def test_edmdc_finds_a_linear_system(exact):
     spread = np.abs(rollout.encoded[..., :4]).max()
     # The first entries of the lifted observation are the observation itself.
     assert np.abs(rollout.latents - rollout.encoded)[..., :4].max() < 0.02 * spread
-
-
-def test_the_unit_of_an_entry_does_not_change_the_features():
-    generator = np.random.default_rng(0)
-    observations = generator.normal(size=(50, 3))
-    scales = np.array([1.0, 1000.0, 0.01])
-    one = ScaledRadialBasis(observations, 5, np.random.default_rng(1))
-    other = ScaledRadialBasis(observations * scales, 5, np.random.default_rng(1))
-    np.testing.assert_allclose(one(observations), other(observations * scales), rtol=1e-9, atol=1e-12)
-
-
-def test_many_entries_are_reduced_to_their_leading_components():
-    generator = np.random.default_rng(0)
-    observations = generator.normal(size=(300, 60)) @ generator.normal(size=(60, 60))
-    basis = ScaledRadialBasis(observations, 5, generator)
-    assert basis.size == COMPONENTS + 5
-    assert basis.observation_size == 60
-    assert basis(observations).shape == (300, COMPONENTS + 5)
 
 
 def test_reference_costs_are_read_and_shown(tmp_path):

@@ -1,5 +1,7 @@
 """The replay of transitions against a plain list of them."""
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from hypothesis import given, settings
@@ -115,3 +117,19 @@ def test_every_transition_is_equally_likely():
     counts = torch.bincount(drawn.long(), minlength=5)
     # The standard deviation of a count is 28.
     assert (counts - 1000).abs().max() < 120
+
+
+@settings(max_examples=25, deadline=None)
+@given(rounds, st.integers(0, 99))
+def test_transitions_are_put_together_to_their_episodes(rounds, seed):
+    replay = Replay((2,), 2)
+    expected = fill(replay, (2,), rounds, seed)
+    episodes = replay.episodes(len(replay))
+    assert [len(r) for _, _, r in episodes] == [length for lengths in rounds for length in lengths]
+    following = {tuple(o): tuple(after) for o, _, _, _, after in expected}
+    for observations, _, _ in episodes:
+        rows = [tuple(row) for row in observations.numpy()]
+        assert all(following[one] == other for one, other in pairwise(rows))
+    cut = replay.episodes(1)
+    assert len(cut) == 1
+    assert cut[0][2].shape == (1,)

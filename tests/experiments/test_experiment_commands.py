@@ -11,8 +11,9 @@ import pytest
 import yaml
 
 from deepkoco.agent.collection import SpaceError
+from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.cli.command_line import main
-from deepkoco.runs.aggregate import aggregate, learning_curves, mean_with_band, read_runs
+from deepkoco.runs.aggregate import aggregate, learning_curves, read_runs
 from deepkoco.runs.environments import make_factory
 from deepkoco.runs.settings import ExperimentError, TaskConfig
 from experiments.benchmarks.planner_benchmark import (
@@ -43,7 +44,8 @@ def run(tmp_path_factory, small) -> Path:
 def test_a_run_leaves_settings_metrics_events_checkpoint_and_model(run):
     names = {path.name for path in run.iterdir()}
     assert names == {
-        *("config.yaml", "metrics.csv", "eigenvalues.csv", "tensorboard", "checkpoint.pt", "replay", "model")
+        *("config.yaml", "metrics.csv", "eigenvalues.csv", "tensorboard", "checkpoint.pt", "replay", "model"),
+        *("references.csv", "references.json", "references.png"),
     }
     stored = yaml.safe_load((run / "config.yaml").read_text())
     assert stored["seed"] == 3

@@ -150,3 +150,25 @@ def test_stopped_gradients_by_hand():
     assert (no_c[0, 0].item(), no_c[0, 1].item()) == pytest.approx((-76.5, -121.5))
     # psi itself is trained all the same: dL/dV11 = -51 * s_1 * w11 = -51
     assert gradients(("C",))["cost_factor.network.layers.0.weight"][0, 0].item() == pytest.approx(-51.0)
+
+
+def test_errors_relative_to_the_cost_by_hand():
+    # As in the sum of squares above with two rows: errors 3 - 1 = 2 at cost 3 and 4 - 2.5 = 1.5 at cost 4. With
+    # e = 0.5 and m = 6 they weigh (3 + 6) / (3 + 3) = 1.5 and 9 / (3 + 4): at the mean cost the weight is 1.
+    model = KoopmanModel(1, 1, ModelConfig(1, 0.05, (), (), cost_rank=2, action_weight=0.5))
+    model.encoder.load_state_dict(identity_model().encoder.state_dict())
+    with torch.no_grad():
+        model.dynamics.omega.zero_()
+        model.cost_factor.network.linears[0].weight.zero_()
+        model.cost_factor.network.linears[0].bias.copy_(torch.tensor([1.0, 0.0, 0.0, 1.0]))
+    batch = ChunkBatch(
+        torch.tensor([[[1.0], [1.0]]]),
+        torch.tensor([[[0.0], [1.0]]]),
+        torch.tensor([[3.0, 4.0]]),
+        torch.ones(1, 1),
+    )
+    losses = chunk_losses(model, batch, horizon=1, cost_weight=1.0, relative_above=0.5)
+    assert losses.cost_reconstruction.item() == pytest.approx(4.0)  # logged as it is
+    assert losses.cost_prediction.item() == pytest.approx(2.25)
+    weighed = losses.total.item() - losses.linear.item()
+    assert weighed == pytest.approx(4.0 * 1.5 + 2.25 * 9.0 / 7.0)

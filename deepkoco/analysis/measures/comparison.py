@@ -10,66 +10,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.measures.steps import Steps
 from deepkoco.koopman.latent_model import Array
-from deepkoco.koopman.lifting.edmdc import fit_edmdc, fit_lifted_cost
+from deepkoco.koopman.lifting.episode_fit import fit_to_episodes
 from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
-from deepkoco.koopman.lifting.lifting import RadialBasis
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import Picture
-
-CENTRES = 20
-COMPONENTS = 24
-MOST_EPISODES = 150
-COST_STEPS = 4000
-RIDGE = 1e-3
 
 
 class ReferenceCostError(ValueError):
     """A file of reference costs cannot be used."""
-
-
-class ScaledRadialBasis:
-    """Standardised observations and thin-plate functions of them; a `Lifting`.
-
-    Without scaling, the entry with the largest unit would decide every distance. Of observations with many entries
-    the leading principal components are taken, for the cost is fitted to all products of two lifted entries.
-    """
-
-    window = 1
-
-    def __init__(self, observations: Array, centres: int, generator: np.random.Generator) -> None:
-        """Take centres from the data.
-
-        Args:
-            observations: (K, N).
-            centres: How many.
-            generator: Of their draw.
-        """
-        self._mean, spread = observations.mean(0), observations.std(0)
-        scale = np.where(spread > 0, spread, 1.0)
-        self._directions = np.diag(1.0 / scale)  # (N, entries)
-        if len(scale) > COMPONENTS:
-            _, vectors = np.linalg.eigh(np.cov((observations - self._mean) / scale, rowvar=False))
-            self._directions = self._directions @ vectors[:, ::-1][:, :COMPONENTS]
-        chosen = observations[
-            generator.choice(len(observations), min(centres, len(observations)), replace=False)
-        ]
-        self._basis = RadialBasis((chosen - self._mean) @ self._directions)
-
-    @property
-    def observation_size(self) -> int:
-        """N."""
-        return self._mean.size
-
-    @property
-    def size(self) -> int:
-        """Entries of the lifted observation."""
-        return self._basis.size
-
-    def __call__(self, stacked: Array) -> Array:
-        """Lift (..., N)."""
-        return self._basis((stacked - self._mean) @ self._directions)
 
 
 def fit_comparison(
@@ -86,14 +36,10 @@ def fit_comparison(
     Returns:
         The model, ready for the planner.
     """
-    lifting = ScaledRadialBasis(steps.observations, CENTRES, generator)
-    cuts = steps.starts[1:]
-    episodes = [np.split(array, cuts)[:MOST_EPISODES] for array in (steps.observations, steps.actions)]
-    chosen = steps.sample(COST_STEPS, generator)
-    cost = fit_lifted_cost(
-        [steps.observations[chosen]], [steps.actions[chosen]], [steps.costs[chosen]], lifting, action_weight
+    observations, actions, costs = (
+        np.split(array, steps.starts[1:]) for array in (steps.observations, steps.actions, steps.costs)
     )
-    return fit_edmdc(episodes[0], episodes[1], lifting, cost, time_step, RIDGE)
+    return fit_to_episodes(observations, actions, costs, time_step, action_weight, generator)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.measures.modes import Modes
 from deepkoco.analysis.measures.steps import Steps
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import Picture
 
 

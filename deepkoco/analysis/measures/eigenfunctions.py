@@ -8,11 +8,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import MAGNITUDE, PHASE
 from deepkoco.analysis.measures.contribution import Contribution
 from deepkoco.analysis.measures.modes import ComplexArray, Modes
 from deepkoco.analysis.measures.points import Points, paint
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.output.colours import MAGNITUDE, PHASE
 from deepkoco.output.picture import Picture
 
 SHOWN_PAIRS = 3

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from scipy.optimize import isotonic_regression
 
-from deepkoco.analysis.colours import SIGNED
 from deepkoco.analysis.measures.contribution import Contribution
 from deepkoco.analysis.measures.modes import Modes
 from deepkoco.koopman.latent_model import Array
+from deepkoco.output.colours import SIGNED
 from deepkoco.output.picture import Picture
 
 NUMBERED = 12

@@ -10,9 +10,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.measures.rollout import Rollout
 from deepkoco.koopman.latent_model import Array
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import Picture
 
 

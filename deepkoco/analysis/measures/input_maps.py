@@ -9,9 +9,9 @@ import pandas as pd
 from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import MAGNITUDE, SIGNED
 from deepkoco.analysis.measures.points import Points, paint
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.output.colours import MAGNITUDE, SIGNED
 from deepkoco.output.picture import Picture
 
 

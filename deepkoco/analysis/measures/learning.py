@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import COLOURS
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import Picture
 
 LOSSES = {

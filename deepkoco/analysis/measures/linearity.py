@@ -8,9 +8,9 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from deepkoco.analysis.colours import COLOURS, MAGNITUDE
 from deepkoco.analysis.measures.rollout import Rollout
 from deepkoco.koopman.latent_model import Array
+from deepkoco.output.colours import COLOURS, MAGNITUDE
 from deepkoco.output.picture import Picture
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.measures.steps import Steps
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import Picture
 from deepkoco.planning import Planner, make_planner
 from deepkoco.planning.config import PlannerConfig

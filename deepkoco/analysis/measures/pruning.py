@@ -10,11 +10,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.measures.modes import Modes
 from deepkoco.analysis.measures.rollout import Rollout
 from deepkoco.analysis.measures.wrapped_model import WrappedModel
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import Picture
 
 

@@ -9,9 +9,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.measures.inputs import Inputs
 from deepkoco.koopman.latent_model import Array, LatentModel
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import Picture
 
 STEP = 1e-3  # of the spread of an input

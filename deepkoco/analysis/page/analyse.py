@@ -12,6 +12,8 @@ from gymnasium.vector import VectorEnv
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.collection import episode_costs
 from deepkoco.agent.eigenvalue_history import EIGENVALUE_FILE
+from deepkoco.agent.references.files import read_comparison
+from deepkoco.agent.references.picture import draw_references
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.analysis.measures.collect import (
     as_steps,
@@ -112,7 +114,7 @@ class _Analysis:
 
 
 ORDER = (
-    "comparison", "planned_cost", "error_by_horizon", "eigenvalues", "eigenvalue_history", "contribution",
+    "references", "comparison", "planned_cost", "error_by_horizon", "eigenvalues", "eigenvalue_history", "contribution",
     "pruning", "sensitivity", "saliency", "eigenfunctions", "input_maps", "linearity", "learning",
 )  # fmt: skip
 
@@ -155,6 +157,8 @@ def _analyse(work: _Analysis, reference: Mapping[str, EpisodeCost]) -> Page:
     first = steps.windows(horizon, options.windows, work.generator)
     rollout = roll_out(model, steps, first, horizon)
     work.add(draw_eigenvalues(modes, contribution), draw_contribution(contribution, modes))
+    if run.is_run and (measured := read_comparison(run.path)) is not None:
+        work.add(draw_references(measured))
     work.add(draw_history(run.path / EIGENVALUE_FILE), draw_learning(run.path / "metrics.csv"))
     if run.is_run and "eigenvalue_history" not in work.pictures:
         work.notes.append(f"The history of the eigenvalues: this run has no {EIGENVALUE_FILE}.")

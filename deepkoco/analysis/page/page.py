@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
@@ -12,13 +11,11 @@ from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from deepkoco.analysis.page.plan_film import PlanFilm
 from deepkoco.envs.film import write_clip
 from deepkoco.output.new_folder import check_writable, new_folder
-from deepkoco.output.picture import Picture, house_style
+from deepkoco.output.picture import Picture, as_png
 from deepkoco.output.whole_file import whole_file
 from deepkoco.pages.figures import show_both
 from deepkoco.pages.links import links_between
@@ -132,15 +129,6 @@ def write_page(page: Page, path: Path, made: date | None = None) -> None:
 def _clip(path: Path, frames: Sequence[np.ndarray], rate: float) -> str:
     write_clip(path, frames, rate)
     return base64.b64encode(path.read_bytes()).decode()
-
-
-def as_png(figure: Figure) -> bytes:
-    """A figure as PNG; the same figure gives the same bytes."""
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure)
-    with house_style():  # constrained layout is worked out when drawn
-        figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def _write_table(table: pd.DataFrame, path: Path) -> None:

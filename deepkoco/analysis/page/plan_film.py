@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.colours import COLOURS
 from deepkoco.analysis.measures.replays import FilmedEpisode, Future
+from deepkoco.output.colours import COLOURS
 from deepkoco.output.picture import house_style
 
 SHADOW_COLOUR = tuple(round(255 * c) for c in to_rgb(COLOURS["DeepKoCo"]))

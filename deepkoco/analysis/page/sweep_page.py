@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from deepkoco.analysis.page.words import rounded
 from deepkoco.output.picture import Picture, house_style
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.pages import Shown, render_page, show_both, software
 from deepkoco.pages.links import relative
+from deepkoco.pages.units import rounded
 
 # Told apart by people who do not see all colours, as in deepkoco.graph.drawing.style.
 COLOURS = (

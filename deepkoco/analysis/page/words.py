@@ -14,6 +14,7 @@ import deepkoco
 from deepkoco.analysis.measures.comparison import EpisodeCost
 from deepkoco.analysis.measures.horizon import HorizonErrors
 from deepkoco.analysis.run_folder import TrainedRun
+from deepkoco.pages.units import rounded
 
 
 def lead(run: TrainedRun, pairs: int) -> str:
@@ -106,11 +107,3 @@ def pages_around(run: TrainedRun) -> dict[str, Path]:
     """Pages that a run came from: the diagnosis behind the simulation that it was trained in."""
     model = run.settings.task.kwargs.get("model")
     return {"Diagnosis": Path(str(model)).parent / "report.html"} if model else {}
-
-
-def rounded(value: float) -> str:
-    """A number with three digits or all before the point, and never a power of ten between 0.001 and a million."""
-    if value != 0.0 and not 1e-3 <= abs(value) < 1e6:
-        return f"{value:.2e}"
-    digits = 0 if abs(value) >= 100 else 1 if abs(value) >= 10 else 2 if abs(value) >= 1 else 3
-    return f"{value:.{digits}f}"

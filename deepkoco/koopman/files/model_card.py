@@ -57,6 +57,7 @@ def model_card(config: dict[str, Any]) -> str:
         "largest action": config.get("action_high"),
         "training seed": training.get("seed"),
         "training episodes": training.get("episodes"),
+        "after training": training.get("comparison"),
         "written by": training.get("package"),
     }
     lines += [f"| {key} | {_cell(value)} |" for key, value in entries.items() if value is not None]

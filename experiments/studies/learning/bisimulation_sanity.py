@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from baselines.model_files import read_networks
 from baselines.policy import Observer
 from baselines.registry import BASELINES
+from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.envs.distractors.registry import PIXEL, make_distractors
@@ -34,7 +35,6 @@ from deepkoco.envs.frames import FrameMaker, PaintedFrames, find_painter
 from deepkoco.envs.pixels import FRAME_SIZE
 from deepkoco.output.new_folder import new_folder
 from deepkoco.output.whole_file import whole_file
-from deepkoco.runs.aggregate import mean_with_band
 from deepkoco.runs.environments import make_factory
 from deepkoco.runs.hydra_command import BAD_INPUT
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig

@@ -13,8 +13,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import pandas as pd
 
+from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.output.whole_file import whole_file
-from deepkoco.runs.aggregate import mean_with_band
 
 STYLE = str(files("deepkoco.output").joinpath("figures.mplstyle"))
 SAME = "trained at each intensity"

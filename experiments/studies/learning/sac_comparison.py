@@ -27,8 +27,8 @@ from gymnasium.vector import VectorEnv
 from baselines.config import BaselineConfigError, SacConfig
 from baselines.training import BaselineTrainer
 from deepkoco.agent.collection import collect_episodes, episode_costs
+from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.agent.seeding import Purpose, derive_seed
-from deepkoco.runs.aggregate import mean_with_band
 from deepkoco.runs.settings import ExperimentError
 from experiments.plumbing.provenance import provenance
 

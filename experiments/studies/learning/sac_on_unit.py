@@ -23,9 +23,9 @@ import pandas as pd
 import torch
 
 import deepkoco.envs  # noqa: F401 - registers the ids
+from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.output.whole_file import whole_file, write_whole_text
-from deepkoco.runs.aggregate import mean_with_band
 from deepkoco.runs.settings import ExperimentError
 from deepkoco.runs.unit_trials import UPRIGHT_ANGLE
 from deepkoco.unit import make_unit

@@ -1,0 +1,100 @@
+"""Everything a run has collected: on disk as it was recorded, in memory in the units that the model learns in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from deepkoco.agent.buffer import Episode, EpisodeBuffer
+from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.first_episodes import often_ended, random_count
+from deepkoco.agent.replay_files import read_replay, write_replay
+from deepkoco.agent.task_scale import TaskScale
+from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.planning.config import PlannerConfig
+
+
+class Experience:
+    """The buffer with its units, which the first episodes decide, and the files of the replay.
+
+    Attributes:
+        buffer: What is learned from.
+        scale: Its units; None for those of the environment.
+        steps: Steps of the environment.
+        calm: Whether exploration is to be calm in some environments; the first episodes decide.
+    """
+
+    def __init__(
+        self, folder: Path, config: TrainingConfig, recordings: int, low: Array, high: Array
+    ) -> None:
+        """Start empty.
+
+        Args:
+            folder: Of the run.
+            config: Hyper-parameters.
+            recordings: d, recordings that an observation is made of.
+            low: a_min (M,).
+            high: a_max (M,).
+        """
+        self._folder, self._config, self._limits = folder, config, (low, high)
+        self.buffer = EpisodeBuffer(recordings, config.cost_discount)
+        self.scale: TaskScale | None = None
+        self.steps = 0
+        self.calm = False
+
+    @property
+    def cost_unit(self) -> float:
+        """Cost of a step that counts as 1 in the buffer."""
+        return 1.0 if self.scale is None else self.scale.cost
+
+    def add(self, iteration: int, episodes: list[Episode]) -> None:
+        """Take in the episodes of an iteration and write them to their file.
+
+        Args:
+            iteration: Its number; the first one decides the units.
+            episodes: As they were recorded.
+
+        Raises:
+            ReplayError: No episode is as long as a training window.
+        """
+        if iteration == 0 and self._config.scale:
+            self.scale = TaskScale.of(episodes, *self._limits)
+        self._take(episodes)
+        self.buffer.check_windows(self._config.horizon)
+        write_replay(self._folder, iteration, episodes)
+
+    def first(self) -> list[Episode]:
+        """The episodes of the first iteration as they were recorded."""
+        return read_replay(self._folder, 1)
+
+    def exported(self, model: ExportedModel) -> ExportedModel:
+        """A model that learned from the buffer, for observations and costs as they are."""
+        return model if self.scale is None else self.scale.fold(model)
+
+    @property
+    def planner(self) -> PlannerConfig:
+        """Settings of the planner for actions and costs as they are."""
+        return self._config.planner if self.scale is None else self.scale.planner(self._config.planner)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint needs beside the files of the replay."""
+        return {"scale": None if self.scale is None else self.scale.state_dict()}
+
+    def restore(self, state: dict[str, Any], iterations: int) -> None:
+        """Read the files of a run that goes on.
+
+        Args:
+            state: Of `state_dict`, or that of an earlier release, which had no units of its own.
+            iterations: How many have been collected.
+        """
+        if state.get("scale") is not None:
+            self.scale = TaskScale.from_state(state["scale"])
+        self._take(read_replay(self._folder, iterations))
+
+    def _take(self, episodes: list[Episode]) -> None:
+        if not self.steps:
+            self.calm = often_ended(episodes[: random_count(self._config)])
+        self.steps += sum(episode.costs.numel() for episode in episodes)
+        if self.scale is not None:
+            episodes = [self.scale.apply(episode, self._config.horizon) for episode in episodes]
+        self.buffer.add(episodes)

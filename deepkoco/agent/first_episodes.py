@@ -1,0 +1,161 @@
+"""The episodes of the first iteration: noise alone, then EDMDc with the planner and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import torch
+from gymnasium.vector import VectorEnv
+
+from deepkoco.agent.agent import VectorAgent
+from deepkoco.agent.buffer import Episode
+from deepkoco.agent.collection import collect_episodes, episode_costs
+from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.exploration import OrnsteinUhlenbeck, action_units
+from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.agent.task_scale import TaskScale, lowest_cost, with_end
+from deepkoco.koopman.exported import Array
+from deepkoco.koopman.lifting.episode_fit import fit_best_to_episodes
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, LiftedModelError
+from deepkoco.planning.config import PlannerConfig
+
+TRIALS = 6
+"""First planned episodes, which tell whether the linear model is worth going on with."""
+
+
+def random_count(config: TrainingConfig) -> int:
+    """Episodes of the first iteration that are moved by noise alone."""
+    return max(1, round(config.first_episodes * (1.0 - config.warm_start)))
+
+
+def often_ended(random: Sequence[Episode]) -> bool:
+    """Whether the task itself ended most random episodes: noise as bold as theirs then shows hardly anything else."""
+    return sum(episode.final is not None for episode in random) > 0.5 * len(random)
+
+
+def make_noise(
+    config: TrainingConfig,
+    count: int,
+    calm: bool,
+    variance: float,
+    low: Array,
+    high: Array,
+    generator: torch.Generator,
+) -> OrnsteinUhlenbeck:
+    """Exploration of a batch of environments.
+
+    Args:
+        config: Hyper-parameters.
+        count: B.
+        calm: Whether some environments get less noise; see `often_ended`.
+        variance: sigma^2 of this iteration.
+        low: a_min (M,).
+        high: a_max (M,).
+        generator: Source of every draw.
+    """
+    unit = action_units(config.noise_unit, torch.from_numpy(low), torch.from_numpy(high))
+    correlation, floor = config.noise_correlation, config.noise_floor if calm else 1.0
+    return OrnsteinUhlenbeck(count, low.size, correlation, variance, generator, unit, floor)
+
+
+def planner_of_linear(planner: PlannerConfig) -> PlannerConfig:
+    """The same planner for a linear model, which has no decoder to plan along a trajectory with, and no need for it."""
+    return replace(planner, method="lmpc", linearisation="frozen")
+
+
+def fit_linear(
+    episodes: Sequence[Episode], time_step: float, action_weight: float, horizon: int, seed: int
+) -> LiftedLinearModel:
+    """EDMDc of recorded episodes.
+
+    Args:
+        episodes: With observations that are states.
+        time_step: Seconds per step.
+        action_weight: R.
+        horizon: H.
+        seed: Of its draws.
+
+    Returns:
+        The model.
+
+    Raises:
+        LiftedModelError: The episodes do not suffice, or a number is not finite.
+    """
+    lowest = lowest_cost(episodes)
+    ended = [with_end(episode, lowest, 1) for episode in episodes]
+    whole = [e for e in ended if e.costs.numel() > 1 and bool(e.observations.isfinite().all())]
+    if not whole:
+        raise LiftedModelError("no first episode has two steps of finite observations")
+    observations, actions, costs = (
+        [getattr(episode, name).double().numpy() for episode in whole]
+        for name in ("observations", "actions", "costs")
+    )
+    costs = [np.maximum(part - lowest, 0.0) for part in costs]
+    try:
+        return fit_best_to_episodes(
+            observations, actions, costs, time_step, action_weight, horizon, np.random.default_rng(seed)
+        )
+    except np.linalg.LinAlgError as error:
+        raise LiftedModelError(str(error)) from error
+
+
+def collect_first(
+    config: TrainingConfig,
+    envs: Callable[[int], VectorEnv],
+    low: Array,
+    high: Array,
+    noise: Callable[[int, bool], OrnsteinUhlenbeck],
+    run_seed: int,
+) -> tuple[list[Episode], int]:
+    """Collect the episodes of the first iteration.
+
+    Noise alone takes a cart that nothing holds 15 times as far as its task; the planner on a linear model of these
+    episodes comes back, so that there is something to learn from where the task is. Where the first planned episodes
+    are not clearly cheaper, as on a swing-up, which no linear model masters, noise alone goes on.
+
+    Args:
+        config: Hyper-parameters.
+        envs: Environments by number.
+        low: a_min (M,).
+        high: a_max (M,).
+        noise: Makes the exploration of so many environments, calm or not.
+        run_seed: Seed of the run.
+
+    Returns:
+        The episodes, those of noise alone first, and the plans that could not be made.
+    """
+    count = min(config.first_episodes, config.total_episodes)
+    random = min(count, random_count(config))
+    agent = VectorAgent(None, config.planner, low, high, random, noise(random, False))
+    # Numbers beyond those of all iterations, whose start states these must not be.
+    seeds = [derive_seed(run_seed, Purpose.TRAINING_EPISODES, number) for number in (0, 2**20, 2**20 + 1)]
+    episodes = collect_episodes(envs(random), agent, seeds[0])
+    calm = often_ended(episodes)
+    linear, failures, planner = None, 0, planner_of_linear(config.planner)
+    if random < count and episodes[0].observations.dim() == 2:
+        weight = config.model.action_weight
+        if config.scale:
+            units = TaskScale.of(episodes, low, high)
+            weight, planner = units.weight(weight), units.planner(planner)
+        with suppress(LiftedModelError):
+            linear = fit_linear(episodes, config.model.time_step, weight, planner.horizon, seeds[1])
+    for number, left in enumerate((min(TRIALS, count - random), count - random - TRIALS)):
+        if left <= 0:
+            break
+        agent = VectorAgent(linear, planner, low, high, left, noise(left, calm))
+        planned = collect_episodes(envs(left), agent, seeds[1 + number])
+        if not _clearly_cheaper(planned, episodes[:random]):
+            linear = None
+        episodes += planned
+        failures += agent.failures
+    return episodes, failures
+
+
+def _clearly_cheaper(some: Sequence[Episode], others: Sequence[Episode]) -> bool:
+    """Whether the mean cost of episodes is below that of others by more than two standard errors of the difference."""
+    costs = [episode_costs(list(episodes)) for episodes in (some, others)]
+    error = sum(float(c.var(ddof=1)) / c.size if c.size > 1 else np.inf for c in costs) ** 0.5
+    return float(costs[0].mean() - costs[1].mean()) < -2.0 * error

@@ -1,0 +1,1 @@
+"""What a trained controller is compared with at the end of its training, and what to try where it is worse."""

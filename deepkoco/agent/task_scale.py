@@ -1,0 +1,164 @@
+"""The units that a model learns in: those of the task, found in its first episodes and in the limits of its actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepkoco.agent.buffer import Episode
+from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.losses import MEAN_COST
+from deepkoco.planning.config import PlannerConfig
+
+RARE = 0.05
+SMALLEST_SPREAD = 1e-6
+"""Entries that vary less are left as they are: what is constant at first may move later, by an unknown amount."""
+
+
+@dataclass(frozen=True)
+class TaskScale:
+    """Standardised observations, actions in quarters of their range, and costs of a fixed mean.
+
+    The weights R and R~ of the settings are in these units, so that they mean the same for every task. An exported
+    model, and the settings of its planner, are for observations, actions and costs as they are.
+
+    Attributes:
+        mean: Of each entry of the observation (N,); empty for frames, which are left as they are.
+        spread: Standard deviation of each (N,).
+        action: A quarter of the range of each action (M,).
+        cost: Cost of a step that counts as 1.
+        lowest: Cost that counts as 0; below 0 where the task pays, which a squared cost cannot represent.
+    """
+
+    mean: Array
+    spread: Array
+    action: Array
+    cost: float
+    lowest: float = 0.0
+
+    @classmethod
+    def of(cls, episodes: Sequence[Episode], low: Array, high: Array) -> TaskScale:
+        """From the first episodes; numbers that are not finite are left out.
+
+        Args:
+            episodes: As they were recorded.
+            low: a_min (M,).
+            high: a_max (M,).
+        """
+        lowest = lowest_cost(episodes)
+        costs = np.concatenate([with_end(e, lowest, 1).costs.numpy() for e in episodes]).astype(np.float64)
+        costs = np.maximum(costs[np.isfinite(costs)] - lowest, 0.0)
+        action = np.where(high > low, (high - low) / 4.0, 1.0)
+        cost = float(costs.mean()) / MEAN_COST if costs.size and costs.mean() > 0.0 else 1.0
+        if episodes[0].observations.dim() != 2:
+            return cls(np.zeros(0), np.zeros(0), action, cost, lowest)
+        seen = np.concatenate([episode.observations.numpy() for episode in episodes]).astype(np.float64)
+        seen = seen[np.isfinite(seen).all(1)]
+        if not len(seen):
+            seen = np.zeros((1, episodes[0].observations.shape[1]))
+        spread = seen.std(0)
+        moving = spread > SMALLEST_SPREAD
+        return cls(np.where(moving, seen.mean(0), 0.0), np.where(moving, spread, 1.0), action, cost, lowest)
+
+    def apply(self, episode: Episode, horizon: int) -> Episode:
+        """An episode in the units of learning.
+
+        Args:
+            episode: As it was recorded.
+            horizon: T; so many steps that pay nothing follow where a task that pays ended the episode.
+        """
+        episode = with_end(episode, self.lowest, horizon)
+        costs = ((episode.costs.double() - self.lowest).clamp(min=0.0) / self.cost).float()
+        actions = (episode.actions.double() / torch.from_numpy(self.action)).float()
+        if not self.mean.size:
+            return Episode(episode.observations, actions, costs)
+        mean, spread = torch.from_numpy(self.mean), torch.from_numpy(self.spread)
+        return Episode(((episode.observations.double() - mean) / spread).float(), actions, costs)
+
+    def fold(self, model: ExportedModel) -> ExportedModel:
+        """A model that learned in these units, for the task's own: the same function, with other weights.
+
+        Args:
+            model: Of standardised observations and scaled costs.
+
+        Returns:
+            The model of observations and costs as they are.
+        """
+        encoder, decoder = list(model.encoder), list(model.decoder)
+        weight, bias = encoder[0]
+        acted = weight[:, -self.action.size :] / self.action
+        seen = weight[:, : -self.action.size]
+        if self.mean.size:
+            seen = seen / self.spread
+            bias = bias - seen @ self.mean
+        encoder[0] = np.hstack((seen, acted)), bias
+        if decoder and self.mean.size:
+            weight, bias = decoder[-1]
+            decoder[-1] = weight * self.spread[:, None], bias * self.spread + self.mean
+        weight, bias = model.cost_factor[-1]
+        root = self.cost**0.5  # the cost is a square of C s
+        return replace(
+            model,
+            encoder=tuple(encoder),
+            decoder=tuple(decoder),
+            cost_factor=(*model.cost_factor[:-1], (weight * root, bias * root)),
+            action_weight=self.weight(model.action_weight),
+        )
+
+    def weight(self, weight: float) -> float:
+        """A weight of squared actions, R or R~, in the task's own units."""
+        return weight * self.cost / float(np.square(self.action).mean())
+
+    def planner(self, planner: PlannerConfig) -> PlannerConfig:
+        """Settings of the planner for the task's own units."""
+        return replace(planner, increment_weight=self.weight(planner.increment_weight))
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint needs."""
+        return {
+            "mean": self.mean.tolist(),
+            "spread": self.spread.tolist(),
+            "action": self.action.tolist(),
+            "cost": self.cost,
+            "lowest": self.lowest,
+        }
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> TaskScale:
+        """Restore what `state_dict` gave."""
+        mean, spread, action = (np.array(state[name], np.float64) for name in ("mean", "spread", "action"))
+        return cls(mean, spread, action, state["cost"], state["lowest"])
+
+
+def lowest_cost(episodes: Sequence[Episode]) -> float:
+    """The cost to count as 0: that of all but the twentieth part of the steps that pay best, and at most 0.
+
+    A rare bonus, such as that of a goal which ends the episode, does not move it: every other step would look dear.
+    """
+    costs = np.concatenate([episode.costs.numpy() for episode in episodes]).astype(np.float64)
+    costs = costs[np.isfinite(costs)]
+    return min(0.0, float(np.quantile(costs, RARE))) if costs.size else 0.0
+
+
+def with_end(episode: Episode, lowest: float, steps: int) -> Episode:
+    """An episode with the steps that its end has cost.
+
+    Where a task pays for every step, ending it early costs what the steps to come would have paid. Without them a
+    model would see steps that all pay alike, and nothing that tells it to go on.
+
+    Args:
+        episode: As it was recorded.
+        lowest: See `TaskScale.lowest`; at 0 nothing is lost and the episode stays as it is.
+        steps: How many follow, at what was observed last, with the last action and cost 0.
+    """
+    if episode.final is None or lowest >= 0.0:
+        return episode
+    return Episode(
+        torch.cat((episode.observations, episode.final.expand(steps, -1))),
+        torch.cat((episode.actions, episode.actions[-1:].expand(steps, -1))),
+        torch.cat((episode.costs, torch.zeros(steps))),
+    )

@@ -1,0 +1,160 @@
+"""EDMDc with settings that suit recorded episodes of any task: scaled features, a cost fitted to the recorded one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.koopman.lifting.edmdc import fit_edmdc, fit_lifted_cost
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
+from deepkoco.koopman.lifting.lifting import Array, RadialBasis
+
+CENTRES = 20
+COMPONENTS = 24
+MOST_EPISODES = 150
+COST_STEPS = 4000
+RIDGE = 1e-3
+LARGEST_PREDICTION = 1e12  # [cost]; of a model that diverges
+
+
+class ScaledRadialBasis:
+    """Standardised observations and thin-plate functions of them; a `Lifting`.
+
+    Without scaling, the entry with the largest unit would decide every distance. Of observations with many entries
+    the leading principal components are taken, for the cost is fitted to all products of two lifted entries.
+    """
+
+    window = 1
+
+    def __init__(self, observations: Array, centres: int, generator: np.random.Generator) -> None:
+        """Take centres from the data.
+
+        Args:
+            observations: (K, N).
+            centres: How many; 0 for standardised observations alone.
+            generator: Of their draw.
+        """
+        self._mean, spread = observations.mean(0), observations.std(0)
+        scale = np.where(spread > 0, spread, 1.0)
+        self._directions = np.diag(1.0 / scale)  # (N, entries)
+        if len(scale) > COMPONENTS:
+            _, vectors = np.linalg.eigh(np.cov((observations - self._mean) / scale, rowvar=False))
+            self._directions = self._directions @ vectors[:, ::-1][:, :COMPONENTS]
+        chosen = observations[
+            generator.choice(len(observations), min(centres, len(observations)), replace=False)
+        ]
+        self._basis = RadialBasis((chosen - self._mean) @ self._directions) if centres else None
+
+    @property
+    def observation_size(self) -> int:
+        """N."""
+        return self._mean.size
+
+    @property
+    def size(self) -> int:
+        """Entries of the lifted observation."""
+        return self._directions.shape[1] if self._basis is None else self._basis.size
+
+    def __call__(self, stacked: Array) -> Array:
+        """Lift (..., N)."""
+        scaled = (stacked - self._mean) @ self._directions
+        return scaled if self._basis is None else self._basis(scaled)
+
+
+def fit_to_episodes(
+    observations: Sequence[Array],
+    actions: Sequence[Array],
+    costs: Sequence[Array],
+    time_step: float,
+    action_weight: float,
+    generator: np.random.Generator,
+    centres: int = CENTRES,
+) -> LiftedLinearModel:
+    """Fit EDMDc and its quadratic cost to recorded episodes.
+
+    The dynamics are fitted to the first `MOST_EPISODES` episodes, the cost to `COST_STEPS` steps of all.
+
+    Args:
+        observations: Of each episode (L, N).
+        actions: a_k (L, M) of each episode; they need exploration.
+        costs: c_k (L,) of each episode.
+        time_step: Seconds per step.
+        action_weight: R.
+        generator: Of centres and samples.
+        centres: Thin-plate functions beside the observation itself.
+
+    Returns:
+        The model, ready for the planner.
+
+    Raises:
+        LiftedModelError: There are too few steps, or a number is not finite.
+    """
+    o, a, c = (np.concatenate(parts).astype(np.float64) for parts in (observations, actions, costs))
+    lifting = ScaledRadialBasis(o, centres, generator)
+    chosen = np.arange(len(c))
+    if chosen.size > COST_STEPS:
+        chosen = np.sort(generator.choice(chosen, COST_STEPS, replace=False))
+    cost = fit_lifted_cost([o[chosen]], [a[chosen]], [c[chosen]], lifting, action_weight)
+    first = slice(MOST_EPISODES)
+    return fit_edmdc(observations[first], actions[first], lifting, cost, time_step, RIDGE)
+
+
+def fit_best_to_episodes(
+    observations: Sequence[Array],
+    actions: Sequence[Array],
+    costs: Sequence[Array],
+    time_step: float,
+    action_weight: float,
+    horizon: int,
+    generator: np.random.Generator,
+) -> LiftedLinearModel:
+    """`fit_to_episodes` with or without thin-plate functions, whichever predicts held-out costs better.
+
+    Functions that few centres spread over a wide range are worse than none near the goal of a nearly linear task: on a
+    cart whose random episodes go 15 times as far as the task, the same planner costs 5 without and 16,000 with them.
+
+    Args:
+        observations: As for `fit_to_episodes`; every fourth episode is held out for the choice.
+        actions: See there.
+        costs: See there.
+        time_step: See there.
+        action_weight: See there.
+        horizon: Most steps predicted in the choice.
+        generator: See there.
+
+    Returns:
+        The model, fitted to all episodes.
+
+    Raises:
+        LiftedModelError: See there.
+    """
+    held = [i for i, c in enumerate(costs) if i % 4 == 3 and len(c) > 1]
+    kept = [i for i in range(len(costs)) if i % 4 != 3]
+    chosen = 0
+    if held:
+        errors, choices = [], (0, CENTRES)
+        for centres in choices:
+            o, a, c = ([part[i] for i in kept] for part in (observations, actions, costs))
+            model = fit_to_episodes(o, a, c, time_step, action_weight, generator, centres)
+            errors.append(
+                _root_error(model, [(observations[i], actions[i], costs[i]) for i in held], horizon)
+            )
+        chosen = choices[int(np.nanargmin(errors))]
+    return fit_to_episodes(observations, actions, costs, time_step, action_weight, generator, chosen)
+
+
+def _root_error(
+    model: LiftedLinearModel, episodes: Sequence[tuple[Array, Array, Array]], horizon: int
+) -> float:
+    """Mean squared error of the roots of costs, so that costs far from the goal do not decide alone."""
+    errors = []
+    for o, a, c in episodes:
+        steps = min(horizon, len(c) - 1)
+        count = len(c) - steps
+        z, a = model.lifting(np.asarray(o[:count], np.float64)), np.asarray(a, np.float64)
+        for ahead in range(1, steps + 1):
+            z = z @ model.transition.T + a[ahead - 1 : ahead - 1 + count] @ model.inputs.T
+            predicted = np.minimum(model.cost(z, a[ahead : ahead + count]), LARGEST_PREDICTION)
+            errors.append(np.square(np.sqrt(predicted) - np.sqrt(np.maximum(c[ahead : ahead + count], 0.0))))
+    return float(np.concatenate(errors).mean())
