@@ -96,9 +96,10 @@ class DelayedPolicy:
         """Take in what is known, since the last `act`, of the delays of the commands sent.
 
         Args:
-            delays: Seconds from sending to acting of the last commands, newest first; NaN: has not arrived yet.
+            delays: Seconds from sending to acting of the last commands, newest first; infinite: has not arrived yet.
         """
-        self._sent.measure(map(self._steps, delays), self._now + 1.0)
+        known = [self._steps(delay) if math.isfinite(delay) else math.inf for delay in delays]
+        self._sent.measure(known, self._now + 1.0)
 
     def act(
         self,
@@ -152,7 +153,8 @@ class DelayedPolicy:
     def _steps(self, seconds: float) -> float:
         """Seconds in steps; 0.15 s / 0.05 s is not 3 in floating point, and which command acts hangs on it."""
         steps = seconds / self.model.time_step
-        return float(np.rint(steps)) if abs(steps - np.rint(steps)) < WHOLE else steps
+        whole = round(steps)
+        return float(whole) if abs(steps - whole) < WHOLE else steps
 
     def _see(self, observation: ArrayLike, measured: float, stamped: bool) -> None:
         """Keep an observation unless a newer one is there."""

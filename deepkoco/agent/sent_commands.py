@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -49,11 +50,11 @@ class SentCommands:
         """Take in which delays are known.
 
         Args:
-            delays: Time from sending to arrival of the last commands, newest first; NaN: not arrived yet.
+            delays: Time from sending to arrival of the last commands, newest first; infinite: not arrived yet.
             now: The time; what has not arrived is expected now at the earliest.
         """
         for back, delay in zip(range(1, len(self._sent) + 1), delays, strict=False):
-            if delay == delay:
+            if math.isfinite(delay):
                 self._arrival[-back] = self._sent[-back] + delay
             elif self._arrival[-back] < now:
                 self._arrival[-back] = now

@@ -49,7 +49,7 @@ def test_an_overtaken_command_never_acts():
 
 def test_known_delays_replace_the_expected_and_what_is_late_is_expected_now():
     commands = sent([0.2, 1.2, 2.2])
-    commands.measure([math.nan, 0.5, math.nan], now=3.0)  # newest first
+    commands.measure([math.inf, 0.5, math.inf], now=3.0)  # newest first
     times, actions = commands.between(0.0, 9.0)
     assert times.tolist() == [1.5, 3.0]
     assert actions[:, 0].tolist() == [-1.0, 1.0, 2.0]
