@@ -23,7 +23,6 @@ from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timi
 from deepkoco.graph.delay import exact_fraction
 from deepkoco.graph.model.node import State
 
-
 EXPECTATION = (64, 256)
 """Episodes and steps over which expected delays are means, without the first half of the steps."""
 
