@@ -34,8 +34,12 @@ class DelayedPolicy:
     Without delays it is `KoopmanPolicy` bit for bit.
 
     Delays are seconds, of any size and different at every call. `sensing_delay` and `actuation_delay` are expected
-    ones (means of their laws), for where a call does not tell. Of observations with known age the newest counts, in
-    whatever order they come.
+    ones (means of their laws), for where a call does not tell; once `measure` has told of commands that have arrived,
+    their mean delay is the expected one. Of observations with known age the newest counts, in whatever order they
+    come.
+
+    Where delays of commands are random, ask for calmer commands by a larger `PlannerConfig.increment_weight`: what
+    acts is then less far from what was expected to act.
     """
 
     def __init__(
@@ -71,6 +75,7 @@ class DelayedPolicy:
                 "use one that takes the present observation"
             )
         self.model = model
+        self._planner_config, self._forward = planner, forward
         self._roll = _make_roll(model, forward)
         self._low, self._high = np.asarray(action_low, np.float64), np.asarray(action_high, np.float64)
         self._planner = make_planner(model, planner, self._low, self._high)
@@ -81,6 +86,11 @@ class DelayedPolicy:
     def statistics(self) -> PlannerStatistics:
         """Plans made and failed so far."""
         return self._planner.statistics
+
+    def another(self) -> DelayedPolicy:
+        """A policy of the same settings for another environment."""
+        delays = self._sensing, self._actuation
+        return DelayedPolicy(self.model, self._planner_config, self._low, self._high, self._forward, *delays)
 
     def reset(self) -> None:
         """Start a new episode: action zero acts, nothing is sent or seen."""
@@ -113,7 +123,8 @@ class DelayedPolicy:
         Args:
             observation: The observation (N,) that is there.
             observation_age: Seconds since it was measured; None takes the expected age.
-            actuation_delay: Seconds from sending to acting of this and the next command; None: the expected.
+            actuation_delay: Seconds from sending to acting of this and the next command; None takes the expected
+                delay.
             now: Time on any clock [s]; None: one step after the last call.
 
         Returns:
@@ -124,9 +135,8 @@ class DelayedPolicy:
             DelayError: A delay is negative or not finite, or the clock goes back.
         """
         age = self._sensing if observation_age is None else _seconds(observation_age, "observation_age")
-        delay = self._actuation if actuation_delay is None else _seconds(actuation_delay, "actuation_delay")
         time = self._time(now)
-        command, acts = self._next, time + self._steps(delay)
+        command, acts = self._next, time + self._delay_of_commands(actuation_delay)
         self._sent.send(command, time, acts)
         self._see(observation, time - self._steps(age), stamped=observation_age is not None)
         target = max(acts, self._newest)
@@ -150,6 +160,13 @@ class DelayedPolicy:
         self._now = time
         return time
 
+    def _delay_of_commands(self, given: float | None) -> float:
+        """Known or expected delay of the next commands, in steps."""
+        if given is not None:
+            return self._steps(_seconds(given, "actuation_delay"))
+        measured = self._sent.mean_delay
+        return self._steps(self._actuation) if measured is None else measured
+
     def _steps(self, seconds: float) -> float:
         """Seconds in steps; 0.15 s / 0.05 s is not 3 in floating point, and which command acts hangs on it."""
         steps = seconds / self.model.time_step
@@ -163,8 +180,8 @@ class DelayedPolicy:
             raise ObservationError(
                 f"observation has shape {entries.shape}; this model takes ({self.model.observation_size},)"
             )
-        assert self._begin is not None
-        measured = max(measured, self._begin)  # an expected age may reach back before the episode
+        if not stamped and self._begin is not None:
+            measured = max(measured, self._begin)  # an expected age may reach back before the episode
         if not stamped or measured >= self._newest:
             self._observation, self._newest = entries, measured
 

@@ -16,6 +16,7 @@ class Purpose(IntEnum):
     TRAINING_EPISODES = 3
     EVALUATION = 4
     FINAL_EVALUATION = 5
+    FORWARD_MODEL = 6
 
 
 _RANGE = 2**29

@@ -26,13 +26,21 @@ class SentCommands:
         self._commands: deque[Array] = deque(maxlen=MOST_KEPT)
         self._sent: deque[float] = deque(maxlen=MOST_KEPT)
         self._arrival: deque[float] = deque(maxlen=MOST_KEPT)
+        self._known: deque[bool] = deque(maxlen=MOST_KEPT)
         self._first = np.zeros(0)
+        self._total, self._count = 0.0, 0
 
     def start(self, action: Array) -> None:
         """Begin an episode in which this action (M,) acts until the first command arrives."""
-        for kept in (self._commands, self._sent, self._arrival):
+        for kept in (self._commands, self._sent, self._arrival, self._known):
             kept.clear()
         self._first = action
+        self._total, self._count = 0.0, 0
+
+    @property
+    def mean_delay(self) -> float | None:
+        """Mean of the delays that have become known since the start; None before the first."""
+        return self._total / self._count if self._count else None
 
     def send(self, command: Array, now: float, arrival: float) -> None:
         """Add a command (M,).
@@ -45,6 +53,7 @@ class SentCommands:
         self._commands.append(command)
         self._sent.append(now)
         self._arrival.append(arrival)
+        self._known.append(False)
 
     def measure(self, delays: Iterable[float], now: float) -> None:
         """Take in which delays are known.
@@ -56,6 +65,9 @@ class SentCommands:
         for back, delay in zip(range(1, len(self._sent) + 1), delays, strict=False):
             if math.isfinite(delay):
                 self._arrival[-back] = self._sent[-back] + delay
+                if not self._known[-back]:
+                    self._known[-back] = True
+                    self._total, self._count = self._total + delay, self._count + 1
             elif self._arrival[-back] < now:
                 self._arrival[-back] = now
 

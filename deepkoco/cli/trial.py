@@ -13,7 +13,8 @@ Run trained policies on a unit, all from the same start states, and print the co
 interval. Give two runs, such as one of the simulator as given and one of the extended simulator, to compare them."""
 EXAMPLE = """\
 example:
-  deepkoco trial runs/first runs/extended --unit unit.yaml --episodes 20 --out trials"""
+  deepkoco trial runs/first runs/extended --unit unit.yaml --episodes 20 --out trials
+  deepkoco trial runs/first --unit unit.yaml --actuation-delay 0.05     bridge delays that training did not have"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="seed of the start states (default 0)"
+    )
+    parser.add_argument(
+        "--actuation-delay",
+        type=float,
+        metavar="S",
+        help="bridge delays: of observations as the numbers of the samples tell, of commands S seconds (DeepKoCo)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="new folder for trials.csv and films")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -60,9 +67,11 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             check_new(args.out)
         unit = load_unit(args.unit)
-        trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel)
+        trials = run_trials(
+            args.runs, unit, args.episodes, args.clock, args.seed, args.parallel, args.actuation_delay
+        )
         if args.out is not None:
-            write_trials(args.out, trials, args.runs, unit, args.clock, args.seed)
+            write_trials(args.out, trials, args.runs, unit, args.clock, args.seed, args.actuation_delay)
     except (*BAD_INPUT, ObservationError, UnitSpecError) as error:
         raise InputError(str(error)) from error
     except OSError as error:

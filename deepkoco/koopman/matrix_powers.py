@@ -50,7 +50,9 @@ class MatrixPowers:
             return np.linalg.matrix_power(self._matrix, below)
         part = exponent - below
         if self._log is not None:
-            return np.linalg.matrix_power(self._matrix, below) @ expm(part * self._log)
+            return np.linalg.matrix_power(self._matrix, below) @ np.asarray(
+                expm(part * self._log), np.float64
+            )
         first = np.linalg.matrix_power(self._matrix, below)
         return (1.0 - part) * first + part * (first @ self._matrix)
 
@@ -62,11 +64,11 @@ def _real_logarithm(matrix: Array) -> Array | None:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
-            logarithm = np.asarray(logm(matrix))
+            logarithm = np.asarray(logm(matrix), np.complex128)
         except (ValueError, np.linalg.LinAlgError):
             return None
     scale = max(1.0, float(np.abs(matrix).max()))
-    if not np.isfinite(logarithm).all() or np.abs(logarithm.imag).max(initial=0.0) > 1e-9 * scale:
+    if not np.isfinite(logarithm).all() or np.abs(np.imag(logarithm)).max(initial=0.0) > 1e-9 * scale:
         return None
-    real = np.ascontiguousarray(logarithm.real)
+    real = np.ascontiguousarray(np.real(logarithm))
     return real if np.abs(expm(real) - matrix).max(initial=0.0) < 1e-8 * scale else None
