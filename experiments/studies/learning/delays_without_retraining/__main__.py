@@ -92,7 +92,7 @@ def _run_rivals(args: argparse.Namespace, costs: Path) -> None:
     laws = laws_of("pendulum", args.data)
     trained_under = [law for law in laws if law.name in rivals.RETRAINED]
     done, seed = set(_keys(costs)), args.seeds[0]
-    for agent in rivals.EPISODES:
+    for agent in rivals.AGENTS:
         for own in trained_under:
             folder = rivals.rival_run(args.work, agent, own, seed)
             for law in laws:
