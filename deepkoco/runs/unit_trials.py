@@ -56,6 +56,19 @@ class Trial:
     frames: tuple[np.ndarray, ...] = ()
 
 
+@dataclass(frozen=True)
+class Bridging:
+    """How a policy bridges delays of a unit: those of observations follow from the numbers of the samples.
+
+    Attributes:
+        actuation_delay: Expected time from sending a command until it acts [s].
+        increment_weight: R~ of the planner; None takes that of the run.
+    """
+
+    actuation_delay: float = 0.0
+    increment_weight: float | None = None
+
+
 def policy_names(runs: Sequence[Path]) -> list[str]:
     """Short names of runs: the fewest last parts of each path that no other run's path ends with.
 
@@ -128,7 +141,7 @@ def run_trial(
     seed: int = 0,
     film: bool = False,
     name: str | None = None,
-    actuation_delay: float | None = None,
+    bridging: Bridging | None = None,
 ) -> Trial:
     """Run one noise-free episode of a trained policy on the unit.
 
@@ -140,14 +153,13 @@ def run_trial(
         seed: Seed of the set of episodes.
         film: Whether to draw every step.
         name: Of the policy; by default the last part of the folder.
-        actuation_delay: Bridge delays: of observations as their numbers tell, of commands this one [s]. None: ignore
-            all delays.
+        bridging: How to bridge delays; None ignores them.
 
     Returns:
         The trial.
     """
     config = load_run_config(run)
-    act, restart = _controller(run, config, actuation_delay)
+    act, restart = _controller(run, config, bridging)
     env = _environment(config, unit, clock, film)
     costs, angles, frames = [], [], []
     try:
@@ -172,13 +184,15 @@ def run_trial(
 
 
 def _controller(
-    run: Path, config: TrainRunConfig, actuation_delay: float | None
+    run: Path, config: TrainRunConfig, bridging: Bridging | None
 ) -> tuple[Act, Callable[[], None]]:
     """What acts on an observation and the `info` that came with it, and what begins an episode."""
-    if actuation_delay is None:
+    if bridging is None:
         policy = load_policy(run)
         return lambda observation, info: policy.act(observation), policy.reset
-    delayed = load_delayed_policy(run, config.seed, actuation_delay)
+    delayed = load_delayed_policy(
+        run, config.seed, bridging.actuation_delay, increment_weight=bridging.increment_weight
+    )
 
     def act(observation: np.ndarray, info: Mapping[str, Any]) -> np.ndarray:
         return delayed.act(observation, info["observation_age"], now=info["time"])
@@ -208,7 +222,7 @@ def run_trials(
     clock: str = "wall",
     seed: int = 0,
     parallel: int = 8,
-    actuation_delay: float | None = None,
+    bridging: Bridging | None = None,
 ) -> list[Trial]:
     """Run every policy from the same start states, several units at once.
 
@@ -219,7 +233,7 @@ def run_trials(
         clock: "wall" or "simulated".
         seed: Seed of the set of episodes.
         parallel: Units that run at once.
-        actuation_delay: As for `run_trial`.
+        bridging: As for `run_trial`.
 
     Returns:
         The trials, episode by episode.
@@ -231,14 +245,14 @@ def run_trials(
     names = policy_names(runs)
     for run in runs:
         check_run(run, unit)
-        if actuation_delay is not None:
-            _controller(run, load_run_config(run), actuation_delay)  # fits what is missing, before units move
+        if bridging is not None:
+            _controller(run, load_run_config(run), bridging)  # fits what is missing, before units move
     # Alternating the policies spreads whatever the machine does to the timing over both of them.
     jobs = [(*policy, episode) for episode in range(episodes) for policy in zip(runs, names, strict=True)]
 
     def trial(job: tuple[Path, str, int]) -> Trial:
         run, name, episode = job
-        return run_trial(run, unit, episode, clock, seed, name=name, actuation_delay=actuation_delay)
+        return run_trial(run, unit, episode, clock, seed, name=name, bridging=bridging)
 
     with ThreadPoolExecutor(parallel if clock == "wall" else 1) as pool:
         return list(pool.map(trial, jobs))
@@ -307,7 +321,7 @@ def write_trials(
     unit: UnitSpec,
     clock: str,
     seed: int,
-    actuation_delay: float | None = None,
+    bridging: Bridging | None = None,
 ) -> None:
     """Write the table `trials.csv` and a film of the first episode of every policy.
 
@@ -318,13 +332,13 @@ def write_trials(
         unit: The unit.
         clock: "wall" or "simulated".
         seed: Seed of the set of episodes.
-        actuation_delay: As for `run_trial`.
+        bridging: As for `run_trial`.
     """
     rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
     with new_folder(out) as partial:
         pd.DataFrame(rows).to_csv(partial / "trials.csv", index=False)
         for run, name in zip(runs, policy_names(runs), strict=True):
-            film = run_trial(run, unit, 0, clock, seed, film=True, actuation_delay=actuation_delay)
+            film = run_trial(run, unit, 0, clock, seed, film=True, bridging=bridging)
             path = partial / f"{name}.webm"
             path.parent.mkdir(parents=True, exist_ok=True)
             write_clip(path, film.frames, 20.0)

@@ -19,6 +19,7 @@ from deepkoco.runs.environments import make_environments
 from deepkoco.runs.settings import ExperimentError, TaskConfig
 from deepkoco.runs.train import load_run_config
 from deepkoco.runs.unit_trials import (
+    Bridging,
     Trial,
     as_json,
     check_run,
@@ -172,7 +173,7 @@ def test_a_trial_bridges_delays_by_the_numbers_of_the_samples(make_run, tmp_path
     effects = {"sensing_delay": {"delay": 0.04}, "actuation_delay": {"delay": 0.05}}
     late = make_unit("rod_pendulum", seed=3, effects=effects)
     (plain,), (bridged,) = (
-        run_trials([run], late, 1, clock="simulated", actuation_delay=delay) for delay in (None, 0.05)
+        run_trials([run], late, 1, clock="simulated", bridging=how) for how in (None, Bridging(0.05))
     )
     assert plain.cost != bridged.cost
     assert main(["trial", str(run), "--unit", str(UNIT), "--episodes", "1", "--clock", "simulated",
