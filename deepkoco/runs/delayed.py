@@ -21,7 +21,7 @@ from deepkoco.koopman.forward_model import ForwardModel, ForwardModelError
 from deepkoco.runs.settings import ExperimentError
 
 FORWARD_FOLDER = "forward_model"
-COMPENSATIONS = ("none", "measured", "law")
+COMPENSATIONS = ("none", "measured", "law", "both")
 """Choices of `EvaluateConfig.compensate`."""
 ROLLS = ("observation", "latent")
 """Choices of `EvaluateConfig.roll`."""
@@ -51,7 +51,7 @@ def add_delays(
 def load_delayed_agent(
     folder: Path,
     envs: VectorDelayWrapper,
-    measured: bool,
+    compensate: str,
     roll: str,
     seed: int,
     increment_weight: float | None = None,
@@ -61,7 +61,8 @@ def load_delayed_agent(
     Args:
         folder: Of a finished run of DeepKoCo, or of a model.
         envs: Where it acts.
-        measured: Whether it is told what time stamps tell, and nothing else; or else the means of the delays.
+        compensate: "measured": it is told what time stamps tell, and no law; "law": the mean delays, and no time
+            stamps; "both".
         roll: "observation": predict the observation, with a forward model fitted to the episodes of the run;
             "latent": roll the latent of the observed point.
         seed: Of the run, for a forward model that has to be fitted.
@@ -71,11 +72,12 @@ def load_delayed_agent(
         ExperimentError: The model or its run cannot do it.
         ModelFolderError: The folder holds no readable model.
     """
-    expected = ExpectedDelays({"observation": 0.0}, 0.0) if measured else envs.expected_delays
+    unknown = ExpectedDelays({"observation": 0.0}, 0.0)
+    expected = unknown if compensate == "measured" else envs.expected_delays
     delays = expected.actuation, expected.sensing["observation"]
     policy = load_delayed_policy(folder, seed, *delays, roll, increment_weight)
     others = [policy.another() for _ in range(envs.num_envs - 1)]
-    return DelayedAgent([policy, *others], measured)
+    return DelayedAgent([policy, *others], measured=compensate != "law")
 
 
 def load_delayed_policy(

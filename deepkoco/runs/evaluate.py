@@ -166,10 +166,10 @@ def _with_delays(
             f'compensate = "{config.compensate}": {run.agent.name} cannot bridge delays; only deepkoco does'
         )
     delayed = add_delays(envs, config.sensing_delay, config.actuation_delay, config.in_order)
-    measured = config.compensate == "measured"
-    return delayed, load_delayed_agent(
-        folder, delayed, measured, config.roll, run.seed, config.increment_weight
+    agent = load_delayed_agent(
+        folder, delayed, config.compensate, config.roll, run.seed, config.increment_weight
     )
+    return delayed, agent
 
 
 def _upright(share: float | None) -> str:

@@ -90,7 +90,7 @@ class EvaluateConfig:
     """Messages cannot overtake each other; false: what a newer one has overtaken is dropped."""
     compensate: str = "none"
     """Whether DeepKoCo bridges these delays: "none", "measured": told what time stamps tell, "law": told the means of
-    the delays."""
+    the delays, "both"."""
     increment_weight: float | None = None
     """R~ of DeepKoCo's planner in the place of the stored one; 0.3 to 1 makes it bear random delays of actions."""
     roll: str = "observation"

@@ -45,7 +45,7 @@ def costs(run, **settings):
 
 def test_without_delays_compensation_changes_no_bit(run):
     plain = costs(run)
-    for compensate in ("measured", "law"):
+    for compensate in ("measured", "law", "both"):
         for roll in ("observation", "latent"):
             assert np.array_equal(costs(run, compensate=compensate, roll=roll), plain)
 
@@ -69,7 +69,7 @@ def test_constant_delays_need_no_time_stamps(run):
 def test_the_weight_of_increments_is_that_of_the_evaluation(run):
     calm = costs(run, sensing_delay=0.1, compensate="law", increment_weight=1e6)
     envs = add_delays(make_environments(load_run_config(run))(2, 0), 0.1, 0.0)
-    agent = load_delayed_agent(run, envs, False, "observation", 0, 1e6)
+    agent = load_delayed_agent(run, envs, "law", "observation", 0, 1e6)
     agent.reset()
     observation, info = envs.reset(seed=0)
     agent.note(info)
@@ -81,7 +81,7 @@ def test_the_weight_of_increments_is_that_of_the_evaluation(run):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"compensate": "yes"}, "choose one of none, measured, law"),
+        ({"compensate": "yes"}, "choose one of none, measured, law, both"),
         ({"roll": "cost"}, "choose one of observation, latent"),
         ({"sensing_delay": -0.1}, "sensing_delay"),
         ({"actuation_delay": {"law": "unifrom"}}, "actuation_delay"),

@@ -29,19 +29,27 @@ CALM = {"pendulum": 0.5, "cart_pole": 0.1}
 """R~ of the policy among delays; for the pendulum chosen on other start states, from 0.01, 0.3, 1 and 3."""
 START_STATES = 101
 """Index of the start states of the study; others were used while it was written."""
+SHIFTED = "undelayed from the first arrival"
 METHODS = (
     "no compensation",
     "no compensation, calm",
     "latent, time stamps",
     "observation, time stamps",
     "observation, law",
+    "observation, both",
     "latent, law",
-    "undelayed from the first arrival",
+    "latent, both",
+    SHIFTED,
     "random",
 )
 NOT_ON = {
-    "pendulum": ("latent, law",),
-    "cart_pole": ("no compensation, calm", "observation, time stamps", "observation, law"),
+    "pendulum": ("latent, law", "latent, both"),
+    "cart_pole": (
+        "no compensation, calm",
+        "observation, time stamps",
+        "observation, law",
+        "observation, both",
+    ),
 }
 
 
@@ -79,16 +87,16 @@ def cart(seed: int) -> Policy:
 
 def costs_of(policy: Policy, law: Law, method: str, episodes: int) -> np.ndarray | None:
     """Costs of episodes (n,), from the same start states for all laws and methods; None: a method has no such law."""
-    if method in NOT_ON[policy.task] or (method == METHODS[6] and law.shift is None):
+    if method in NOT_ON[policy.task] or (method == SHIFTED and law.shift is None):
         return None
     inner = policy.make(episodes)
     envs = VectorDelayWrapper(inner, law.actuation, law.sensing, in_order=law.in_order)
     agent: BatchController
     if method == "random":
         agent, run = Random(inner, policy.seed), inner
-    elif method == METHODS[6]:
+    elif method == SHIFTED:
         assert law.shift is not None
-        agent, run = Late(_undelayed(policy, episodes), law.shift), inner
+        agent, run = Late(_undelayed(policy, episodes), law.shift, len(policy.stored.action_low)), inner
     elif method.startswith("no compensation"):
         agent, run = _undelayed(policy, episodes, "calm" in method), envs
     else:
@@ -130,8 +138,8 @@ class Random:
 class Late:
     """An agent that begins to act some steps late; until then zero acts."""
 
-    def __init__(self, agent: VectorAgent, steps: int) -> None:
-        self._agent, self._steps = agent, steps
+    def __init__(self, agent: VectorAgent, steps: int, actions: int) -> None:
+        self._agent, self._steps, self._actions = agent, steps, actions
         self.reset()
 
     def reset(self) -> None:
@@ -144,7 +152,7 @@ class Late:
         if self._waited == self._steps:
             return self._agent.act(observations)
         self._waited += 1
-        return np.zeros_like(self._agent._next)
+        return np.zeros((len(observations), self._actions))
 
 
 def _start(seed: int) -> int:
@@ -158,8 +166,8 @@ def _undelayed(policy: Policy, episodes: int, calm: bool = False) -> VectorAgent
 
 
 def _compensated(policy: Policy, envs: VectorDelayWrapper, method: str) -> DelayedAgent:
-    stored, stamps = policy.stored, method.endswith("time stamps")
-    expected = ExpectedDelays({"observation": 0.0}, 0.0) if stamps else envs.expected_delays
+    stored, told = policy.stored, method.split(", ")[1]
+    expected = ExpectedDelays({"observation": 0.0}, 0.0) if told == "time stamps" else envs.expected_delays
     planner = replace(stored.planner, increment_weight=CALM[policy.task])
     forward = policy.forward if method.startswith("observation") else None
     delays = expected.sensing["observation"], expected.actuation
@@ -167,4 +175,4 @@ def _compensated(policy: Policy, envs: VectorDelayWrapper, method: str) -> Delay
         DelayedPolicy(stored.model, planner, stored.action_low, stored.action_high, forward, *delays)
         for _ in range(envs.num_envs)
     ]
-    return DelayedAgent(policies, stamps)
+    return DelayedAgent(policies, measured=told != "law")
