@@ -16,7 +16,9 @@ from experiments.plumbing.provenance import as_markdown
 
 RESAMPLES = 2000
 DRAWN = (
+    "observation, both",
     "observation, time stamps",
+    "latent, both",
     "latent, time stamps",
     "no compensation",
     "undelayed from the first arrival",
