@@ -1,5 +1,8 @@
 """A forward model fitted to episodes predicts, is stored whole and is refused where it cannot be."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -90,3 +93,17 @@ def test_frames_and_short_episodes_are_refused():
         fit_forward_model([frames], 0.05, 0)
     with pytest.raises(ForwardModelError, match="longer than 3"):
         fit_forward_model(episodes(1, 3), 0.05, 0, SMALL)
+
+
+def test_a_robot_bridges_delays_without_torch(fitted, tmp_path):
+    write_forward_model(fitted.model, tmp_path / "forward")
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from deepkoco.agent import DelayedPolicy\n"
+        "from deepkoco.agent.stored_controller import read_controller\n"
+        "from deepkoco.koopman.files.forward_files import read_forward_model\n"
+        "assert read_forward_model(Path(sys.argv[1])).action_size == 1\n"
+        "sys.exit('torch' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "forward")], check=True)
