@@ -15,18 +15,19 @@ from deepkoco.output.whole_file import whole_file
 from experiments.plumbing.provenance import as_markdown
 
 RESAMPLES = 2000
-DRAWN = (
-    "observation, both",
-    "observation, time stamps",
-    "latent, both",
-    "latent, time stamps",
-    "no compensation",
-    "undelayed from the first arrival",
-)
+COLOURS = {
+    "observation, both": "C0",
+    "observation, time stamps": "C1",
+    "latent, both": "C2",
+    "latent, time stamps": "C3",
+    "no compensation": "C4",
+    "undelayed from the first arrival": "0.3",
+}
+"""Colour of each method that is drawn, the same in both panels."""
 
 
 def write_report(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """Write costs.csv, table.csv, the figure and PROVENANCE.md.
+    """Write table.csv, the figure with its data and PROVENANCE.md.
 
     Args:
         rows: Of costs.jsonl.
@@ -40,9 +41,8 @@ def write_report(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
         ]
     )
     table = summary(frame)
-    for name, data in (("costs", frame), ("table", table)):
-        with whole_file(out / f"{name}.csv") as partial:
-            data.to_csv(partial, index=False, float_format="%.5g")
+    with whole_file(out / "table.csv") as partial:
+        table.to_csv(partial, index=False, float_format="%.5g")
     draw(table, out)
     commits = ", ".join(sorted({str(row["commit"]) for row in rows}))
     (out / "PROVENANCE.md").write_text(
@@ -94,7 +94,7 @@ def draw(table: pd.DataFrame, out: Path) -> None:
     records = [
         {**row, "steps": 2.0 * float(row["law"].split("+")[0])}
         for row in table.to_dict("records")
-        if row["kind"] == "constant" and row["method"] in DRAWN and len(set(row["law"].split("+"))) == 1
+        if row["kind"] == "constant" and row["method"] in COLOURS and len(set(row["law"].split("+"))) == 1
     ]
     constant = pd.DataFrame(records).sort_values("steps")
     with house_style():
@@ -102,16 +102,18 @@ def draw(table: pd.DataFrame, out: Path) -> None:
         figure, axes = plt.subplots(1, len(tasks), figsize=(4.2 * len(tasks), 3.2), squeeze=False)
         for axis, task in zip(axes[0], tasks, strict=True):
             for method, own in constant[constant.task == task].groupby("method", sort=False):
-                (line,) = axis.plot(own.steps, own.performance, marker="o", label=str(method))
+                colour = COLOURS[str(method)]
+                axis.plot(own.steps, own.performance, marker="o", label=str(method), color=colour)
                 axis.fill_between(
-                    own.steps, own.performance_low, own.performance_high, color=line.get_color(), alpha=0.2
+                    own.steps, own.performance_low, own.performance_high, color=colour, alpha=0.2
                 )
             axis.axhline(0.95, color="0.6", linewidth=0.8, linestyle=":")
             axis.set(
                 title=str(task).replace("_", "-"), xlabel="delay of observation and command together [steps]"
             )
         axes[0][0].set_ylabel("performance (1: no delays, 0: random)")
-        axes[0][0].legend(fontsize="small")
+        for axis in axes[0]:
+            axis.legend(fontsize="small")
         figure.savefig(out / "delays.png")
         plt.close(figure)
     with whole_file(out / "delays.csv") as partial:
