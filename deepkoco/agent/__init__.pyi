@@ -1,6 +1,9 @@
 from .config import (
     TrainingConfig as TrainingConfig,
 )
+from .delayed_policy import (
+    DelayedPolicy as DelayedPolicy,
+)
 from .policy import (
     KoopmanPolicy as KoopmanPolicy,
 )

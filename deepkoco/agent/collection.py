@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -30,6 +30,14 @@ class BatchController(Protocol):
     def act(self, observations: Array | NDArray[np.uint8]) -> Array:
         """Actions (B, M) for observations (B, ...)."""
         ...
+
+
+@runtime_checkable
+class TimedController(Protocol):
+    """A controller that is told what the environments tell of time."""
+
+    def note(self, info: Mapping[str, Any]) -> None:
+        """Take in the `info` of a reset or step, before the action that follows."""
 
 
 class SpaceError(ValueError):
@@ -94,7 +102,7 @@ def collect_episodes(
     Returns:
         B episodes in the order of the environments.
     """
-    observation, _ = envs.reset(seed=seed)
+    observation, info = envs.reset(seed=seed)
     agent.reset()
     dtype = envs.single_action_space.dtype
     frames = np.asarray(observation).dtype == np.uint8
@@ -106,6 +114,8 @@ def collect_episodes(
     length = np.zeros(envs.num_envs, dtype=np.int64)
     running = np.ones(envs.num_envs, dtype=bool)
     while running.any():
+        if isinstance(agent, TimedController):
+            agent.note(info)
         action = agent.act(observation if frames else np.asarray(observation, dtype=np.float64))
         observations.append(np.array(observation if record else observation[:, :0], dtype=kept))
         actions.append(action.astype(np.float32))
@@ -119,7 +129,7 @@ def collect_episodes(
                 finals[int(i)] = torch.from_numpy(np.array(shown[i], dtype=kept))
         running &= ~ended
         if ended.any() and running.any() and not restarts:
-            observation, _ = envs.reset(options={"reset_mask": ended})
+            observation, info = envs.reset(options={"reset_mask": ended})
     o, a, c = (torch.from_numpy(np.stack(x, axis=1)) for x in (observations, actions, costs))
     longest = int(length.max())
     episodes = []

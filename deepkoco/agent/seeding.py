@@ -16,7 +16,8 @@ class Purpose(IntEnum):
     TRAINING_EPISODES = 3
     EVALUATION = 4
     FINAL_EVALUATION = 5
-    REFERENCES = 6
+    FORWARD_MODEL = 6
+    REFERENCES = 7
 
 
 _RANGE = 2**29

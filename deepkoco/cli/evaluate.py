@@ -13,6 +13,7 @@ example:
   deepkoco evaluate runs/first
   deepkoco evaluate runs/first episodes=50 json=true
   deepkoco evaluate runs/first distractors=copies intensity=1     among other distractors than in training
+  deepkoco evaluate runs/first sensing_delay=0.1 compensate=measured     with a delay that training did not have
   deepkoco evaluate --cfg job                                      all settings with their defaults"""
 
 

@@ -13,7 +13,8 @@ Run trained policies on a unit, all from the same start states, and print the co
 interval. Give two runs, such as one of the simulator as given and one of the extended simulator, to compare them."""
 EXAMPLE = """\
 example:
-  deepkoco trial runs/first runs/extended --unit unit.yaml --episodes 20 --out trials"""
+  deepkoco trial runs/first runs/extended --unit unit.yaml --episodes 20 --out trials
+  deepkoco trial runs/first --unit unit.yaml --actuation-delay 0.05     bridge delays that training did not have"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +33,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="seed of the start states (default 0)"
     )
+    parser.add_argument(
+        "--actuation-delay",
+        type=float,
+        metavar="S",
+        help="bridge delays: of observations as the numbers of the samples tell, of commands S seconds (DeepKoCo)",
+    )
+    parser.add_argument(
+        "--increment-weight",
+        type=float,
+        metavar="W",
+        help="with --actuation-delay: R~ of the planner; larger makes calmer commands, which bear random delays",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="new folder for trials.csv and films")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -47,7 +60,14 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.output.new_folder import check_new
     from deepkoco.output.whole_file import system_error
     from deepkoco.runs.hydra_command import BAD_INPUT
-    from deepkoco.runs.unit_trials import FEWEST_EPISODES, as_json, run_trials, summarise, write_trials
+    from deepkoco.runs.unit_trials import (
+        FEWEST_EPISODES,
+        Bridging,
+        as_json,
+        run_trials,
+        summarise,
+        write_trials,
+    )
     from deepkoco.unit import UnitSpecError, load_unit
 
     if args.out is not None and args.out.exists():
@@ -56,13 +76,18 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--episodes and --parallel must be 1 or more")
     if args.seed < 0:
         raise InputError(f"--seed {args.seed}: give 0 or more")
+    bridging = None
+    if args.actuation_delay is not None:
+        bridging = Bridging(args.actuation_delay, args.increment_weight)
+    elif args.increment_weight is not None:
+        raise InputError("--increment-weight goes with --actuation-delay; give both")
     try:
         if args.out is not None:
             check_new(args.out)
         unit = load_unit(args.unit)
-        trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel)
+        trials = run_trials(args.runs, unit, args.episodes, args.clock, args.seed, args.parallel, bridging)
         if args.out is not None:
-            write_trials(args.out, trials, args.runs, unit, args.clock, args.seed)
+            write_trials(args.out, trials, args.runs, unit, args.clock, args.seed, bridging)
     except (*BAD_INPUT, ObservationError, UnitSpecError) as error:
         raise InputError(str(error)) from error
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -22,13 +23,30 @@ from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timi
 from deepkoco.graph.delay import exact_fraction
 from deepkoco.graph.model.node import State
 
+EXPECTATION = (64, 256)
+"""Episodes and steps over which expected delays are means, without the first half of the steps."""
+
+
+@dataclass(frozen=True)
+class ExpectedDelays:
+    """Mean delays as the agent meets them.
+
+    Attributes:
+        sensing: By name of the term, mean age of what the agent sees [s]: the delay of a sample, and the time until
+            the next one arrives.
+        actuation: Mean time from sending a command until it, or a newer one, acts [s].
+    """
+
+    sensing: Mapping[str, float]
+    actuation: float
+
 
 class DelayLine:
     """Arrivals of commands and samples for a batch of environments that step at one rate.
 
     The timing is that of a graph: agent and world tick together, sensors at their own rate; commands and
-    samples travel with the delays of its connections and cannot overtake each other. Step k of an environment
-    is the time from tick k to tick k + 1.
+    samples travel with the delays of its connections. Step k of an environment is the time from tick k to tick
+    k + 1. What a newer command or sample has overtaken is dropped.
 
     Args:
         batch: Environments B.
@@ -37,6 +55,7 @@ class DelayLine:
         sensing: By name of the term, delay from the environment to the agent [s].
         sensor_rate: Samples per second [Hz], a whole multiple of `rate`.
         steps: Steps for which delays are drawn at first; an episode that goes on has more drawn.
+        in_order: Commands and samples cannot overtake each other: one that would waits behind the one before.
     """
 
     def __init__(
@@ -47,8 +66,9 @@ class DelayLine:
         sensing: Mapping[str, Delay],
         sensor_rate: Fraction,
         steps: int,
+        in_order: bool = True,
     ) -> None:
-        self.batch = batch
+        self.batch, self.rate = batch, rate
         self.samples_per_step = sensor_rate / rate
         if self.samples_per_step.denominator != 1:
             raise DelayWrapperError(
@@ -59,10 +79,10 @@ class DelayLine:
         sensors = [_Clock(f"sensor {name}", sensor_rate) for name in sensing]
         agent = Supervisor(rate=rate, initial_action=torch.zeros(1), phase=0)
         connections = [
-            Connection(sensor.name, "agent", delay=law)
+            Connection(sensor.name, "agent", delay=law, fifo=in_order)
             for sensor, law in zip(sensors, sensing.values(), strict=True)
         ]
-        connections.append(Connection("agent", "world", delay=actuation, skip=True))
+        connections.append(Connection("agent", "world", delay=actuation, skip=True, fifo=in_order))
         self.graph = Graph([_Clock("world", rate), *sensors, agent], connections)
         self._steps = steps
         # Those that start together are drawn together; with its seed a group can be drawn for longer.
@@ -120,6 +140,44 @@ class DelayLine:
         there = self._arrival[environment, np.maximum(command, 0)] <= self._ticks[self.step][:, None]
         return np.argmax(there | (command < 0), axis=1)
 
+    def command_delays(self) -> np.ndarray:
+        """Time from sending to arrival [s] of each of the last `held` commands, newest first (B, held).
+
+        Infinite of a command that has not arrived when this step begins. One that was overtaken counts as arrived with
+        the one that overtook it.
+        """
+        environment = np.arange(self.batch)[:, None]
+        command = self.step[:, None] - 1 - np.arange(self.held)
+        known = np.maximum(command, 0)
+        arrival, now = self._arrival[environment, known], self._ticks[self.step][:, None]
+        there = (command >= 0) & (arrival <= now)
+        return np.where(there, (arrival - self._ticks[known]) / self._ticks_per_second, np.inf)
+
+    def ages(self, term: int) -> np.ndarray:
+        """Age of what the agent sees of a term when this step begins [s], (B,)."""
+        age, part = self.seen(term, now=True)
+        return (age - part) / float(self.rate)
+
+    def expected(self) -> ExpectedDelays:
+        """Mean delays over episodes of their own, the same at every call."""
+        size, steps = EXPECTATION
+        arrival, sample, ticks = self._drawn(0, size, steps, np.arange(size))
+        late = slice(steps // 2, steps)
+        delays = (arrival - ticks[:steps])[:, late] / (float(ticks[1] - ticks[0]) * float(self.rate))
+        ages = np.arange(steps + 1) - sample / int(self.samples_per_step)
+        return ExpectedDelays(
+            {
+                term: float(age[:, late].mean() / float(self.rate))
+                for term, age in zip(self.terms, ages, strict=True)
+            },
+            # The last commands may arrive after the last step that was drawn.
+            float(delays[delays < np.iinfo(np.int64).max / 2].mean()),
+        )
+
+    @property
+    def _ticks_per_second(self) -> float:
+        return float(self._ticks[1] - self._ticks[0]) * float(self.rate)
+
     def seen(self, term: int, now: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """What the agent sees of a term at the end of this step, or, at its begin, ``now``.
 
@@ -132,23 +190,13 @@ class DelayLine:
         return tick - sample // fine, (sample % fine) / fine
 
     def _draw(self, environments: np.ndarray) -> None:
-        agent = self.graph.index["agent"]
-        edges = {c.key: e for e, c in enumerate(self.graph.connections)}
-        commands, samples = edges["agent->world"], [edges[f"sensor {t}->agent"] for t in self.terms]
         steps = np.arange(self._steps + 1)
         arrival = np.zeros((self.batch, self._steps), np.int64)
         sample = np.zeros((len(self.terms), self.batch, self._steps + 1), np.int64)
         for seed, size in np.unique(self._group[environments, :2], axis=0).tolist():
-            timing = draw_timing(self.graph, np.random.default_rng(seed), self._steps, size)
-            self._ticks = timing.steps_of(agent)[0]
             own = environments[self._group[environments, 0] == seed]
-            rows = timing.row[self._group[own, 2]][:, None]
-            layout = timing.layout
-            arrival[own] = _arrivals(timing.t_received[rows, layout.message_base[commands] + steps[:-1]])
-            for term, edge in enumerate(samples):
-                # Before the first arrival the agent sees what the reset returned: sample 0.
-                seen = timing.windows[rows, layout.window_base[edge] + steps]
-                sample[term, own] = np.maximum(seen, 0)
+            place = self._group[own, 2]
+            arrival[own], sample[:, own], self._ticks = self._drawn(seed, size, self._steps, place)
         if len(environments) < self.batch:
             others = np.setdiff1d(np.arange(self.batch), environments)
             arrival[others], sample[:, others] = self._arrival[others], self._sample[:, others]
@@ -159,6 +207,34 @@ class DelayLine:
         age = steps - sample // int(self.samples_per_step)
         self.kept = max(self.kept, int(age.max()) + 1)
 
+    def _drawn(
+        self, seed: int, size: int, steps: int, place: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Draw for a group of environments.
+
+        Args:
+            seed: Of the group.
+            size: Environments in it.
+            steps: Steps.
+            place: (R,) which of them are wanted.
+
+        Returns:
+            Arrival of each command (R, steps), by term the sample that the agent sees at each tick
+            (terms, R, steps + 1), and the ticks (steps + 1,).
+        """
+        agent = self.graph.index["agent"]
+        edges = {c.key: e for e, c in enumerate(self.graph.connections)}
+        timing = draw_timing(self.graph, np.random.default_rng(seed), steps, size)
+        rows, layout, tick = timing.row[place][:, None], timing.layout, np.arange(steps + 1)
+        received = timing.t_received[rows, layout.message_base[edges["agent->world"]] + tick[:-1]]
+        # Before the first arrival the agent sees what the reset returned: sample 0.
+        windows = [
+            timing.windows[rows, layout.window_base[edges[f"sensor {term}->agent"]] + tick]
+            for term in self.terms
+        ]
+        sample = np.maximum.accumulate(np.maximum(windows, 0), axis=2)
+        return _arrivals(received), sample, timing.steps_of(agent)[0]
+
 
 def line_of(
     env: Any,
@@ -168,6 +244,7 @@ def line_of(
     sensing_delay: Any,
     control_rate: float | None,
     sensor_rate: float | None,
+    in_order: bool = True,
 ) -> tuple[DelayLine, dict[str, str | slice | None]]:
     """Read the arguments of a delay wrapper.
 
@@ -175,7 +252,7 @@ def line_of(
         env: The environment that is wrapped, or the batch of them.
         batch: Environments B.
         space: Of one observation.
-        actuation_delay, sensing_delay, control_rate, sensor_rate: As for `DelayWrapper`.
+        actuation_delay, sensing_delay, control_rate, sensor_rate, in_order: As for `DelayWrapper`.
 
     Returns:
         The line, and by term of the observation its place: a key, a slice, or None for the whole.
@@ -187,7 +264,7 @@ def line_of(
     laws, places = read_sensing(sensing_delay, space)
     actuation = read_delay("actuation_delay", actuation_delay)
     sampling = rate if sensor_rate is None else exact_fraction(sensor_rate)
-    return DelayLine(batch, rate, actuation, laws, sampling, episode_steps(env)), places
+    return DelayLine(batch, rate, actuation, laws, sampling, episode_steps(env), in_order), places
 
 
 class _Clock(Node):
@@ -201,5 +278,5 @@ class _Clock(Node):
 
 
 def _arrivals(received: np.ndarray) -> np.ndarray:
-    """Arrivals without losses (R, steps): one that never comes holds for no time before the next one."""
+    """Arrivals (R, steps) where one that never comes, or after a newer one, holds for no time before that."""
     return np.minimum.accumulate(received[:, ::-1], axis=1)[:, ::-1]

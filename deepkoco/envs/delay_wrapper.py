@@ -13,7 +13,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from deepkoco.envs.actions import check_finite_action, check_shape
 from deepkoco.envs.delay_arguments import DelayWrapperError, seeded
-from deepkoco.envs.delay_line import line_of
+from deepkoco.envs.delay_line import ExpectedDelays, line_of
 
 
 class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
@@ -32,6 +32,10 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
     the episode are those of the environment, at once. Delays are drawn anew at every reset; ``reset(seed=...)``
     repeats them.
 
+    What a robot's time stamps would tell is in ``info``: ``observation_age``, the age of what the agent sees [s] (by
+    term where there are several), and ``command_delays``, the time from sending to arrival [s] of each of the last
+    commands, newest first, infinite of one that has not arrived yet. ``DelayedPolicy`` takes both.
+
     Args:
         env: The environment.
         actuation_delay: Seconds, a delay law or its description.
@@ -44,6 +48,8 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
             Dict as ``action_history``.
         initial_action: What acts before the first action has arrived; None: zero or the nearest admissible, of
             choices the first.
+        in_order: Messages cannot overtake each other: one that would waits behind the one before. Off, each
+            takes its own time, and an action or a sample older than one that has arrived is dropped.
 
     Raises:
         DelayWrapperError: The rate is not known, or an argument does not fit the spaces.
@@ -58,6 +64,7 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         sensor_rate: float | None = None,
         action_history: int = 0,
         initial_action: Any = None,
+        in_order: bool = True,
     ) -> None:
         RecordConstructorArgs.__init__(
             self,
@@ -67,10 +74,11 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
             sensor_rate=sensor_rate,
             action_history=action_history,
             initial_action=initial_action,
+            in_order=in_order,
         )
         gymnasium.Wrapper.__init__(self, env)
         self._line, self._places = line_of(
-            env, 1, env.observation_space, actuation_delay, sensing_delay, control_rate, sensor_rate
+            env, 1, env.observation_space, actuation_delay, sensing_delay, control_rate, sensor_rate, in_order
         )
         self._initial = first_action(env.action_space, initial_action)
         self._history_size = action_history
@@ -89,10 +97,15 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         self._seen = deque([deepcopy(observation)], self._line.kept)
         self._sent = deque([self._initial] * self._line.held, self._line.held)
         self._past = deque([self._initial] * self._history_size, self._history_size)
-        return self._with_history(observation), info
+        return self._with_history(observation), {**info, **self._timing()}
+
+    @property
+    def expected_delays(self) -> ExpectedDelays:
+        """Mean delays under the laws, for a policy that is told no others."""
+        return self._line.expected()
 
     def step(self, action: Any):
-        """Send an action and go on to the next tick; ``info["applied_action"]`` is what acted."""
+        """Send an action and go on to the next tick; ``info["applied_action"]`` is what acted in between."""
         if self._generator is None:
             raise gymnasium.error.ResetNeeded("step before reset: call reset first")
         check_shape(action, self.action_space.shape)
@@ -112,7 +125,15 @@ class DelayWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         self._seen.append(deepcopy(observation))  # some environments go on writing into theirs
         seen = self._delayed()
         line.advance()
-        return self._with_history(seen), reward, terminated, truncated, {**info, "applied_action": applied}
+        info = {**info, "applied_action": applied, **self._timing()}
+        return self._with_history(seen), reward, terminated, truncated, info
+
+    def _timing(self) -> dict[str, Any]:
+        """What time stamps would tell the agent."""
+        ages = {name: float(self._line.ages(term)[0]) for term, name in enumerate(self._places)}
+        whole = list(self._places.values()) == [None]
+        age = ages["observation"] if whole else ages
+        return {"observation_age": age, "command_delays": self._line.command_delays()[0]}
 
     def _applied(self) -> Any:
         space = self.action_space

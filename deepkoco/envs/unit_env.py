@@ -15,6 +15,7 @@ from deepkoco.envs.settings import ACTION_UNITS, SettingsError
 from deepkoco.envs.tasks import SWING_UPS
 from deepkoco.systems import JointSystem, make_system
 from deepkoco.unit import ControlLoop, SimulatedUnit, Unit, UnitSpec, load_unit
+from deepkoco.unit.messages import SensorMessage
 
 
 class UnitEnv(gymnasium.Env):
@@ -22,7 +23,8 @@ class UnitEnv(gymnasium.Env):
 
     ``step`` sends the command, waits for the next control tick and returns the last measurement, so it
     takes one control period. The reward is minus the task's cost of the last measurement and the
-    command, because the true state of a unit is not known. Close the environment to stop the unit.
+    command, because the true state of a unit is not known. ``info`` has the ``time`` of the tick [s] and the
+    ``observation_age`` [s], which follows from the number of the sample. Close the environment to stop the unit.
 
     Args:
         unit: Path of a UNIT.yaml or a spec.
@@ -90,7 +92,7 @@ class UnitEnv(gymnasium.Env):
         if self._loop is None:
             self._unit.__enter__()
             self._loop = ControlLoop(self._unit, self.task.control_rate)
-        self._take(self._loop.reset((float(state[0]), float(state[1]))).values)
+        self._take(self._loop.reset((float(state[0]), float(state[1]))))
         self._elapsed, self._command = 0, 0.0
         self._history[:] = 0.0
         return self._observation(), self._info()
@@ -104,7 +106,7 @@ class UnitEnv(gymnasium.Env):
         command = torch.tensor([self._command], dtype=torch.float64)
         cost = float(self.task.cost(self.system, self._measured, command))
         self._history = np.append(self._command / self.action_scale, self._history)[: len(self._history)]
-        self._take(self._loop.step(self._command).values)
+        self._take(self._loop.step(self._command))
         self._elapsed += 1
         return self._observation(), -cost, False, self._elapsed >= self.episode_steps, self._info()
 
@@ -119,12 +121,15 @@ class UnitEnv(gymnasium.Env):
         self._loop = None
         self._unit.close()
 
-    def _take(self, values: tuple[float, ...]) -> None:
-        self._measured = torch.tensor(values, dtype=torch.float64)
+    def _take(self, message: SensorMessage) -> None:
+        self._measured = torch.tensor(message.values, dtype=torch.float64)
+        self._time = self._unit.now()
+        self._age = max(0.0, self._time - message.seq / self._unit.spec.sensor.rate_hz)
 
     def _observation(self) -> np.ndarray:
         observation = self.task.observation(self.system, self._measured).numpy()
         return np.concatenate([observation, self._history]).astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
-        return {"angle_from_upright": float(self.task.angle_from_upright(self.system, self._measured))}
+        away = float(self.task.angle_from_upright(self.system, self._measured))
+        return {"angle_from_upright": away, "time": self._time, "observation_age": self._age}

@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from deepkoco.envs.actions import check_finite_action, check_shape
 from deepkoco.envs.delay_arguments import DelayWrapperError, seeded
-from deepkoco.envs.delay_line import line_of
+from deepkoco.envs.delay_line import ExpectedDelays, line_of
 from deepkoco.envs.delay_wrapper import append_history, as_action, first_action, with_history
 from deepkoco.envs.seeds import Seeds, split_seeds
 
@@ -28,8 +28,8 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
 
     Args:
         env: The vector environment; its observations are arrays or (nested) dicts of arrays.
-        actuation_delay, sensing_delay, control_rate, sensor_rate, action_history, initial_action: As for
-            :class:`DelayWrapper`.
+        actuation_delay, sensing_delay, control_rate, sensor_rate, action_history, initial_action, in_order: As
+            for :class:`DelayWrapper`, and so are the entries of ``info``.
 
     Raises:
         DelayWrapperError: The rate is not known, or an argument does not fit the spaces.
@@ -44,6 +44,7 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
         sensor_rate: float | None = None,
         action_history: int = 0,
         initial_action: Any = None,
+        in_order: bool = True,
     ) -> None:
         RecordConstructorArgs.__init__(
             self,
@@ -53,12 +54,20 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
             sensor_rate=sensor_rate,
             action_history=action_history,
             initial_action=initial_action,
+            in_order=in_order,
         )
         VectorWrapper.__init__(self, env)
         self._space, actions = env.single_observation_space, env.single_action_space
         _check_arrays(self._space)
         self._line, self._places = line_of(
-            env, env.num_envs, self._space, actuation_delay, sensing_delay, control_rate, sensor_rate
+            env,
+            env.num_envs,
+            self._space,
+            actuation_delay,
+            sensing_delay,
+            control_rate,
+            sensor_rate,
+            in_order,
         )
         first = np.asarray(first_action(actions, initial_action))
         self._initial = np.repeat(first[None], env.num_envs, 0)
@@ -88,7 +97,13 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
             self._generator = seeded(joint)
         self._restart(observation, mask, own)
         self._ended = self._ended & (False if mask is None else ~mask)
-        return self._with_history(observation if mask is None else self._delayed(now=True)), info
+        seen = self._with_history(observation if mask is None else self._delayed(now=True))
+        return seen, {**info, **self._timing()}
+
+    @property
+    def expected_delays(self) -> ExpectedDelays:
+        """Mean delays under the laws, for policies that are told no others."""
+        return self._line.expected()
 
     def step(self, actions: Any):
         """Send the actions (B, ...); ``info["applied_action"]`` is what acted."""
@@ -122,8 +137,17 @@ class VectorDelayWrapper(VectorWrapper, RecordConstructorArgs):
             seen = self._with_history(self._delayed(now=True))
         self._ended = ended
         everyone = np.ones(self.num_envs, bool)
-        info = {**info, "applied_action": applied, "_applied_action": everyone}
+        info = {**info, "applied_action": applied, "_applied_action": everyone, **self._timing()}
         return seen, reward, terminated, truncated, info
+
+    def _timing(self) -> dict[str, Any]:
+        """What time stamps would tell the agents; who begins an episode has an observation of age 0."""
+        ages = {name: self._line.ages(term) for term, name in enumerate(self._places)}
+        whole = list(self._places.values()) == [None]
+        told = {"observation_age": ages["observation"] if whole else ages}
+        told["command_delays"] = self._line.command_delays()
+        everyone = np.ones(self.num_envs, bool)
+        return told | {f"_{name}": everyone for name in told}
 
     def _restart(
         self, observation: Any, mask: np.ndarray | None, own_seeds: Mapping[int, int] | None = None

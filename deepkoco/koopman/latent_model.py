@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from deepkoco.koopman.matrix_powers import MatrixPowers
 
 Array = NDArray[np.float64]
 Responses = Callable[[Array, Array], Array]
@@ -29,6 +32,18 @@ class LatentDynamics(Protocol):
 
     def advance(self, latents: Array) -> Array:
         """One step: A s for each latent (..., n)."""
+        ...
+
+    def advance_by(self, latents: Array, steps: Array) -> Array:
+        """Any time instead of one step: A^d s.
+
+        Args:
+            latents: (K, n).
+            steps: d (K,), each 0 or more, not only whole ones.
+
+        Returns:
+            (K, n).
+        """
         ...
 
     def responses(self, steps: int) -> Responses:
@@ -64,6 +79,11 @@ class JordanBlocks:
         pairs = np.ascontiguousarray(latents).view(np.complex128)
         return (pairs * self.eigenvalues).view(np.float64)
 
+    def advance_by(self, latents: Array, steps: Array) -> Array:
+        """Any time: each pair is multiplied by lambda^d, with the frequency of least magnitude."""
+        pairs = np.ascontiguousarray(latents).view(np.complex128)
+        return (pairs * self.eigenvalues ** np.asarray(steps)[:, None]).view(np.float64)
+
     def responses(self, steps: int) -> Responses:
         """Prepare C A^k w; the powers of the eigenvalues are known beforehand, so it is one product."""
         powers = self.eigenvalues[:, None] ** np.arange(steps + 1)  # (P, steps + 1)
@@ -95,6 +115,14 @@ class DenseTransition:
     def advance(self, latents: Array) -> Array:
         """One step for each latent (..., n)."""
         return latents @ self.matrix.T
+
+    def advance_by(self, latents: Array, steps: Array) -> Array:
+        """Any time, exact where A has a real logarithm; else linear between whole steps."""
+        return np.stack([self._powers.power(d) @ w for d, w in zip(steps, latents, strict=True)])
+
+    @cached_property
+    def _powers(self) -> MatrixPowers:
+        return MatrixPowers(self.matrix)
 
     def responses(self, steps: int) -> Responses:
         """Prepare C A^k w; the rows are moved on step by step, which needs no powers of A in memory."""

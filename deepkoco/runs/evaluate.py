@@ -17,7 +17,8 @@ from deepkoco.agent.references.files import read_comparison
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.envs.task_files import find_files
 from deepkoco.envs.tasks.swing_up import SwingUp
-from deepkoco.runs.agents import load_controller
+from deepkoco.runs.agents import Controller, load_controller
+from deepkoco.runs.delayed import COMPENSATIONS, ROLLS, add_delays, load_delayed_agent
 from deepkoco.runs.environments import make_environments, make_factory
 from deepkoco.runs.optimal_cost import optimal_costs, paired_difference
 from deepkoco.runs.settings import EvaluateConfig, ExperimentError, TrainRunConfig
@@ -59,11 +60,13 @@ def run_episodes(config: EvaluateConfig) -> Measured:
         raise ExperimentError(f"seed = {config.seed}; give 0 or more")
     if config.upright_steps < 1:
         raise ExperimentError(f"upright_steps = {config.upright_steps}; give at least 1")
+    for name, known in (("compensate", COMPENSATIONS), ("roll", ROLLS)):
+        if (given := getattr(config, name)) not in known:
+            raise ExperimentError(f'{name} = "{given}"; choose one of {", ".join(known)}')
     folder = Path(config.run)
     run = _settings(folder)
     check_finished(folder)
-    agent = load_controller(run.agent.name, folder, config.episodes)
-    envs = _environments(run, config)
+    envs, agent = _with_delays(_environments(run, config), run, folder, config)
     episodes = collect_episodes(envs, agent, _seed(run, config), record=False)
     swing_up = _is_swing_up(envs)
     envs.close()
@@ -151,6 +154,26 @@ def _environments(run: TrainRunConfig, config: EvaluateConfig) -> VectorEnv:
             f"distractors = {run.distractors}: observations have shape {seen}; this run was trained on {shape}"
         )
     return envs
+
+
+def _with_delays(
+    envs: VectorEnv, run: TrainRunConfig, folder: Path, config: EvaluateConfig
+) -> tuple[VectorEnv, Controller]:
+    """The environments with the delays of the evaluation, and the agent that acts in them."""
+    if config.compensate == "none":
+        agent = load_controller(run.agent.name, folder, config.episodes)
+        if config.sensing_delay == 0.0 and config.actuation_delay == 0.0:
+            return envs, agent
+        return add_delays(envs, config.sensing_delay, config.actuation_delay, config.in_order), agent
+    if run.agent.name != "deepkoco":
+        raise ExperimentError(
+            f'compensate = "{config.compensate}": {run.agent.name} cannot bridge delays; only deepkoco does'
+        )
+    delayed = add_delays(envs, config.sensing_delay, config.actuation_delay, config.in_order)
+    agent = load_delayed_agent(
+        folder, delayed, config.compensate, config.roll, run.seed, config.increment_weight
+    )
+    return delayed, agent
 
 
 def _upright(share: float | None) -> str:

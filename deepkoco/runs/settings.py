@@ -82,6 +82,19 @@ class EvaluateConfig:
     """Distractors in the place of those of training; the observation must keep its shape."""
     intensity: float | None = None
     """Intensity of all of them in the place of that of training, 0 to 1."""
+    sensing_delay: Any = 0.0
+    """Delay of observations [s], or a law such as {law:uniform,low:0.0,high:0.2}, beside the task's own."""
+    actuation_delay: Any = 0.0
+    """Delay of actions, likewise."""
+    in_order: bool = True
+    """Messages cannot overtake each other; false: what a newer one has overtaken is dropped."""
+    compensate: str = "none"
+    """Whether DeepKoCo bridges these delays: "none", "measured": told what time stamps tell, "law": told the means of
+    the delays, "both"."""
+    increment_weight: float | None = None
+    """R~ of DeepKoCo's planner in the place of the stored one; 0.3 to 1 makes it bear random delays of actions."""
+    roll: str = "observation"
+    """What is rolled to the time of action: the "observation", or the "latent"."""
     json: bool = False
     """Print one JSON object instead of a line of text."""
     upright_steps: int = 50

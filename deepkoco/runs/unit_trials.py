@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,11 +25,13 @@ from deepkoco.envs.distractors import StateDistractors
 from deepkoco.envs.film import write_clip
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.output.new_folder import new_folder
+from deepkoco.runs.delayed import load_delayed_policy
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from deepkoco.runs.train import check_finished, load_run_config
 from deepkoco.unit import UnitSpec
 
 FEWEST_EPISODES = 5  # of an interval; resamples of fewer have few different means
+Act = Callable[[np.ndarray, Mapping[str, Any]], np.ndarray]
 UPRIGHT_ANGLE = 0.5  # mean distance from upright over the last quarter that counts as standing [rad]
 
 
@@ -51,6 +54,19 @@ class Trial:
     upright: bool
     overruns: int
     frames: tuple[np.ndarray, ...] = ()
+
+
+@dataclass(frozen=True)
+class Bridging:
+    """How a policy bridges delays of a unit: those of observations follow from the numbers of the samples.
+
+    Attributes:
+        actuation_delay: Expected time from sending a command until it acts [s].
+        increment_weight: R~ of the planner; None takes that of the run.
+    """
+
+    actuation_delay: float = 0.0
+    increment_weight: float | None = None
 
 
 def policy_names(runs: Sequence[Path]) -> list[str]:
@@ -125,6 +141,7 @@ def run_trial(
     seed: int = 0,
     film: bool = False,
     name: str | None = None,
+    bridging: Bridging | None = None,
 ) -> Trial:
     """Run one noise-free episode of a trained policy on the unit.
 
@@ -136,24 +153,25 @@ def run_trial(
         seed: Seed of the set of episodes.
         film: Whether to draw every step.
         name: Of the policy; by default the last part of the folder.
+        bridging: How to bridge delays; None ignores them.
 
     Returns:
         The trial.
     """
     config = load_run_config(run)
-    policy = load_policy(run)
+    act, restart = _controller(run, config, bridging)
     env = _environment(config, unit, clock, film)
     costs, angles, frames = [], [], []
     try:
         observation, info = env.reset(
             seed=int(np.random.SeedSequence([seed, episode]).generate_state(1)[0] >> 1)
         )
-        policy.reset()
+        restart()
         ended = False
         while not ended:
             if film:
                 frames.append(env.render())
-            observation, reward, _, ended, info = env.step(policy.act(observation))
+            observation, reward, _, ended, info = env.step(act(observation, info))
             costs.append(-float(reward))
             angles.append(abs(info["angle_from_upright"]))
         unit_env = env.unwrapped
@@ -163,6 +181,23 @@ def run_trial(
         env.close()
     upright = float(np.mean(angles[-len(angles) // 4 :])) < UPRIGHT_ANGLE
     return Trial(name or run.name, episode, float(np.sum(costs)), upright, overruns, tuple(frames))
+
+
+def _controller(
+    run: Path, config: TrainRunConfig, bridging: Bridging | None
+) -> tuple[Act, Callable[[], None]]:
+    """What acts on an observation and the `info` that came with it, and what begins an episode."""
+    if bridging is None:
+        policy = load_policy(run)
+        return lambda observation, info: policy.act(observation), policy.reset
+    delayed = load_delayed_policy(
+        run, config.seed, bridging.actuation_delay, increment_weight=bridging.increment_weight
+    )
+
+    def act(observation: np.ndarray, info: Mapping[str, Any]) -> np.ndarray:
+        return delayed.act(observation, info["observation_age"], now=info["time"])
+
+    return act, delayed.reset
 
 
 def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool):
@@ -181,7 +216,13 @@ def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool)
 
 
 def run_trials(
-    runs: Sequence[Path], unit: UnitSpec, episodes: int, clock: str = "wall", seed: int = 0, parallel: int = 8
+    runs: Sequence[Path],
+    unit: UnitSpec,
+    episodes: int,
+    clock: str = "wall",
+    seed: int = 0,
+    parallel: int = 8,
+    bridging: Bridging | None = None,
 ) -> list[Trial]:
     """Run every policy from the same start states, several units at once.
 
@@ -192,6 +233,7 @@ def run_trials(
         clock: "wall" or "simulated".
         seed: Seed of the set of episodes.
         parallel: Units that run at once.
+        bridging: As for `run_trial`.
 
     Returns:
         The trials, episode by episode.
@@ -203,12 +245,14 @@ def run_trials(
     names = policy_names(runs)
     for run in runs:
         check_run(run, unit)
+        if bridging is not None:
+            _controller(run, load_run_config(run), bridging)  # fits what is missing, before units move
     # Alternating the policies spreads whatever the machine does to the timing over both of them.
     jobs = [(*policy, episode) for episode in range(episodes) for policy in zip(runs, names, strict=True)]
 
     def trial(job: tuple[Path, str, int]) -> Trial:
         run, name, episode = job
-        return run_trial(run, unit, episode, clock, seed, name=name)
+        return run_trial(run, unit, episode, clock, seed, name=name, bridging=bridging)
 
     with ThreadPoolExecutor(parallel if clock == "wall" else 1) as pool:
         return list(pool.map(trial, jobs))
@@ -271,7 +315,13 @@ def as_json(summary: dict) -> str:
 
 
 def write_trials(
-    out: Path, trials: Sequence[Trial], runs: Sequence[Path], unit: UnitSpec, clock: str, seed: int
+    out: Path,
+    trials: Sequence[Trial],
+    runs: Sequence[Path],
+    unit: UnitSpec,
+    clock: str,
+    seed: int,
+    bridging: Bridging | None = None,
 ) -> None:
     """Write the table `trials.csv` and a film of the first episode of every policy.
 
@@ -282,12 +332,13 @@ def write_trials(
         unit: The unit.
         clock: "wall" or "simulated".
         seed: Seed of the set of episodes.
+        bridging: As for `run_trial`.
     """
     rows = [{k: v for k, v in vars(t).items() if k != "frames"} for t in trials]
     with new_folder(out) as partial:
         pd.DataFrame(rows).to_csv(partial / "trials.csv", index=False)
         for run, name in zip(runs, policy_names(runs), strict=True):
-            film = run_trial(run, unit, 0, clock, seed, film=True)
+            film = run_trial(run, unit, 0, clock, seed, film=True, bridging=bridging)
             path = partial / f"{name}.webm"
             path.parent.mkdir(parents=True, exist_ok=True)
             write_clip(path, film.frames, 20.0)

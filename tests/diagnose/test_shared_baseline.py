@@ -67,7 +67,9 @@ def test_diagnose_counts_the_floor_as_noise(healthy, log):
     learned = learn_baseline([healthy], SYSTEM, LENGTH)
     # A unit that differs from log to log would be refitted more under the small noise than under the large one.
     prior = learned.prior
-    open_ = unshown(learned.system, prior.names, learned.healthy.fit.values, [g.fixed for g in learned.gauges])
+    open_ = unshown(
+        learned.system, prior.names, learned.healthy.fit.values, [g.fixed for g in learned.gauges]
+    )
     constant = prior.covariance - open_
     learned = replace(learned, prior=replace(prior, covariance=constant))
     rough = replace(learned, floor=100.0)

@@ -8,11 +8,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from deepkoco.agent.collection import collect_episodes
+from deepkoco.agent.forward_fit import ForwardFitConfig
 from deepkoco.agent.policy import load_policy
+from deepkoco.agent.replay_files import write_replay
 from deepkoco.cli.command_line import main
 from deepkoco.envs.unit_env import UnitEnv
+from deepkoco.runs.delayed import forward_model_of
+from deepkoco.runs.environments import make_environments
 from deepkoco.runs.settings import ExperimentError, TaskConfig
+from deepkoco.runs.train import load_run_config
 from deepkoco.runs.unit_trials import (
+    Bridging,
     Trial,
     as_json,
     check_run,
@@ -156,3 +163,43 @@ def test_bad_input_is_one_line(runs, make_run, tmp_path, capsys):
     errors = capsys.readouterr().err.splitlines()
     assert len(errors) == 4
     assert all(line.startswith("deepkoco trial: ") for line in errors)
+
+
+def test_a_trial_bridges_delays_by_the_numbers_of_the_samples(make_run, tmp_path):
+    run = make_run(tmp_path / "run")
+    envs = make_environments(load_run_config(run))(4, 0)
+    write_replay(run, 0, collect_episodes(envs, Nothing(), 1))
+    forward_model_of(run, 0.05, 0, ForwardFitConfig((8,), updates=50))
+    effects = {"sensing_delay": {"delay": 0.04}, "actuation_delay": {"delay": 0.05}}
+    late = make_unit("rod_pendulum", seed=3, effects=effects)
+    (plain,), (bridged,) = (
+        run_trials([run], late, 1, clock="simulated", bridging=how) for how in (None, Bridging(0.05))
+    )
+    assert plain.cost != bridged.cost
+    assert main(["trial", str(run), "--unit", str(UNIT), "--episodes", "1", "--clock", "simulated",
+                 "--actuation-delay", "-1"]) == 2  # fmt: skip
+
+
+def test_an_observation_of_a_unit_is_as_old_as_its_sensor_is_late():
+    late = make_unit("rod_pendulum", seed=3, effects={"sensing_delay": {"delay": 0.04}})
+    env = UnitEnv(late, "simulated")
+    env.reset(seed=0)
+    ages, times = [], []
+    for _ in range(5):
+        *_, info = env.step(np.zeros(1, np.float32))
+        ages.append(info["observation_age"])
+        times.append(info["time"])
+    # Samples come every 10 ms; a tick comes 2 ms after one.
+    assert all(0.04 <= age < 0.0521 for age in ages)
+    np.testing.assert_allclose(np.diff(times), 0.05, atol=1e-9)
+    env.close()
+
+
+class Nothing:
+    """Zero torque."""
+
+    def reset(self):
+        pass
+
+    def act(self, observations):
+        return np.zeros((len(observations), 1))

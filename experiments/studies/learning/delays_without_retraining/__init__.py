@@ -1,0 +1,1 @@
+"""Study: one policy, trained without delays, among delays of its observations and commands; rivals are retrained."""
