@@ -13,7 +13,7 @@ from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.finer_steps import on_finer_steps, overtaken, steps_of_rivals
-from deepkoco.diagnose.healthy import extended
+from deepkoco.diagnose.healthy import extended, frees_scale
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.refitted import Refitted, refit_to_logs
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -112,7 +112,7 @@ def seen_before(request: DiagnosisRequest, selection: Selection, found: Selected
         return []
     if not request.limit.allows("what the healthy logs say of the causes"):
         return []
-    causes = selection.consistent_with_healthy(found)
+    causes = [c for c in selection.consistent_with_healthy(found) if not frees_scale(selection.start, c)]
     if causes:
         request.progress(f"healthy logs again, with {', '.join(c.name for c in causes)}")
     return causes

@@ -83,13 +83,7 @@ def learn_baseline(
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
-    # What fixes a scale is a convention. Freed, it lets all parameters of that scale run away together.
-    kept = {g.fixed for g in start.gauges}
-    causes = [
-        c
-        for c in causes
-        if c.effect != "event" and c.free and not (is_changed(c) and kept.intersection(c.free))
-    ]
+    causes = [c for c in causes if c.effect != "event" and c.free and not frees_scale(start, c)]
     for _ in range(extension):
         fit, (counted, problem) = told.fit, told.counted()
         if not limit.allows("small effects that the healthy logs show"):
@@ -122,9 +116,22 @@ def learn_baseline(
     catalogued = catalogue(start.system.base)
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
     others = [catalogued[n] for n in members if kind_of(n) not in ("event", *BENDING)]
+    others = [c for c in others if not frees_scale(start, c)]
     if any(c not in accepted for c in others):
         return extended(replace(start, healthy=told, losing=losing), others)
     return replace(_learned(told, runs), losing=losing)
+
+
+def frees_scale(start: Baseline, cause: Cause) -> bool:
+    """Return whether a cause changes the parameter that fixes a scale.
+
+    What fixes a scale is a convention. Freed in healthy logs, it lets all parameters of that scale run away together.
+
+    Args:
+        start: A baseline.
+        cause: The cause.
+    """
+    return is_changed(cause) and not {g.fixed for g in start.gauges}.isdisjoint(cause.free)
 
 
 def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
@@ -144,7 +151,10 @@ def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
         )
     before, problem = healthy.counted()
     known = {c.name for c in healthy.causes}
-    together = (*healthy.causes, *(c for c in causes if c.name not in known))
+    added = [c for c in causes if c.name not in known and not frees_scale(start, c)]
+    if not added:
+        return start
+    together = (*healthy.causes, *added)
     fit = problem.fit_one(freed(problem, before, together, healthy.fit, healthy.fit.values), PATIENCE)
     return replace(_learned(*with_spread(replace(healthy, causes=together, fit=fit))), losing=start.losing)
 
